@@ -1,0 +1,1 @@
+"""urdfcal: make the URDF match the arm, with two cameras and an LED."""

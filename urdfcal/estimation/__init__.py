@@ -1,0 +1,1 @@
+"""From a session to the parameters of the robot that was really built."""

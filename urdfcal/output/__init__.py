@@ -1,0 +1,1 @@
+"""What leaves the program besides the URDF: recordings and reports."""

@@ -1,0 +1,358 @@
+"""Denavit-Hartenberg rows of a chain, and the way back from row offsets to joint placements.
+
+Standard (distal) rows extended by Hayati's beta for parallel axes,
+
+    B(theta, d, a, alpha, beta) = Rz(theta) Tz(d) Tx(a) Rx(alpha) Ry(beta),
+
+so that F_i = F_{i-1} Rz(q_i) B_i for a revolute joint i and F_{i-1} Tz(q_i) B_i for a prismatic one.
+Sources: Rossi, Savino et al., eq. 2; Hayati & Mirmirani, J. Robotic Systems 2(4), 1985; Craig,
+"Introduction to Robotics", ch. 3, for the modified rows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import pinocchio as pin
+
+from urdfcal.arrays import Floats, Ints, frozen, inverse
+from urdfcal.errors import RobotError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from numpy.typing import ArrayLike
+
+    from urdfcal.robot.chain import Chain, JointType
+
+Parameter = Literal["theta", "d", "a", "alpha", "beta"]
+Convention = Literal["standard", "modified"]
+
+PARAMETERS: tuple[Parameter, ...] = ("theta", "d", "a", "alpha", "beta")
+"""Column order of every offsets array."""
+
+# Below this angle between consecutive axes a row is Hayati's. Real UR arms deviate from parallel by up to
+# 13 mrad, and the common normal of axes that are almost parallel lies hundreds of metres away; at 0.1 rad
+# it lies within ten arm lengths.
+PARALLEL_ANGLE = 0.1
+
+# Axes closer than this coincide: the direction of their normal is rounding.
+_COINCIDENT = 1e-12
+# theta this close to +-pi/2 leaves both signs of x equally small: the sign of a (or alpha) decides.
+_TIE = 1e-6
+
+_MOTIONS: dict[Parameter, Floats] = {
+    "theta": frozen([0, 0, 0, 0, 0, 1]),
+    "d": frozen([0, 0, 1, 0, 0, 0]),
+    "a": frozen([1, 0, 0, 0, 0, 0]),
+    "alpha": frozen([0, 0, 0, 1, 0, 0]),
+    "beta": frozen([0, 0, 0, 0, 1, 0]),
+}
+"""The twist (linear, angular) each factor of B moves along."""
+
+
+@dataclass(frozen=True, eq=False)
+class DHRow:
+    """One row of the table: from a joint's axis to the next joint's, the last one to the tip's z axis.
+
+    Attributes:
+        joint: the joint that moves this row's frame.
+        type: revolute, continuous or prismatic.
+        theta: rotation about z at zero joint value. [rad]
+        d: shift along z. [m]
+        a: shift along x, the common normal. [m]
+        alpha: rotation about x. [rad]
+        beta: rotation about y, non-zero only where this axis and the next are almost parallel. [rad]
+        parallel: whether the next axis is within ``PARALLEL_ANGLE`` of (anti-)parallel.
+        directed: whether the next axis is a prismatic joint's, which has a direction but no place.
+    """
+
+    joint: str
+    type: JointType
+    theta: float
+    d: float
+    a: float
+    alpha: float
+    beta: float
+    parallel: bool
+    directed: bool
+
+    @property
+    def values(self) -> tuple[float, float, float, float, float]:
+        """The row in the order of ``PARAMETERS``."""
+        return (self.theta, self.d, self.a, self.alpha, self.beta)
+
+    @property
+    def variable(self) -> Parameter:
+        """The parameter that the joint's motion adds to: its offset is the joint's zero offset."""
+        return "d" if self.type == "prismatic" else "theta"
+
+    @property
+    def free(self) -> tuple[Parameter, ...]:
+        """The parameters that can be told from their neighbours' (DESIGN section 3)."""
+        if self.directed:
+            shape: tuple[Parameter, ...] = ("alpha", "beta") if self.parallel else ("theta", "alpha")
+        elif self.parallel:
+            shape = ("theta", "a", "alpha", "beta")
+        else:
+            shape = ("theta", "d", "a", "alpha")
+        return tuple(p for p in PARAMETERS if p in shape or p == self.variable)
+
+
+@dataclass(frozen=True, eq=False)
+class DHTable:
+    """The DH rows of a chain: FK(q) = base * prod(Rz(q_i) or Tz(q_i), B_i) * tool.
+
+    Attributes:
+        chain: the chain that the rows describe.
+        base: (4, 4) T_base_F0: F0 has z on the first axis and its origin at the foot of the base link's origin.
+        rows: one per joint.
+        tool: (4, 4) T_Fn_tip: a rotation about and a shift along z.
+        K: (n, 4, 4) constant K_i = F_{i-1}^-1 L_i at zero joint values, L_i being joint i's URDF frame.
+    """
+
+    chain: Chain
+    base: Floats
+    rows: tuple[DHRow, ...]
+    tool: Floats
+    K: Floats
+
+    @classmethod
+    def from_chain(cls, chain: Chain) -> DHTable:
+        """Derive the rows from the chain's axis lines at zero joint values (DESIGN section 3)."""
+        L = np.empty((len(chain.joints) + 1, 4, 4))
+        T = np.eye(4)
+        for i, placement in enumerate(chain.placements):
+            L[i] = T = T @ placement
+        L[-1] = T @ chain.T_last_tip
+        axes = [L[i, :3, :3] @ joint.axis for i, joint in enumerate(chain.joints)] + [L[-1, :3, 2]]
+
+        base = L[0] @ _align_z(chain.joints[0].axis)
+        base[:3, 3] = L[0, :3, 3] + axes[0] * (axes[0] @ -L[0, :3, 3])
+        F, rows, K = base, [], []
+        for i, joint in enumerate(chain.joints):
+            K.append(inverse(F) @ L[i])
+            last = i + 1 == len(chain.joints)
+            directed = not last and chain.joints[i + 1].prismatic
+            point = F[:3, 3] if directed else L[i + 1, :3, 3]
+            parallel = bool(np.linalg.norm(np.cross(F[:3, 2], axes[i + 1])) < np.sin(PARALLEL_ANGLE))
+            # Every row but the last may choose its height along parallel axes; the last reaches the tip.
+            height = float((inverse(F) @ L[-1])[2, 3]) if last else 0.0
+            p, w = (inverse(F) @ [*point, 1.0])[:3], F[:3, :3].T @ axes[i + 1]
+            values = _hayati_row(p, w, height) if parallel else _common_normal_row(p, w)
+            theta, d, a, alpha, beta = map(float, values)
+            rows.append(DHRow(joint.name, joint.type, theta, d, a, alpha, beta, parallel, directed))
+            F = F @ row_transform(values)
+        return cls(chain, frozen(base), tuple(rows), frozen(inverse(F) @ L[-1]), frozen(K))
+
+    @property
+    def nominal(self) -> Floats:
+        """The rows as drawn, (n, 5), columns as ``PARAMETERS``; in rad and m."""
+        return np.array([row.values for row in self.rows])
+
+    def frames(self, q: ArrayLike, offsets: ArrayLike | None = None) -> Floats:
+        """Place every DH frame in the base link's frame.
+
+        Args:
+            q: (n,) joint values. [rad or m]
+            offsets: (n, 5) added to the rows; none by default.
+
+        Returns:
+            (n + 1, 4, 4) T_base_F for F_0 ... F_n.
+        """
+        values = self.nominal if offsets is None else self.nominal + np.asarray(offsets)
+        frames = [np.array(self.base)]
+        for row, row_values, q_i in zip(self.rows, values, np.asarray(q, dtype=float), strict=True):
+            frames.append(frames[-1] @ _factor(row.variable, q_i) @ row_transform(row_values))
+        return np.array(frames)
+
+    def forward(self, q: ArrayLike, offsets: ArrayLike | None = None) -> Floats:
+        """T_base_tip (4, 4) by the product of the rows: for checks and display; estimates use Pinocchio."""
+        result: Floats = self.frames(q, offsets)[-1] @ self.tool
+        return result
+
+    def placements(self, offsets: ArrayLike) -> Floats:
+        """Turn row offsets into joint placements (DESIGN section 3, "back to the model").
+
+        A joint's zero offset moves the joint's own frame, the other parameters of its row place the next
+        joint. The last row's other parameters would move the tip on its link, which no joint can: they must be zero.
+
+        Args:
+            offsets: (n, 5) added to the rows. [rad, m]
+
+        Returns:
+            (n, 4, 4) what replaces ``chain.placements``; rows without offsets leave theirs bit for bit.
+
+        Raises:
+            RobotError: an offset after the last joint.
+        """
+        offsets = np.asarray(offsets, dtype=float)
+        own, shape = self._split(offsets)
+        if np.any(shape[-1]):
+            raise RobotError(
+                "the last row can only be offset in its joint variable",
+                where=f"joint {self.rows[-1].joint!r}",
+                remedy="Where the tip sits on the last link is not a joint's placement.",
+            )
+        result = np.array(self.chain.placements)
+        for i, row in enumerate(self.rows):
+            zero = offsets[i, own[i]]
+            before = shape[i - 1] if i else np.zeros(5)
+            if zero == 0.0 and not np.any(before):
+                continue
+            left = (
+                inverse(self.K[i - 1]) @ row_transform(np.add(self.rows[i - 1].values, before))
+                if i
+                else self.chain.placements[0] @ inverse(self.K[0])
+            )
+            result[i] = left @ _factor(row.variable, zero) @ self.K[i]
+        return result
+
+    def twists(self, offsets: ArrayLike, parameters: Iterable[tuple[int, Parameter]]) -> Floats:
+        """Map DH parameters to body twists of the joints' placements: M_j <- M_j exp6(xi_j).
+
+        Each parameter is one factor of one placement: with Q what stands to its right, xi = Ad(Q^-1) e.
+
+        Args:
+            offsets: (n, 5) where the derivative is taken.
+            parameters: (row index, name) of each column.
+
+        Returns:
+            G (6 n, p), rows as the columns of Pinocchio's joint kinematic regressor.
+        """
+        offsets = np.asarray(offsets, dtype=float)
+        own, shape = self._split(offsets)
+        columns = []
+        for i, name in parameters:
+            xi = np.zeros((len(self.rows), 6))
+            if name == self.rows[i].variable:
+                xi[i] = _carried(_MOTIONS[name], self.K[i])
+            else:
+                # The row's own zero offset stands further left, in its joint's placement.
+                Q = row_transform(self.nominal[i] + shape[i], PARAMETERS.index(name) + 1)
+                zero = offsets[i + 1, own[i + 1]]
+                xi[i + 1] = _carried(_MOTIONS[name], Q @ _factor(self.rows[i + 1].variable, zero) @ self.K[i + 1])
+            columns.append(xi.ravel())
+        G: Floats = np.array(columns).reshape(-1, 6 * len(self.rows)).T
+        return G
+
+    def _split(self, offsets: Floats) -> tuple[Ints, Floats]:
+        """The column of each row's joint variable, and the offsets without those: the row's shape."""
+        own = np.array([PARAMETERS.index(row.variable) for row in self.rows])
+        shape = offsets.copy()
+        shape[np.arange(len(own)), own] = 0.0
+        return own, shape
+
+    def to_dict(self, convention: Convention = "standard") -> dict[str, Any]:
+        """The table as plain data: rows, and how they compose to the forward kinematics.
+
+        In the modified convention (Craig) the same five numbers are grouped the other way round: row i holds
+        the a, alpha and beta that lead to axis i, and its own theta and d. The last frame sits where its x
+        axis meets the last axis (Craig, section 3.4), so that the way to the tip is all in the tool.
+        """
+        rows, base, tool = self.nominal, self.base, self.tool
+        composition = (
+            "FK = base * prod(Rz(theta) Tz(d) Tx(a) Rx(alpha) Ry(beta)) * tool; "
+            "q is added to theta, for a prismatic joint to d"
+        )
+        if convention == "modified":
+            composition = (
+                "FK = base * prod(Tx(a) Rx(alpha) Ry(beta) Rz(theta) Tz(d)) * tool; "
+                "q is added to theta, for a prismatic joint to d"
+            )
+            tool = row_transform(rows[-1]) @ tool
+            rows = np.hstack([rows[:, :2], np.roll(rows[:, 2:], 1, axis=0)])
+            rows[0, 2:] = rows[-1, :2] = 0.0
+        return {
+            "convention": convention,
+            "composition": composition,
+            "base_link": self.chain.base_link,
+            "tip_link": self.chain.tip_link,
+            "base": base.tolist(),
+            "tool": tool.tolist(),
+            "rows": [
+                {
+                    "joint": row.joint,
+                    "type": row.type,
+                    **{name: float(value) + 0.0 for name, value in zip(PARAMETERS, values, strict=True)},
+                    **(
+                        {"mimic": {"joint": m.joint, "multiplier": m.multiplier, "offset": m.offset}}
+                        if (m := joint.mimic)
+                        else {}
+                    ),
+                }
+                for row, joint, values in zip(self.rows, self.chain.joints, rows, strict=True)
+            ],
+        }
+
+
+def row_transform(values: Sequence[float] | Floats, first: int = 0) -> Floats:
+    """Multiply the factors of B(theta, d, a, alpha, beta), from the ``first`` one on. (4, 4)."""
+    T = np.eye(4)
+    for name, value in zip(PARAMETERS[first:], values[first:], strict=True):
+        T = T @ _factor(name, value)
+    return T
+
+
+def _factor(name: Parameter, value: float) -> Floats:
+    T = np.eye(4)
+    axis = {"theta": 2, "d": 2, "a": 0, "alpha": 0, "beta": 1}[name]
+    if name in ("d", "a"):
+        T[axis, 3] = value
+        return T
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    T[i, i] = T[j, j] = np.cos(value)
+    T[j, i] = np.sin(value)
+    T[i, j] = -T[j, i]
+    return T
+
+
+def _carried(motion: Floats, Q: Floats) -> Floats:
+    X = pin.SE3(np.ascontiguousarray(Q[:3, :3]), np.ascontiguousarray(Q[:3, 3]))
+    result: Floats = X.actInv(pin.Motion(motion)).vector
+    return result
+
+
+def _align_z(axis: Floats) -> Floats:
+    """The smallest rotation that takes z to ``axis``, as (4, 4)."""
+    T = np.eye(4)
+    T[:3, :3] = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), np.array(axis)).matrix()
+    return T
+
+
+def _common_normal_row(p: Floats, w: Floats) -> Floats:
+    """Row to the line through p along w, not parallel to z: d and a reach the common normal; intersecting, a = 0."""
+    x = np.array([-w[1], w[0], 0.0]) / np.hypot(w[0], w[1])
+    d, a, _ = np.linalg.solve(np.column_stack([[0.0, 0.0, 1.0], x, -w]), p)
+    if abs(a) < _COINCIDENT:
+        a = 0.0
+    theta, alpha = np.arctan2(x[1], x[0]), np.arctan2(np.hypot(w[0], w[1]), w[2])
+    if _flip(theta, a if a != 0.0 else alpha):
+        theta, a, alpha = _wrap(theta + np.pi), -a, -alpha
+    return np.array([theta, d, a, alpha, 0.0])
+
+
+def _hayati_row(p: Floats, w: Floats, d: float) -> Floats:
+    """Row to the line through p along w, almost parallel to z: the normal at height d, and beta."""
+    foot = p + w * ((d - p[2]) / w[2])
+    a = np.hypot(foot[0], foot[1])
+    theta = np.arctan2(foot[1], foot[0])
+    if a < _COINCIDENT:
+        theta, a = 0.0, 0.0
+    elif _flip(theta, a):
+        theta, a = _wrap(theta + np.pi), -a
+    w = _factor("theta", -theta)[:3, :3] @ w
+    return np.array([theta, d, a, np.arctan2(-w[1], w[2]), np.arcsin(np.clip(w[0], -1.0, 1.0))])
+
+
+def _flip(theta: float, positive: float) -> bool:
+    """Whether x should point the other way: |theta| smallest, and on a tie ``positive`` positive."""
+    if abs(abs(theta) - np.pi / 2) < _TIE:
+        return positive < 0.0
+    return abs(theta) > np.pi / 2
+
+
+def _wrap(angle: float) -> float:
+    return float((angle + np.pi) % (2 * np.pi) - np.pi)

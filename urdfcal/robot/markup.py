@@ -1,0 +1,179 @@
+"""The XML of a URDF: its elements with their line and byte offset, and nothing that is unsafe to expand.
+
+Expat is driven directly: unlike ElementTree it tells where in the bytes an element starts, which rewriting
+needs, and lets document types be refused before anything in them is looked at.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+from xml.parsers import expat
+
+from urdfcal.errors import RobotError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+# The largest of example-robot-data's 69 URDFs (TIAGo with two arms) has 0.2 MB.
+MAX_BYTES = 16 * 2**20
+# The deepest of them nests 7 elements; tinyxml2, Pinocchio's reader, stops at 100 (before 9.0) or 500.
+MAX_DEPTH = 100
+
+
+@dataclass(frozen=True)
+class Element:
+    """One element.
+
+    Attributes:
+        tag: its name as written, with any prefix.
+        attributes: their values, character references replaced.
+        offset: of its ``<`` in the file's bytes.
+        line: where it starts, from 1.
+        first: its first child of each tag, in document order; URDF readers look at no other.
+    """
+
+    tag: str
+    attributes: Mapping[str, str]
+    offset: int
+    line: int
+    first: dict[str, Element] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Document:
+    """A URDF's root element and the links and joints directly below it.
+
+    ``<joint>`` elements deeper down (transmission, gazebo, ros2_control) are not kinematic joints.
+    """
+
+    root: Element
+    links: tuple[Element, ...]
+    joints: tuple[Element, ...]
+
+
+def parse(data: bytes, source: str) -> Document:
+    """Read the elements of a URDF.
+
+    Args:
+        data: the file's bytes, in UTF-8 (with or without byte order mark), ASCII, or a declared
+            single-byte encoding such as ISO-8859-1.
+        source: what to call the file in messages.
+
+    Raises:
+        RobotError: the bytes are no well-formed XML, in an encoding that Pinocchio cannot read, too large,
+            too deeply nested, declare a document type with entities, or hold xacro macros.
+    """
+    _refuse_foreign_bytes(data, source)
+    reader = _Reader(source)
+    try:
+        reader.parser.Parse(data, True)
+    except expat.ExpatError as error:
+        raise RobotError(
+            f"not well-formed XML: {expat.ErrorString(error.code)}",
+            where=f"{source}:{error.lineno}, column {error.offset + 1}",
+            remedy="`xmllint --noout FILE` shows the place.",
+        ) from error
+    except (LookupError, ValueError) as error:
+        # Raised by pyexpat for an encoding that is unknown to Python or takes several bytes a character.
+        raise RobotError(f"its declared encoding cannot be read: {error}", where=source, remedy=_UTF8) from error
+    return Document(reader.root, tuple(reader.links), tuple(reader.joints))
+
+
+_UTF8 = "Save it as UTF-8."
+
+
+class _Reader:
+    """Expat's handlers and what they have gathered."""
+
+    def __init__(self, source: str) -> None:
+        self.root: Element
+        self.links: list[Element] = []
+        self.joints: list[Element] = []
+        self._open: list[Element] = []
+        self._source = source
+        self.parser = expat.ParserCreate()
+        self.parser.StartDoctypeDeclHandler = self._doctype
+        self.parser.StartElementHandler = self._start
+        self.parser.EndElementHandler = self._end
+
+    def _here(self) -> str:
+        return f"{self._source}:{self.parser.CurrentLineNumber}"
+
+    def _doctype(self, name: str, system_id: str | None, public_id: str | None, internal_subset: int) -> None:
+        # Called before expat reads the declarations: entities are never even defined.
+        if internal_subset or system_id or public_id:
+            raise RobotError(
+                f"the document type <!DOCTYPE {name} ...> declares entities or names an external file",
+                where=self._here(),
+                remedy="Remove it: a URDF needs none, and entities can hide gigabytes or other files.",
+            )
+
+    def _start(self, tag: str, attributes: dict[str, str]) -> None:
+        if tag.startswith("xacro:"):
+            raise xacro_error(f"<{tag}> is not expanded", self._here())
+        if len(self._open) == MAX_DEPTH:
+            raise RobotError(
+                f"elements are nested more than {MAX_DEPTH} deep, <{tag}> in <{self._open[-1].tag}>",
+                where=self._here(),
+                remedy="Is it a URDF?",
+            )
+        element = Element(tag, attributes, self.parser.CurrentByteIndex, self.parser.CurrentLineNumber)
+        if not self._open:
+            self.root = element
+        else:
+            self._open[-1].first.setdefault(tag, element)
+            if len(self._open) == 1 and tag == "link":
+                self.links.append(element)
+            elif len(self._open) == 1 and tag == "joint":
+                self.joints.append(element)
+        self._open.append(element)
+
+    def _end(self, _tag: str) -> None:
+        self._open.pop()
+
+
+def xacro_error(what: str, where: str) -> RobotError:
+    """Tell that a file is the source of a URDF, not a URDF."""
+    return RobotError(
+        f"this is a xacro file, not a URDF: {what}",
+        where=where,
+        remedy="Run xacro first: xacro robot.urdf.xacro > robot.urdf",
+    )
+
+
+def _refuse_foreign_bytes(data: bytes, source: str) -> None:
+    if len(data) > MAX_BYTES:
+        raise too_large(len(data), source)
+    if not data.strip():
+        raise RobotError("the file is empty", where=source)
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")) or b"\0" in data:
+        raise RobotError(
+            "the file is UTF-16, UTF-32 or binary, which Pinocchio cannot read", where=source, remedy=_UTF8
+        )
+    # What no declaration explains is UTF-8 or a mistake; expat's "invalid token" would help nobody.
+    declared = _ENCODING.match(data)
+    if declared and declared[1].lower() != b"utf-8":
+        return
+    try:
+        data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise RobotError(
+            f"byte 0x{data[error.start]:02x} is not UTF-8, and no other encoding is declared",
+            where=f"{source}:{line}",
+            remedy='Save it as UTF-8, or declare <?xml version="1.0" encoding="ISO-8859-1"?> for Latin-1.',
+        ) from error
+
+
+_ENCODING = re.compile(rb"(?:\xef\xbb\xbf)?<\?xml[^>]*?encoding\s*=\s*[\"']([^\"']+)")
+
+
+def too_large(size: int, source: str) -> RobotError:
+    """Tell that a file is larger than any robot description."""
+    return RobotError(
+        f"the file has {size / 2**20:.0f} MB, more than {MAX_BYTES // 2**20} MB",
+        where=source,
+        remedy="Is it a URDF?",
+    )

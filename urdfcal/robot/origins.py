@@ -1,0 +1,184 @@
+"""Writing new joint placements into a URDF: the values of <origin> change, and not one other byte."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from urdfcal.errors import RobotError
+from urdfcal.robot import markup
+from urdfcal.robot.rpy import matrix_to_rpy
+from urdfcal.robot.urdf import Urdf, UrdfJoint, alternatives
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from numpy.typing import ArrayLike
+
+    from urdfcal.arrays import Floats
+    from urdfcal.robot.markup import Element
+
+# Entries that differ by no more are the same number through different roundings: the text stays.
+SAME = 1e-15
+# What is read back may differ from what was asked by the angles' rounding (1e-15); near this it is a defect.
+READ_BACK = 1e-12
+
+
+def rewrite_origins(urdf: Urdf, placements: Mapping[str, ArrayLike]) -> bytes:
+    """Write joint placements into a URDF, keeping everything else byte for byte.
+
+    Of an ``<origin>`` only the attribute that changes is rewritten, in its own quotes; a missing attribute
+    is added to the tag, a missing ``<origin>`` to the joint. Numbers are the shortest that read back exactly.
+
+    Args:
+        urdf: the description to correct.
+        placements: joint name -> (4, 4) new T_parent_joint; joints left out stay. [m]
+
+    Returns:
+        The corrected file: ``urdf.data`` itself when no placement differs from it.
+
+    Raises:
+        RobotError: a joint is unknown, a placement is no rigid transform, or a rotation would have to be
+            written over a quat_xyzw.
+    """
+    source = str(urdf.path or "URDF")
+    wanted = {name: np.asarray(T, dtype=float) for name, T in placements.items()}
+    for name, T in wanted.items():
+        if name not in urdf.joints:
+            raise RobotError(f"there is no joint {name!r}", where=source, remedy=alternatives(name, urdf.joints))
+        _check_rigid(T, name)
+    elements = {element.attributes["name"]: element for element in markup.parse(urdf.data, source).joints}
+    edits = [
+        edit for name, T in wanted.items() for edit in _edits(urdf.data, elements[name], urdf.joints[name], T, source)
+    ]
+    if not edits:
+        return urdf.data
+    data = _apply(urdf.data, edits)
+    _check_read_back(urdf, Urdf.parse(data, urdf.path), wanted)
+    return data
+
+
+class _Edit(NamedTuple):
+    start: int
+    stop: int
+    text: bytes
+
+
+def _apply(data: bytes, edits: list[_Edit]) -> bytes:
+    pieces, position = [], 0
+    for edit in sorted(edits):
+        pieces += [data[position : edit.start], edit.text]
+        position = edit.stop
+    return b"".join([*pieces, data[position:]])
+
+
+def _edits(data: bytes, element: Element, joint: UrdfJoint, T: Floats, source: str) -> Iterator[_Edit]:
+    old = joint.T_parent_joint
+    values = {"xyz": _text(T[:3, 3]), "rpy": _text(matrix_to_rpy(T[:3, :3]))}
+    changed = {
+        "xyz": np.abs(T[:3, 3] - old[:3, 3]).max() > SAME,
+        "rpy": np.abs(T[:3, :3] - old[:3, :3]).max() > SAME,
+    }
+    if not any(changed.values()):
+        return
+    origin = element.first.get("origin")
+    if origin is None:
+        yield _inserted_origin(data, element, values)
+        return
+    if changed["rpy"] and "quat_xyzw" in origin.attributes:
+        raise RobotError(
+            "its rotation is written as quat_xyzw, which many readers of URDF leave out",
+            where=f"{source}:{origin.line}, joint {joint.name!r}",
+            remedy="Replace it by rpy, then calibrate again.",
+        )
+    yield from _changed_origin(data, origin, {name: values[name] for name in values if changed[name]})
+
+
+def _text(values: Floats) -> bytes:
+    return " ".join(repr(float(value) + 0.0) for value in values).encode()  # + 0.0: no "-0.0"
+
+
+# In a start tag that expat has accepted; a quoted value may hold ">", line ends and the other quote.
+_NAME = re.compile(rb"<[^\s/>]+")
+_ATTRIBUTE = re.compile(rb"(?P<gap>\s+)(?P<name>[^\s=]+)\s*=\s*(?P<quote>[\"'])(?P<value>.*?)(?P=quote)", re.DOTALL)
+_CLOSE = re.compile(rb"\s*/?>")
+
+
+class _Tag(NamedTuple):
+    attributes: dict[str, re.Match[bytes]]
+    end_of_attributes: int
+    end: int
+
+
+def _tag(data: bytes, element: Element) -> _Tag:
+    """Take a start tag apart."""
+    name = _NAME.match(data, element.offset)
+    end = name.end() if name else element.offset
+    attributes: dict[str, re.Match[bytes]] = {}
+    while found := _ATTRIBUTE.match(data, end):
+        attributes[found["name"].decode("latin-1")] = found
+        end = found.end()
+    close = _CLOSE.match(data, end)
+    if not name or not close:
+        raise RobotError(f"<{element.tag}> cannot be rewritten", where=f"line {element.line}")
+    return _Tag(attributes, end, close.end())
+
+
+def _changed_origin(data: bytes, origin: Element, values: Mapping[str, bytes]) -> Iterator[_Edit]:
+    tag = _tag(data, origin)
+    last = list(tag.attributes.values())[-1] if tag.attributes else None
+    # A new attribute follows the last one in its style: same quotes, on a line of its own if that is.
+    gap, quote = (last["gap"], last["quote"]) if last else (b" ", b'"')
+    added = b""
+    for name, value in values.items():
+        if name in tag.attributes:
+            yield _Edit(*tag.attributes[name].span("value"), value)
+        else:
+            added += gap + name.encode() + b"=" + quote + value + quote
+    if added:
+        yield _Edit(tag.end_of_attributes, tag.end_of_attributes, added)
+
+
+# A comment beside the opening tag belongs to that line, not to what is inserted below it.
+_REST_OF_LINE = re.compile(rb"[ \t]*<!--(?:(?!-->)[^\r\n])*-->(?=[ \t]*[\r\n])")
+_INDENTATION = re.compile(rb"(?:\r\n|\n|\r)[ \t]*\Z")
+
+
+def _inserted_origin(data: bytes, joint: Element, values: Mapping[str, bytes]) -> _Edit:
+    start = _tag(data, joint).end
+    beside = _REST_OF_LINE.match(data, start)
+    start = beside.end() if beside else start
+    first_child = next(iter(joint.first.values())).offset
+    # Line end and indentation as before the joint's first element; nothing when they share a line.
+    indentation = _INDENTATION.search(data[start:first_child])
+    line = indentation[0] if indentation else b""
+    return _Edit(
+        start,
+        start,
+        line + b'<origin xyz="%(xyz)s" rpy="%(rpy)s"/>' % {k.encode(): v for k, v in values.items()},
+    )
+
+
+def _check_rigid(T: Floats, joint: str) -> None:
+    if T.shape != (4, 4) or not np.isfinite(T).all():
+        raise RobotError(f"its new placement is not a finite 4x4 matrix: {T.tolist()}", where=f"joint {joint!r}")
+    error = max(np.abs(T[:3, :3].T @ T[:3, :3] - np.eye(3)).max(), np.abs(T[3] - (0.0, 0.0, 0.0, 1.0)).max())
+    if error > READ_BACK or np.linalg.det(T[:3, :3]) < 0.0:
+        raise RobotError(f"its new placement is no rigid transform (off by {error:.1e})", where=f"joint {joint!r}")
+
+
+def _check_read_back(old: Urdf, new: Urdf, wanted: Mapping[str, Floats]) -> None:
+    """Refuse a file that would not say what it should, whatever the reason."""
+    asked = {name: wanted.get(name, joint.T_parent_joint) for name, joint in old.joints.items()}
+    if (new.name, new.links, list(new.joints)) != (old.name, old.links, list(asked)):
+        wrong = ["other links or joints"]
+    else:
+        wrong = [n for n, T in asked.items() if np.abs(new.joints[n].T_parent_joint - T).max() > READ_BACK]
+    if wrong:
+        raise RobotError(
+            f"the rewritten file does not read back as asked: {', '.join(wrong[:10])}",
+            where=str(old.path or "URDF"),
+            remedy="This is a defect of urdfcal: please report it with the file.",
+        )

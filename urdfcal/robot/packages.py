@@ -1,0 +1,171 @@
+"""Finding a URDF: a plain path, or ``package://name/...`` in the packages installed on this machine."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from itertools import islice
+from pathlib import Path
+from stat import S_ISDIR, S_ISREG
+from typing import TYPE_CHECKING
+
+from urdfcal.errors import RobotError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+SCHEME = "package://"
+
+# A catkin workspace has its packages at src/repository/group/package at most; ROS distributions and
+# workspaces have a few hundred folders above their packages. Someone's home folder has a million.
+_DEPTH = 4
+_FOLDERS = 2000
+_IGNORE = ("CATKIN_IGNORE", "COLCON_IGNORE", "AMENT_IGNORE")
+
+
+def find_urdf(reference: str | Path, relative_to: Path | None = None) -> Path:
+    """Find the file that ``reference`` names.
+
+    Args:
+        reference: a path, or ``package://name/path/in/the/package``.
+        relative_to: folder that a relative path starts from; the working folder by default.
+
+    Raises:
+        RobotError: there is no such package or file, or the reference leads out of its package.
+    """
+    if str(reference).startswith(SCHEME):
+        return _in_package(str(reference))
+    path = Path(reference) if relative_to is None else relative_to / reference
+    if not _is(path, S_ISREG):
+        raise _no_file(path)
+    return path
+
+
+def package_roots() -> list[Path]:
+    """List the folders whose children are packages, in order of precedence.
+
+    They come from ROS_PACKAGE_PATH (folders of packages, nested as in a catkin workspace, or packages
+    themselves), AMENT_PREFIX_PATH (``prefix/share``), and the installed example-robot-data.
+    """
+    roots: list[Path] = []
+    for entry in _entries("ROS_PACKAGE_PATH"):
+        if _is(entry / "package.xml", S_ISREG):
+            roots.append(entry.parent)
+        else:
+            roots += [entry, *(package.parent for package in _packages_below(entry))]
+    roots += [prefix / "share" for prefix in _entries("AMENT_PREFIX_PATH")]
+    roots += _example_robot_data()
+    return [root for root in dict.fromkeys(roots) if _is(root, S_ISDIR)]
+
+
+def _in_package(reference: str) -> Path:
+    name, _, rest = reference.removeprefix(SCHEME).partition("/")
+    # Joined part by part: an absolute rest would replace the package's folder.
+    inside = Path(os.path.normpath(Path(*(part for part in rest.split("/") if part))))
+    if name in ("", ".", ".."):
+        raise RobotError("no package is named", where=reference, remedy="Write package://name/path/robot.urdf.")
+    if inside.parts[:1] == ("..",) or inside.is_absolute():
+        raise RobotError(
+            f"'..' leads out of package {name!r}",
+            where=reference,
+            remedy="Name a file inside the package, or a path.",
+        )
+    folders = _package_folders(name)
+    if not folders:
+        searched = [f"{variable} ({os.environ.get(variable) or 'not set'})" for variable in _VARIABLES]
+        raise RobotError(
+            f"there is no package {name!r}",
+            where=reference,
+            remedy=f"Searched {' and '.join(searched)} and the installed example-robot-data; "
+            "add the folder that contains it to ROS_PACKAGE_PATH.",
+        )
+    for folder in folders:
+        if _is(folder / inside, S_ISREG):
+            return folder / inside
+    raise _no_file(folders[0] / inside)
+
+
+_VARIABLES = ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH")
+
+
+def _package_folders(name: str) -> list[Path]:
+    roots = package_roots()
+    folders = [root / name for root in roots if _is(root / name, S_ISDIR)]
+    # A package's true name is in its package.xml; a cloned folder may be called otherwise.
+    return folders or [child for root in roots for child in _children(root) if _declared_name(child) == name]
+
+
+def _declared_name(package: Path) -> str | None:
+    try:
+        manifest = (package / "package.xml").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return None
+    found = re.search(r"<name>\s*(\S+?)\s*</name>", manifest)
+    return found[1] if found else None
+
+
+def _packages_below(folder: Path) -> Iterator[Path]:
+    """Yield the packages below ``folder``, nearest first; packages hold no packages."""
+    level = [folder]
+    budget = _FOLDERS
+    for _ in range(_DEPTH):
+        below: list[Path] = []
+        for child in islice((child for parent in level for child in _children(parent)), budget):
+            budget -= 1
+            if any(_is(child / marker, S_ISREG) for marker in _IGNORE):
+                continue
+            if _is(child / "package.xml", S_ISREG):
+                yield child
+            else:
+                below.append(child)
+        level = below
+
+
+def _children(folder: Path) -> list[Path]:
+    """List the visible folders in ``folder``; none when it cannot be read."""
+    try:
+        with os.scandir(folder) as entries:
+            names = sorted(entry.name for entry in entries if not entry.name.startswith(".") and entry.is_dir())
+    except OSError:
+        return []
+    return [folder / name for name in names]
+
+
+def _entries(variable: str) -> list[Path]:
+    return [Path(entry) for entry in os.environ.get(variable, "").split(os.pathsep) if entry]
+
+
+def _example_robot_data() -> list[Path]:
+    """List where example-robot-data may be: beside its Python distribution, or in the environment (conda)."""
+    from importlib import metadata  # brings zipfile and email along
+
+    places = [Path(sys.prefix) / "share"]
+    try:
+        # Asked of the distribution, as importing it would import all of Pinocchio.
+        distribution = metadata.distribution("example-robot-data")
+    except metadata.PackageNotFoundError:
+        pass
+    else:
+        places.insert(0, Path(str(distribution.locate_file("cmeel.prefix/share"))))
+    return [place for place in places if _is(place / "example-robot-data", S_ISDIR)]
+
+
+def _is(path: Path, kind: Callable[[int], bool]) -> bool:
+    """Tell whether there is one of this kind; unlike pathlib's, forbidden or overlong paths do not raise."""
+    try:
+        return kind(path.stat().st_mode)
+    except (OSError, ValueError):
+        return False
+
+
+def _no_file(path: Path) -> RobotError:
+    if _is(path, S_ISDIR):
+        what, folder = "this is a folder, not a URDF", path
+    else:
+        what, folder = "there is no such file", path.parent
+    if not _is(folder, S_ISDIR):
+        return RobotError(what, where=str(path), remedy=f"There is no folder {folder} either.")
+    others = sorted(file.name for file in folder.glob("*.urdf"))
+    shown = f"{', '.join(others[:10])}{', ...' if len(others) > 10 else ''}"
+    return RobotError(what, where=str(path), remedy=f"That folder has: {shown}." if others else "")

@@ -1,0 +1,1 @@
+"""One measured data set: its model, its files, and simulated ones from a known truth."""

@@ -1,0 +1,1 @@
+"""What the cameras see: projection, triangulation, and the files that describe cameras."""
