@@ -1,1 +1,51 @@
-"""urdfcal: make the URDF match the arm, with two cameras and an LED."""
+"""urdfcal: make the URDF match the arm, with two cameras and an LED.
+
+    session = urdfcal.read_session("session/")
+    calibration = urdfcal.calibrate(session)
+    model = calibration.apply(pin.buildModelFromUrdf("robot.urdf"))
+
+Names are loaded when they are first used: ``import urdfcal`` and ``urdfcal --help`` wait for nothing.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from urdfcal.calibration import Calibration, calibrate
+    from urdfcal.errors import UrdfcalError
+    from urdfcal.robot.chain import Chain
+    from urdfcal.robot.dh import DHTable
+    from urdfcal.session.files import read_session, write_session
+    from urdfcal.session.model import Detections, Led, Noise, Points, Session
+
+_HOMES = {
+    "urdfcal.calibration": ("Calibration", "calibrate"),
+    "urdfcal.errors": ("UrdfcalError",),
+    "urdfcal.robot.chain": ("Chain",),
+    "urdfcal.robot.dh": ("DHTable",),
+    "urdfcal.session.files": ("read_session", "write_session"),
+    "urdfcal.session.model": ("Detections", "Led", "Noise", "Points", "Session"),
+}
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+
+__all__ = [
+    "Calibration",
+    "Chain",
+    "DHTable",
+    "Detections",
+    "Led",
+    "Noise",
+    "Points",
+    "Session",
+    "UrdfcalError",
+    "calibrate",
+    "read_session",
+    "write_session",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = globals()[name] = getattr(import_module(_HOME_OF[name]), name)
+    return value

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from urdfcal.arrays import inverse
 from urdfcal.errors import RobotError
 from urdfcal.robot import markup
 from urdfcal.robot.rpy import matrix_to_rpy
@@ -18,12 +19,34 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from urdfcal.arrays import Floats
+    from urdfcal.robot.chain import Chain
     from urdfcal.robot.markup import Element
 
 # Entries that differ by no more are the same number through different roundings: the text stays.
 SAME = 1e-15
 # What is read back may differ from what was asked by the angles' rounding (1e-15); near this it is a defect.
 READ_BACK = 1e-12
+
+
+def origins_of(urdf: Urdf, chain: Chain, placements: ArrayLike) -> dict[str, Floats]:
+    """Turn new placements of a chain's joints into origins of the URDF that the chain was read from.
+
+    A chain's placement folds in the fixed joints before it; the correction, multiplied from the right, does not
+    care what the joint hangs on.
+
+    Args:
+        urdf: the description that ``chain`` was read from.
+        chain: as drawn.
+        placements: (n, 4, 4) each joint's frame in the previous joint's. [m]
+
+    Returns:
+        Joint name -> (4, 4) new T_parent_joint, of the joints whose placement differs from the drawn one.
+    """
+    return {
+        joint.name: urdf.joints[joint.name].T_parent_joint @ inverse(drawn) @ built
+        for joint, drawn, built in zip(chain.joints, chain.placements, np.asarray(placements), strict=True)
+        if not np.array_equal(drawn, built)
+    }
 
 
 def rewrite_origins(urdf: Urdf, placements: Mapping[str, ArrayLike]) -> bytes:

@@ -1,0 +1,175 @@
+"""Sessions and rigs as folders: a YAML file, the cameras, and the tables."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from urdfcal.errors import SessionError
+from urdfcal.robot.chain import Chain
+from urdfcal.robot.urdf import Urdf, find_urdf
+from urdfcal.session import tables
+from urdfcal.session.model import Detections, Led, Points, RigDescription, Session
+from urdfcal.session.names import suggest
+from urdfcal.session.plausibility import Inputs, check
+from urdfcal.session.source import Source
+from urdfcal.session.writing import write_session
+
+if TYPE_CHECKING:
+    from urdfcal.session.schema import Document, SetupFile
+
+__all__ = ["read_points", "read_rig", "read_session", "write_session"]
+
+_SESSION, _RIG = "session.yaml", "rig.yaml"
+
+
+def read_session(path: str | Path) -> Session:
+    """Read a session and check that it can be trusted.
+
+    Args:
+        path: the session's folder, or the YAML file in it.
+
+    Returns:
+        The session; its ``warnings`` name what looks odd but may be right.
+
+    Raises:
+        SessionError: a file is missing, malformed or implausible, with file, line and column.
+        RobotError: the URDF is not one, or has no such chain.
+        CameraError: the camera file is not one.
+    """
+    from urdfcal.session.schema import Document, SessionFile
+
+    document = Document.read(_yaml_file(Path(path), _SESSION))
+    keys = document.validate(SessionFile)
+    setup = _read_setup(document, keys)
+    chain, urdf, rig, noise = setup["chain"], setup["urdf"], setup["rig"], setup["noise"]
+    led_names = [led.name for led in setup["leds"]]
+
+    joints = tables.read_joints(_file(document, "joints"), chain, urdf.joints)
+    detections = points = None
+    if keys.detections is not None:
+        detections = tables.read_detections(
+            _file(document, "detections"), joints.poses, rig.names, led_names, noise.pixel
+        )
+    if keys.points is not None:
+        points = tables.read_points(_file(document, "points"), joints.poses, led_names, noise.point)
+
+    warnings = check(Inputs(document, chain, setup["leds"], rig, noise, joints, detections, points))
+    named = {keys.joints: joints, keys.detections: detections, keys.points: points}
+    hashes = {name: table.table.source.sha256 for name, table in named.items() if name and table}
+    return Session(
+        **{**setup, "sha256": {**setup["sha256"], **hashes}},
+        poses=joints.poses,
+        q=chain.joint_values(joints.readings),
+        time=joints.time,
+        detections=_detections(detections) if detections else None,
+        points=_points(points) if points else None,
+        warnings=joints.warnings + warnings,
+    )
+
+
+def read_rig(path: str | Path) -> RigDescription:
+    """Read a rig.
+
+    Args:
+        path: the rig's folder, or the YAML file in it.
+
+    Raises:
+        SessionError: rig.yaml is missing or malformed, with line and column.
+        RobotError: the URDF is not one, or has no such chain.
+        CameraError: the camera file is not one.
+    """
+    from urdfcal.session.schema import Document, RigFile
+
+    document = Document.read(_yaml_file(Path(path), _RIG))
+    keys = document.validate(RigFile)
+    return RigDescription(
+        **_read_setup(document, keys),
+        stand_position=keys.stand.position,  # type: ignore[arg-type]
+        stand_look_at=keys.stand.look_at,  # type: ignore[arg-type]
+    )
+
+
+def read_points(path: str | Path, session: Session) -> tuple[Points, tuple[Led, ...]]:
+    """Read a table of measured points that is not the session's own, as for a check by a second instrument.
+
+    Args:
+        path: the file, as points.csv.
+        session: whose poses the labels refer to, and whose noise holds where the table has no sigma.
+
+    Returns:
+        The points, and the LEDs that the file names: their places are not known.
+
+    Raises:
+        SessionError: the file cannot be read, or names other poses, with line and column.
+    """
+    table = tables.read_points(Path(path), session.poses, None, session.noise.point)
+    return _points(table), tuple(Led(name) for name in table.names["led"])
+
+
+def _yaml_file(path: Path, name: str) -> Path:
+    """The YAML file meant by ``path``, a folder or the file itself."""
+    if not path.is_dir():
+        if not path.exists():
+            raise SessionError("there is no such folder", where=str(path), remedy=f"Name a folder with a {name}.")
+        return path
+    if (path / name).is_file():
+        return path / name
+    if name == _SESSION and (path / _RIG).is_file():
+        remedy = "It is a rig: `urdfcal simulate` makes a session of it."
+    elif name == _RIG and (path / _SESSION).is_file():
+        remedy = "It is a session, not a rig."
+    else:
+        remedy = f"Name a folder with a {name}."
+    raise SessionError(f"there is no {name} in this folder", where=str(path), remedy=remedy)
+
+
+def _file(document: Document, key: str) -> Path:
+    """The file that ``key`` names, relative to the YAML file."""
+    name, folder = document.data[key], document.source.path.parent
+    path: Path = folder / name
+    if path.is_file():
+        return path
+    there = sorted(entry.name for entry in folder.iterdir() if entry.is_file())
+    raise SessionError(
+        f"there is no file {name!r}", where=document.place(key), remedy=suggest(name, there, "files here")
+    )
+
+
+def _read_setup(document: Document, keys: SetupFile) -> dict[str, Any]:
+    """What a rig and a session share, as arguments of :class:`Setup`."""
+    from urdfcal.vision.formats import read_kalibr
+
+    folder = document.source.path.parent
+    urdf = Urdf.read(find_urdf(keys.robot.urdf, folder))
+    chain = Chain.from_urdf(urdf, keys.robot.tip_link, keys.robot.base_link)
+    hashes = {document.source.path.name: document.source.sha256, keys.robot.urdf: Source(folder, urdf.data).sha256}
+    rig = None
+    if keys.cameras is not None:
+        path = _file(document, "cameras")
+        rig = read_kalibr(path)
+        hashes[keys.cameras] = Source.read(path).sha256
+    for joint in keys.tolerances.joints:
+        if joint not in chain.names:
+            raise SessionError(
+                f"there is no joint {joint!r} between {chain.base_link!r} and {chain.tip_link!r}",
+                where=document.place("tolerances", joint),
+                remedy=suggest(joint, chain.names, "joints"),
+            )
+    return {
+        **keys.setup(),
+        "chain": chain,
+        "urdf": urdf,
+        "urdf_reference": keys.robot.urdf,
+        "rig": rig,
+        "sha256": hashes,
+        "folder": folder,
+    }
+
+
+def _detections(table: tables.SightingTable) -> Detections:
+    return Detections(**table.index, uv=table.values, sigma=table.sigma)
+
+
+def _points(table: tables.SightingTable) -> Points:
+    return Points(**table.index, xyz=table.values, sigma=table.sigma)

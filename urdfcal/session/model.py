@@ -1,0 +1,370 @@
+"""A session in memory: a robot, its LEDs and cameras, and what was measured. All of it read-only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
+
+import numpy as np
+
+from urdfcal.arrays import Floats, Ints, frozen
+from urdfcal.errors import SessionError
+from urdfcal.robot.dh import PARAMETERS
+from urdfcal.session.names import check_names, suggest
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from numpy.typing import ArrayLike
+
+    from urdfcal.robot.chain import Chain
+    from urdfcal.robot.urdf import Urdf
+    from urdfcal.vision.rig import Rig
+
+Geometry: TypeAlias = Literal["dh", "offsets", "full", "none"]
+Freedom: TypeAlias = Literal["fixed", "refine", "free"]
+
+# Three positions are the fewest that fix a base pose.
+MIN_POSES = 3
+# Readings of mimic joints are computed, not measured: they agree to rounding.
+_MIMIC_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Led:
+    """A light on the tip link.
+
+    Attributes:
+        name: in the tables.
+        position: (3,) in the tip link's frame, None where unknown. [m]
+        sigma: how well the position is known, one standard deviation: 0 exactly, None not said. [m]
+    """
+
+    name: str
+    position: Floats | None = None
+    sigma: float | None = None
+
+    def __post_init__(self) -> None:
+        where = f"LED {self.name!r}"
+        object.__setattr__(self, "name", str(self.name))
+        if self.position is not None:
+            object.__setattr__(self, "position", _finite(self.position, (3,), "position", where))
+        if self.sigma is not None:
+            if self.position is None:
+                raise SessionError("sigma is given without a position", where=where)
+            object.__setattr__(self, "sigma", _number(self.sigma, "sigma", where, zero=True))
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What was measured, how well: one standard deviation of each number.
+
+    Attributes:
+        pixel: of u and of v. [px]
+        point: of each coordinate of a measured point. [m]
+        joint: of each joint reading; 0 where it does not matter. [rad or m]
+    """
+
+    pixel: float = 0.1
+    point: float = 1e-4
+    joint: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("pixel", "point", "joint"):
+            object.__setattr__(self, name, _number(getattr(self, name), name, "noise", zero=name == "joint"))
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What is to be estimated; None leaves it to the calibration.
+
+    Attributes:
+        geometry: of the arm: DH rows, zero offsets only, every placement, or nothing.
+        intrinsics: of the cameras.
+        extrinsics: of the cameras.
+    """
+
+    geometry: Geometry | None = None
+    intrinsics: Freedom | None = None
+    extrinsics: Freedom | None = None
+
+    def __post_init__(self) -> None:
+        for name, known in (("geometry", Geometry), ("intrinsics", Freedom), ("extrinsics", Freedom)):
+            value, choices = getattr(self, name), get_args(known)
+            if value is not None and value not in choices:
+                raise SessionError(
+                    f"{name} is {value!r}", where="estimate", remedy=f"Use {', '.join(choices)}, or None."
+                )
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """How far the robot may be from its drawing, one standard deviation; 0 is exactly as drawn.
+
+    Attributes:
+        length: of d and a. [m]
+        angle: of theta, alpha and beta. [rad]
+        zero: of a joint's zero offset. [rad or m]
+        joints: exceptions, by joint and DH parameter. [rad or m]
+    """
+
+    length: float = 0.001
+    angle: float = 0.002
+    zero: float = 0.005
+    joints: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in ("length", "angle", "zero"):
+            object.__setattr__(self, name, _number(getattr(self, name), name, "tolerances", zero=True))
+        read_only = {}
+        for joint, values in self.joints.items():
+            where = f"tolerances of joint {joint!r}"
+            for parameter in values:
+                if parameter not in PARAMETERS:
+                    raise SessionError(
+                        f"there is no parameter {parameter!r}",
+                        where=where,
+                        remedy=suggest(parameter, PARAMETERS, "parameters"),
+                    )
+            numbers = {str(name): _number(value, name, where, zero=True) for name, value in values.items()}
+            read_only[str(joint)] = MappingProxyType(numbers)
+        object.__setattr__(self, "joints", MappingProxyType(read_only))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Read-only mappings do not travel to other processes; plain ones do.
+        joints = {joint: dict(values) for joint, values in self.joints.items()}
+        return type(self), (self.length, self.angle, self.zero, joints)
+
+
+@dataclass(frozen=True, eq=False)
+class Detections:
+    """LEDs seen by cameras, sorted by pose, camera and LED. A missing sighting is a missing row.
+
+    Attributes:
+        pose: (S,) index of the pose.
+        camera: (S,) index of the camera.
+        led: (S,) index of the LED.
+        uv: (S, 2) where it was seen. [px]
+        sigma: (S,) standard deviation of u and of v; one number serves all. [px]
+    """
+
+    pose: Ints
+    camera: Ints
+    led: Ints
+    uv: Floats
+    sigma: Floats
+
+    def __post_init__(self) -> None:
+        _freeze_sightings(self, "detections", ("pose", "camera", "led"), "uv", 2)
+
+    def __len__(self) -> int:
+        return len(self.uv)
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """LEDs measured in 3-D, sorted by pose and LED.
+
+    Attributes:
+        pose: (S,) index of the pose.
+        led: (S,) index of the LED.
+        xyz: (S, 3) in the tracker's frame. [m]
+        sigma: (S,) standard deviation of each coordinate; one number serves all. [m]
+    """
+
+    pose: Ints
+    led: Ints
+    xyz: Floats
+    sigma: Floats
+
+    def __post_init__(self) -> None:
+        _freeze_sightings(self, "points", ("pose", "led"), "xyz", 3)
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Setup:
+    """What a rig and a session share: a robot, its LEDs, its cameras, and what is thought of them.
+
+    Attributes:
+        chain: the joints that are calibrated.
+        leds: on the tip link.
+        rig: the cameras; None where points were measured instead.
+        urdf: the robot description; None for a chain from elsewhere.
+        urdf_reference: how the file names it: a path or ``package://``.
+        noise: of the measurements.
+        estimate: what is to be estimated.
+        tolerances: of the robot.
+        sha256: hash of every input file, by the name that the session gives it.
+        folder: where it was read from.
+    """
+
+    chain: Chain
+    leds: tuple[Led, ...]
+    rig: Rig | None = None
+    urdf: Urdf | None = None
+    urdf_reference: str = ""
+    noise: Noise = field(default_factory=Noise)
+    estimate: Estimate = field(default_factory=Estimate)
+    tolerances: Tolerances = field(default_factory=Tolerances)
+    sha256: Mapping[str, str] = field(default_factory=dict)
+    folder: Path | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "leds", tuple(self.leds))
+        object.__setattr__(self, "sha256", MappingProxyType(dict(self.sha256)))
+        if not self.leds:
+            raise SessionError("there is no LED", remedy="Name at least one.")
+        check_names("LEDs", [led.name for led in self.leds])
+        for joint in self.tolerances.joints:
+            if joint not in self.chain.names:
+                raise SessionError(
+                    f"there is no joint {joint!r} between {self.chain.base_link!r} and {self.chain.tip_link!r}",
+                    where="tolerances",
+                    remedy=suggest(joint, self.chain.names, "joints"),
+                )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        return _rebuilt, (type(self), {**values, "sha256": dict(self.sha256)})
+
+    @property
+    def led_names(self) -> tuple[str, ...]:
+        """The LEDs' names, in order."""
+        return tuple(led.name for led in self.leds)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RigDescription(Setup):
+    """A rig: a setup and where it stands, enough to simulate a session.
+
+    Attributes:
+        stand_position: (3,) of the first camera in the base link's frame. [m]
+        stand_look_at: (3,) point on its optical axis, in the base link's frame. [m]
+    """
+
+    stand_position: Floats
+    stand_look_at: Floats
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("stand_position", "stand_look_at"):
+            object.__setattr__(self, name, _finite(getattr(self, name), (3,), name, "stand"))
+        if np.array_equal(self.stand_position, self.stand_look_at):
+            raise SessionError("the camera looks at its own place", where="stand")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Session(Setup):
+    """A rig and what was measured with it: pixels, points, or both.
+
+    Attributes:
+        poses: (N) labels.
+        q: (N, n) value of every joint of the chain in every pose, mimic joints included. [rad or m]
+        detections: LEDs in the cameras' images.
+        points: LEDs in 3-D.
+        time: (N,) of each pose, where recorded. [s]
+        warnings: what looked odd when it was read.
+    """
+
+    poses: tuple[str, ...]
+    q: Floats
+    detections: Detections | None = None
+    points: Points | None = None
+    time: Floats | None = None
+    warnings: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "poses", tuple(map(str, self.poses)))
+        object.__setattr__(self, "warnings", tuple(self.warnings))
+        count = len(self.poses)
+        if count < MIN_POSES:
+            raise SessionError(f"{count} poses are too few", remedy=f"Measure at least {MIN_POSES}, better 30 or more.")
+        check_names("poses", self.poses)
+        object.__setattr__(self, "q", _finite(self.q, (count, len(self.chain.joints)), "q", "session"))
+        if not np.allclose(self.chain.joint_values(self.readings), self.q, rtol=0.0, atol=_MIMIC_ROUNDING):
+            raise SessionError("a mimic joint's value in q is not what it follows from", where="session")
+        if self.time is not None:
+            object.__setattr__(self, "time", _finite(self.time, (count,), "time", "session"))
+        self._check_measurements()
+
+    @property
+    def readings(self) -> Floats:
+        """(N, k) values [rad or m] of the joints that have a reading of their own, as in joints.csv."""
+        actuated = set(self.chain.actuated)
+        result: Floats = self.q[:, [name in actuated for name in self.chain.names]]
+        return result
+
+    def _check_measurements(self) -> None:
+        if self.detections is None and self.points is None:
+            raise SessionError("there are neither detections nor points", remedy="There is nothing to calibrate from.")
+        counts = {"pose": len(self.poses), "led": len(self.leds)}
+        if self.detections is not None:
+            if self.rig is None:
+                raise SessionError("there are detections, but no cameras", remedy="Give the session a rig.")
+            _check_indices(self.detections, "detections", {**counts, "camera": len(self.rig.cameras)})
+        if self.points is not None:
+            _check_indices(self.points, "points", counts)
+
+
+def _rebuilt(kind: type[Setup], values: dict[str, Any]) -> Setup:
+    return kind(**values)
+
+
+def _number(value: Any, name: str, where: str, *, zero: bool) -> float:
+    number = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+    if not number or not np.isfinite(value) or value < 0 or (value == 0 and not zero):
+        raise SessionError(f"{name} is {value!r}, not a {'non-negative' if zero else 'positive'} number", where=where)
+    return float(value)
+
+
+def _finite(values: ArrayLike, shape: tuple[int, ...], name: str, where: str) -> Floats:
+    try:
+        array = frozen(values)
+    except (TypeError, ValueError) as error:
+        raise SessionError(f"{name} is not made of numbers", where=where) from error
+    if array.shape != shape:
+        raise SessionError(f"{name} has shape {array.shape}, not {shape}", where=where)
+    if not np.isfinite(array).all():
+        raise SessionError(f"{name} has values that are not finite", where=where)
+    return array
+
+
+def _freeze_sightings(table: Any, where: str, keys: tuple[str, ...], values: str, width: int) -> None:
+    """Check the columns of a table of sightings, sort them by ``keys`` and make them read-only."""
+    index = {key: np.asarray(getattr(table, key)) for key in keys}
+    count = len(index[keys[0]]) if index[keys[0]].ndim == 1 else 0
+    if count == 0:
+        raise SessionError("there is no sighting", where=where)
+    for key, column in index.items():
+        if column.shape != (count,) or column.dtype.kind not in "iu" or column.min() < 0:
+            raise SessionError(f"{key} is not an array of {count} indices", where=where)
+    numbers = _finite(getattr(table, values), (count, width), values, where)
+    try:
+        sigma = _finite(np.broadcast_to(table.sigma, (count,)), (count,), "sigma", where)
+    except ValueError as error:
+        raise SessionError(f"sigma has shape {np.shape(table.sigma)}, not ({count},)", where=where) from error
+    if sigma.min() <= 0.0:
+        raise SessionError(f"sigma is {sigma.min():g}; it must be positive", where=where)
+    order = np.lexsort([index[key] for key in reversed(keys)])
+    for key, column in index.items():
+        object.__setattr__(table, key, frozen(column[order], np.intp))
+    object.__setattr__(table, values, frozen(numbers[order]))
+    object.__setattr__(table, "sigma", frozen(sigma[order]))
+    twice = np.logical_and.reduce([np.diff(getattr(table, key)) == 0 for key in keys])
+    if twice.any():
+        first = int(np.flatnonzero(twice)[0])
+        names = ", ".join(f"{key} {getattr(table, key)[first]}" for key in keys)
+        raise SessionError(f"there are two sightings of {names}", where=where)
+
+
+def _check_indices(table: Detections | Points, where: str, counts: Mapping[str, int]) -> None:
+    for key, count in counts.items():
+        largest = int(getattr(table, key).max())
+        if largest >= count:
+            raise SessionError(f"{key} {largest} does not exist: there are {count}", where=where)

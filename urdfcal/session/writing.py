@@ -1,0 +1,158 @@
+"""Writing a session folder: what is read back is what was written, to the last bit."""
+
+from __future__ import annotations
+
+import csv
+import secrets
+import shutil
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from urdfcal.errors import OutputError
+from urdfcal.session.names import check_names
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from urdfcal.arrays import Floats, Ints
+    from urdfcal.robot.urdf import Urdf
+    from urdfcal.session.model import Led, Session, Setup
+
+_SESSION = "session.yaml"
+_CAMERAS, _JOINTS, _DETECTIONS, _POINTS = "cameras.yaml", "joints.csv", "detections.csv", "points.csv"
+
+
+def write_session(folder: str | Path, session: Session) -> None:
+    """Write a session so that reading it gives the same one; all of it or nothing.
+
+    A URDF named as ``package://`` stays in its package; any other is copied beside the tables.
+
+    Args:
+        folder: where to; made if it is not there, in a folder that is.
+        session: what to write.
+
+    Raises:
+        OutputError: one of the files is already there, the folder cannot be written, or the session has no URDF.
+    """
+    folder = Path(folder)
+    urdf = session.urdf
+    if urdf is None:
+        raise OutputError("the session has no URDF to write", where=str(folder), remedy="Build its chain from a URDF.")
+    if (folder / _SESSION).exists():
+        raise _already_there(folder / _SESSION)
+    check_names("cameras", session.rig.names if session.rig else ())
+    partial = folder.parent / f".{folder.name}.{secrets.token_hex(4)}.partial"
+    try:
+        partial.mkdir()
+        try:
+            _write_files(partial, session, urdf)
+            _move(partial, folder)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+    except OSError as error:
+        raise OutputError(
+            f"cannot write here: {error.strerror}", where=str(folder), remedy="Name a folder that can be written."
+        ) from error
+
+
+def _already_there(path: Path) -> OutputError:
+    return OutputError("it is already there", where=str(path), remedy="Name another folder, or remove it first.")
+
+
+def _move(partial: Path, folder: Path) -> None:
+    """Move the files from ``partial`` to ``folder``, session.yaml last."""
+    if not folder.exists():
+        partial.rename(folder)
+        return
+    names = sorted((path.name for path in partial.iterdir()), key=lambda name: name == _SESSION)
+    for name in names:
+        if (folder / name).exists():
+            raise _already_there(folder / name)
+    moved: list[Path] = []
+    try:
+        for name in names:
+            moved.append((partial / name).rename(folder / name))
+    except OSError:
+        for path in moved:
+            path.unlink(missing_ok=True)
+        raise
+
+
+def _write_files(folder: Path, session: Session, urdf: Urdf) -> None:
+    import yaml
+
+    from urdfcal.vision.formats import write_kalibr
+
+    reference, chain = session.urdf_reference, session.chain
+    if not reference.startswith("package://"):
+        reference = Path(reference).name or f"{chain.name}.urdf"
+        (folder / reference).write_bytes(urdf.data)
+    content: dict[str, Any] = {
+        "robot": {"urdf": reference, "base_link": chain.base_link, "tip_link": chain.tip_link},
+        "leds": {led.name: _led_keys(led) for led in session.leds},
+    }
+    if session.rig is not None:
+        content["cameras"] = _CAMERAS
+        write_kalibr(folder / _CAMERAS, session.rig)
+    content["joints"] = _JOINTS
+    time = [] if session.time is None else [session.time.tolist()]
+    header = ["pose", *chain.actuated, *(["time"] if time else [])]
+    _write_table(folder / _JOINTS, header, [session.poses, *session.readings.T.tolist(), *time])
+    poses, leds = session.poses, session.led_names
+    if session.detections is not None and session.rig is not None:
+        content["detections"] = _DETECTIONS
+        seen = session.detections
+        keys = {"pose": (poses, seen.pose), "camera": (session.rig.names, seen.camera), "led": (leds, seen.led)}
+        _write_sightings(folder / _DETECTIONS, keys, "uv", seen.uv, seen.sigma, session.noise.pixel)
+    if session.points is not None:
+        content["points"] = _POINTS
+        measured = session.points
+        keys = {"pose": (poses, measured.pose), "led": (leds, measured.led)}
+        _write_sightings(folder / _POINTS, keys, "xyz", measured.xyz, measured.sigma, session.noise.point)
+    content.update(_expectations(session))
+    text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None, width=110)
+    (folder / _SESSION).write_text(text, encoding="utf-8")
+
+
+def _led_keys(led: Led) -> dict[str, Any]:
+    if led.position is None:
+        return {}
+    position = {"position": led.position.tolist()}
+    return position if led.sigma is None else {**position, "sigma": led.sigma}
+
+
+def _expectations(setup: Setup) -> dict[str, Any]:
+    """Noise, estimate and tolerances, as far as they say anything."""
+    tolerances = setup.tolerances
+    content: dict[str, Any] = {
+        "noise": dict(vars(setup.noise)),
+        "estimate": {key: str(value) for key, value in vars(setup.estimate).items() if value is not None},
+        "tolerances": {key: getattr(tolerances, key) for key in ("length", "angle", "zero")},
+    }
+    content["tolerances"] |= {name: dict(values) for name, values in tolerances.joints.items()}
+    return {key: value for key, value in content.items() if value}
+
+
+def _write_sightings(
+    path: Path,
+    keys: Mapping[str, tuple[Sequence[str], Ints]],
+    names: str,
+    values: Floats,
+    sigma: Floats,
+    usual: float,
+) -> None:
+    """Write a table of sightings; a column of sigmas only where they differ from the usual one."""
+    own = [sigma.tolist()] if np.any(sigma != usual) else []
+    columns = [[labels[i] for i in index] for labels, index in keys.values()]
+    header = [*keys, *names, *(["sigma"] if own else [])]
+    _write_table(path, header, [*columns, *values.T.tolist(), *own])
+
+
+def _write_table(path: Path, header: Sequence[str], columns: Iterable[Sequence[object]]) -> None:
+    # The csv module writes numbers in the shortest form that reads back as themselves.
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(header)
+        writer.writerows(zip(*columns, strict=True))
