@@ -1,0 +1,47 @@
+from __future__ import annotations
+
+from functools import cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from urdfcal.estimation.state import State
+from urdfcal.session.files import read_rig
+from urdfcal.session.rigs import find_rig
+from urdfcal.session.simulate import simulate
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from urdfcal.session.simulate import Simulated
+
+
+@cache
+def _simulated(rig: str, poses: int, seed: int, pixel: float, outliers: float) -> Simulated:
+    return simulate(read_rig(find_rig(rig)), poses=poses, seed=seed, pixel=pixel, outliers=outliers)
+
+
+@pytest.fixture(scope="session")
+def simulated() -> Callable[..., Simulated]:
+    """A simulated session with its truth, made once for equal arguments."""
+
+    def make(rig: str, poses: int = 30, seed: int = 0, pixel: float = 0.1, outliers: float = 0.0) -> Simulated:
+        return _simulated(rig, poses, seed, pixel, outliers)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def true_state() -> Callable[[Simulated], State]:
+    def state(simulated: Simulated) -> State:
+        rig = simulated.session.rig
+        return State(
+            offsets=simulated.truth.offsets,
+            T_world_base=simulated.truth.T_world_base,
+            leds=simulated.truth.leds,
+            cameras=rig.cameras,
+            T_cam_world=np.array(rig.T_cam_world),
+        )
+
+    return state

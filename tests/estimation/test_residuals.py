@@ -1,0 +1,98 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from urdfcal.estimation.observations import arrange, observe
+from urdfcal.estimation.parameters import choose_parameters
+from urdfcal.estimation.residuals import linearise, predict
+from urdfcal.robot.dh import DHTable
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+EVERY = slice(None)
+
+
+@pytest.mark.parametrize("rig", ["elbow3r", "panda", "stanford"])
+def test_every_jacobian_block_agrees_with_finite_differences(
+    rig: str, simulated: Callable, true_state: Callable
+) -> None:
+    session = simulated(rig, poses=8).session
+    table = DHTable.from_chain(session.chain)
+    (block,) = observe(session)
+    centre = true_state(simulated(rig, poses=8))
+    parameters = choose_parameters(session, table, centre, geometry="dh", extrinsics=[1], lenses=[0, 1])
+    state = parameters.move(centre, np.random.default_rng(0).normal(0.0, 1e-3, parameters.count))
+    J = linearise(table, block, state, parameters, EVERY).J
+    for k, name in enumerate(parameters.names):
+        step = np.zeros(parameters.count)
+        step[k] = 1e-5 if name.endswith(("x", "y", "fx", "fy", "cx", "cy")) else 1e-6
+        before, after = (linearise(table, block, parameters.move(state, s * step), parameters, EVERY) for s in (-1, 1))
+        numeric = (after.residual - before.residual) / (2 * step[k])
+        scale = max(np.abs(numeric).max(), 1e-2)
+        assert np.abs(J[..., k] - numeric).max() < 1e-6 * scale, name
+
+
+def test_the_derivative_by_joint_readings_agrees_with_finite_differences(
+    simulated: Callable, true_state: Callable
+) -> None:
+    data = simulated("stanford", poses=8)
+    table = DHTable.from_chain(data.session.chain)
+    (block,) = observe(data.session)
+    state = true_state(data)
+    parameters = choose_parameters(data.session, table, state, geometry="none")
+    J_q = linearise(table, block, state, parameters, EVERY).J_q
+    for i in range(block.q.shape[1]):
+        step = 1e-6 * np.eye(block.q.shape[1])[i]
+        before, after = (predict(table, replace(block, q=block.q + s * step), state) for s in (-1, 1))
+        np.testing.assert_allclose(J_q[..., i], (after - before) / 2e-6, rtol=1e-6, atol=1e-3)
+
+
+def test_points_have_the_same_derivatives_as_pixels(simulated: Callable, true_state: Callable) -> None:
+    data = simulated("elbow3r", poses=8)
+    state, session = true_state(data), data.session
+    table = DHTable.from_chain(session.chain)
+    pose = np.arange(8)
+    block = arrange(
+        session.q, pose, np.zeros(8, int), np.full(8, -1), np.zeros((8, 3)), np.broadcast_to(np.eye(3), (8, 3, 3))
+    )
+    parameters = choose_parameters(session, table, state, geometry="dh")
+    J = linearise(table, block, state, parameters, EVERY).J
+    for k in range(parameters.count):
+        step = 1e-6 * np.eye(parameters.count)[k]
+        before, after = (predict(table, block, parameters.move(state, s * step)) for s in (-1, 1))
+        np.testing.assert_allclose(J[..., k], (after - before) / 2e-6, atol=1e-8)
+
+
+def test_blocks_of_poses_add_up(simulated: Callable, true_state: Callable) -> None:
+    data = simulated("ur5", poses=12)
+    table, state = DHTable.from_chain(data.session.chain), true_state(data)
+    (block,) = observe(data.session)
+    parameters = choose_parameters(data.session, table, state, geometry="dh")
+    whole = linearise(table, block, state, parameters, EVERY)
+    parts = [linearise(table, block, state, parameters, slice(a, a + 5)) for a in (0, 5, 10)]
+    np.testing.assert_array_equal(whole.residual, np.concatenate([part.residual for part in parts]))
+    np.testing.assert_allclose(whole.J, np.concatenate([part.J for part in parts]), atol=1e-12)
+
+
+def test_padding_pulls_at_nothing(simulated: Callable, true_state: Callable) -> None:
+    data = simulated("elbow3r", poses=8)
+    session, d = data.session, data.session.detections
+    keep = np.arange(len(d.pose)) != 3  # one camera missed one pose
+    fewer = replace(
+        session,
+        detections=type(d)(d.pose[keep], d.camera[keep], d.led[keep], d.uv[keep], d.sigma[keep]),
+    )
+    table, state = DHTable.from_chain(session.chain), true_state(data)
+    (block,) = observe(fewer)
+    parameters = choose_parameters(fewer, table, state, geometry="dh", extrinsics=[1], lenses=[0])
+    at = linearise(table, block, state, parameters, EVERY)
+    assert block.count == keep.sum()
+    assert np.count_nonzero(~block.valid) == 1
+    assert not np.any(at.J[~block.valid])
+    assert not np.any(at.residual[~block.valid])
+    np.testing.assert_array_equal(block.by_row(block.value), fewer.detections.uv)

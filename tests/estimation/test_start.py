@@ -1,0 +1,63 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from urdfcal.errors import CalibrationError
+from urdfcal.estimation.start import first_state, kabsch, place_base
+from urdfcal.session.model import Led
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+def random_pose(rng: np.random.Generator) -> np.ndarray:
+    R = pin.exp3(rng.normal(0.0, 2.0, 3))
+    return pin.SE3(R, rng.normal(0.0, 2.0, 3)).homogeneous
+
+
+def test_kabsch_recovers_a_motion_and_never_a_reflection() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        T, points = random_pose(rng), rng.normal(size=(12, 3))
+        np.testing.assert_allclose(kabsch(points, points @ T[:3, :3].T + T[:3, 3]), T, atol=1e-12)
+        assert np.linalg.det(kabsch(points, -points)[:3, :3]) > 0.999
+
+
+@pytest.mark.parametrize("leds", [1, 3])
+def test_base_and_unknown_leds_are_found_from_anywhere(leds: int) -> None:
+    rng = np.random.default_rng(leds)
+    for _ in range(20):
+        T_base_tip = np.array([random_pose(rng) for _ in range(20)])
+        T_world_base, places = random_pose(rng), rng.normal(0.0, 0.1, (leds, 3))
+        pose, led = np.repeat(np.arange(20), leds), np.tile(np.arange(leds), 20)
+        in_base = (T_base_tip[pose] @ np.c_[places[led], np.ones(len(led))][..., None])[:, :3, 0]
+        points = in_base @ T_world_base[:3, :3].T + T_world_base[:3, 3]
+        T, found = place_base(T_base_tip, pose, led, points, np.zeros((leds, 3)), np.ones(leds, bool))
+        np.testing.assert_allclose(T, T_world_base, atol=1e-9)
+        np.testing.assert_allclose(found, places, atol=1e-9)
+
+
+def test_too_few_points_say_so() -> None:
+    with pytest.raises(CalibrationError, match="only 3 points"):
+        place_base(
+            np.eye(4)[None].repeat(3, 0), np.arange(3), np.zeros(3, int), np.eye(3), np.zeros((1, 3)), np.ones(1, bool)
+        )
+
+
+@pytest.mark.parametrize("rig", ["elbow3r", "ur5", "panda", "so101", "stanford"])
+@pytest.mark.parametrize("known", ["extrinsics", "nothing"])
+def test_the_start_is_near_the_truth_on_every_rig(rig: str, known: str, simulated: Callable) -> None:
+    data = simulated(rig)
+    session = data.session
+    if known == "nothing":
+        T_cam_world = (session.rig.T_cam_world[0], None)
+        session = replace(session, rig=replace(session.rig, T_cam_world=T_cam_world), leds=(Led("led"),))
+    found = first_state(session)
+    difference = pin.SE3(found.T_world_base).inverse() * pin.SE3(data.truth.T_world_base)
+    assert np.linalg.norm(difference.translation) < 0.15
+    assert np.linalg.norm(pin.log3(difference.rotation)) < 0.15

@@ -1,0 +1,405 @@
+"""A session in, a calibrated robot out."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import PurePosixPath
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+
+from urdfcal import files
+from urdfcal.arrays import Bools, Floats, frozen, inverse
+from urdfcal.errors import CalibrationError, OutputError, RobotError
+from urdfcal.estimation.identifiability import Identifiability, identify
+from urdfcal.estimation.observations import Observations, observe
+from urdfcal.estimation.parameters import choose_parameters
+from urdfcal.estimation.residuals import predict
+from urdfcal.estimation.solver import Progress, Solution, solve
+from urdfcal.estimation.start import first_state, triangulated
+from urdfcal.robot.chain import Chain
+from urdfcal.robot.dh import PARAMETERS, DHTable
+from urdfcal.robot.kinematics import tip_poses
+from urdfcal.robot.origins import origins_of, rewrite_origins
+from urdfcal.robot.rpy import matrix_to_rpy
+from urdfcal.robot.urdf import Urdf
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from urdfcal.estimation.state import State
+    from urdfcal.session.model import Session
+
+FORMAT = "urdfcal/1"
+
+# A reduced chi-square above this is no accident with a few dozen sightings: something is unmodelled.
+_MISFIT = 2.0
+# Corrections of this many tolerances are either a wrong session or a very unusual arm.
+_FAR = 5.0
+# FK of the URDF that was written against the estimate. [m, entries of the rotation]
+_AGREEMENT = 1e-9
+_CHECK_POSES = 20
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """The robot that was really built, as far as the session tells.
+
+    Attributes:
+        session: what was measured.
+        table: the DH rows as drawn.
+        observations: the session's sightings, in the order the solutions' deviations follow.
+        nominal_fit: the arm as drawn, with base, LEDs and free camera poses fitted.
+        fit: the calibrated arm.
+        identifiability: what the sightings could not tell.
+        seed: of the check configurations.
+        warnings: what the user should know before trusting the result.
+    """
+
+    session: Session
+    table: DHTable
+    observations: tuple[Observations, ...]
+    nominal_fit: Solution
+    fit: Solution
+    identifiability: Identifiability
+    seed: int
+    warnings: tuple[str, ...]
+
+    @property
+    def nominal(self) -> State:
+        """The arm as drawn, with everything else fitted."""
+        return self.nominal_fit.state
+
+    @property
+    def estimate(self) -> State:
+        """The calibrated arm, LEDs and cameras."""
+        return self.fit.state
+
+    @property
+    def chain(self) -> Chain:
+        """The chain that was calibrated, as drawn."""
+        return self.table.chain
+
+    @cached_property
+    def placements(self) -> Floats:
+        """(n, 4, 4) calibrated placement of each joint in the previous joint's frame. [m]."""
+        return frozen(self.table.placements(self.estimate.offsets))
+
+    def apply(self, model: pin.Model) -> pin.Model:
+        """Return a copy of a Pinocchio model of this robot with the calibrated joint placements.
+
+        Args:
+            model: any model that has the calibrated joints, found by name; it is not changed.
+
+        Raises:
+            RobotError: a joint is missing, or its placement is not the drawn one that was calibrated.
+        """
+        calibrated = model.copy()
+        for joint, drawn, built in zip(self.chain.joints, self.chain.placements, self.placements, strict=True):
+            if not model.existJointName(joint.name):
+                raise RobotError(
+                    f"the model has no joint {joint.name!r}", where=model.name, remedy="Give a model of the same robot."
+                )
+            index = model.getJointId(joint.name)
+            placement = model.jointPlacements[index].homogeneous
+            if joint.name != self.chain.names[0] and not np.allclose(placement, drawn, rtol=0.0, atol=1e-9):
+                raise RobotError(
+                    f"the placement of joint {joint.name!r} is not the one that was calibrated",
+                    where=model.name,
+                    remedy="Give the nominal model, and give it only once.",
+                )
+            # Multiplied from the right, the correction does not care what the joint hangs on.
+            calibrated.jointPlacements[index] = pin.SE3(placement @ inverse(drawn) @ built)
+        return calibrated
+
+    @property
+    def urdf_name(self) -> str:
+        """File name of the corrected URDF: the drawn one's with ``_calibrated``."""
+        drawn = PurePosixPath(self.session.urdf_reference)
+        return f"{drawn.stem}_calibrated{drawn.suffix}"
+
+    def calibrated_urdf(self) -> bytes:
+        """The session's URDF with the calibrated joint origins, nothing else changed.
+
+        Raises:
+            OutputError: the session has no URDF, or the result, read again by Pinocchio and by yourdfpy,
+                does not move as the estimate does.
+        """
+        urdf = self.session.urdf
+        if urdf is None:
+            raise OutputError("the session was built without a URDF", remedy="Use Calibration.apply on the model.")
+        data = rewrite_origins(urdf, origins_of(urdf, self.chain, self.placements))
+        self._check(data)
+        return data
+
+    def save(self, path: Path) -> None:
+        """Write the result as JSON, format ``urdfcal/1`` (DESIGN section 7)."""
+        files.write_text(path, json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n")
+
+    def to_dict(self) -> dict[str, Any]:
+        """The result as plain data: the contract of ``calibration.json``."""
+        from importlib import metadata
+
+        return {
+            "format": FORMAT,
+            "robot": {
+                "name": self.chain.name,
+                "urdf": self.session.urdf_reference,
+                "base_link": self.chain.base_link,
+                "tip_link": self.chain.tip_link,
+            },
+            "dh": self._rows(),
+            "placements": self._placements(),
+            "T_world_base": self.estimate.T_world_base.tolist(),
+            "leds": self._leds(),
+            "cameras": {
+                camera.name: {
+                    "intrinsics": camera.intrinsics.tolist(),
+                    "distortion_model": camera.distortion_model,
+                    "distortion": camera.distortion.tolist(),
+                    "T_cam_world": T.tolist(),
+                }
+                for camera, T in zip(self.estimate.cameras, self.estimate.T_cam_world, strict=True)
+            },
+            "fit": self.summary(),
+            "identifiability": {
+                "condition_number": self.identifiability.condition_number,
+                "lost": list(self.identifiability.lost),
+            },
+            "outliers": self.outliers(),
+            "warnings": list(self.warnings),
+            "provenance": {
+                "urdfcal": metadata.version("urdfcal"),
+                "pinocchio": pin.__version__,
+                "seed": self.seed,
+                "sha256": dict(self.session.sha256),
+            },
+        }
+
+    def summary(self) -> dict[str, Any]:
+        """Numbers of the fit: residuals before and after, over the sightings that are no outliers. [mm, px]."""
+        summary: dict[str, Any] = {
+            "poses": len(self.session.poses),
+            "observations": self.fit.observations,
+            "parameters": self.fit.parameters.count,
+            "rank": self.identifiability.rank,
+            "iterations": len(self.fit.history),
+            "converged": self.fit.converged,
+            "reduced_chi2": self.fit.reduced_chi2,
+        }
+        for block, cut in zip(self.observations, self.fit.outlier, strict=True):
+            used = block.valid & ~cut
+            unit, scale = ("px", 1.0) if block.dimension == 2 else ("mm", 1e3)
+            for suffix, state in (("nominal_", self.nominal), ("", self.estimate)):
+                residual = (predict(self.table, block, state) - block.value)[used]
+                summary[f"rms_{suffix}{unit}"] = scale * _rms(residual)
+        points = triangulated(self.session)
+        if points is not None and self.session.points is None:
+            used = points.valid & ~self._suspect(points)
+            for suffix, state in (("nominal_", self.nominal), ("", self.estimate)):
+                summary[f"rms_{suffix}mm"] = 1e3 * _rms((predict(self.table, points, state) - points.value)[used])
+        return summary
+
+    def outliers(self) -> list[dict[str, Any]]:
+        """The sightings taken out of the fit: pose, camera, LED and residual (px, or mm for points)."""
+        found = []
+        for block, cut, deviation in zip(self.observations, self.fit.outlier, self.fit.deviation, strict=True):
+            residual = predict(self.table, block, self.estimate) - block.value
+            scale = 1.0 if block.dimension == 2 else 1e3
+            for group, slot in np.argwhere(cut):
+                camera = int(block.camera[group, slot])
+                found.append(
+                    {
+                        "pose": self.session.poses[block.pose[group]],
+                        "camera": self.estimate.cameras[camera].name if camera >= 0 else None,
+                        "led": self.session.leds[block.led[group, slot]].name,
+                        "residual": scale * float(np.linalg.norm(residual[group, slot])),
+                        "sigmas": float(deviation[group, slot]),
+                    }
+                )
+        return found
+
+    def sigmas(self) -> Floats:
+        """(n, 5) standard deviations of the DH offsets; NaN where a parameter was not estimated. [rad, m]."""
+        result = np.full((len(self.table.rows), 5), np.nan)
+        for index, (row, name) in enumerate(self.fit.parameters.rows):
+            result[row, PARAMETERS.index(name)] = self._sigma[index]
+        return result
+
+    @cached_property
+    def _sigma(self) -> Floats:
+        """Standard deviation of every entry of the full parameter vector; NaN where it is held."""
+        sigma = np.full(self.fit.parameters.size, np.nan)
+        sigma[self.fit.parameters.active] = np.sqrt(np.diag(self.fit.covariance))
+        return sigma
+
+    def _rows(self) -> list[dict[str, Any]]:
+        sigmas = self.sigmas()
+        packed = self.fit.parameters.rows
+        reasons = {packed[i]: why for i, why in self.fit.parameters.reasons.items() if i < len(packed)}
+        entries = []
+        for i, row in enumerate(self.table.rows):
+            for k, name in enumerate(PARAMETERS):
+                entry: dict[str, Any] = {
+                    "joint": row.joint,
+                    "parameter": name,
+                    "unit": "m" if name in ("d", "a") else "rad",
+                    "nominal": float(self.table.nominal[i, k]),
+                    "offset": float(self.estimate.offsets[i, k]),
+                }
+                if np.isfinite(sigmas[i, k]):
+                    entry |= {"sigma": float(sigmas[i, k]), "status": "estimated"}
+                else:
+                    entry |= {"status": "fixed", "reason": reasons.get((i, name)) or _structural(self.table, i, name)}
+                entries.append(entry)
+        return entries
+
+    def _placements(self) -> dict[str, dict[str, list[float]]]:
+        """Each joint's origin in its parent link's frame, as the URDF will have it (xyz in m, rpy in rad)."""
+        origins = dict(zip(self.chain.names, self.placements, strict=True))
+        if self.session.urdf is not None:
+            drawn = {name: self.session.urdf.joints[name].T_parent_joint for name in self.chain.names}
+            origins = drawn | origins_of(self.session.urdf, self.chain, self.placements)
+        return {
+            name: {"xyz": T[:3, 3].tolist(), "rpy": matrix_to_rpy(T[:3, :3]).tolist()} for name, T in origins.items()
+        }
+
+    def _leds(self) -> dict[str, dict[str, Any]]:
+        result = {}
+        for i, led in enumerate(self.session.leds):
+            sigma = self._sigma[self.fit.parameters.led(i)]
+            result[led.name] = {
+                "position": self.estimate.leds[i].tolist(),
+                "sigma": [float(s) if np.isfinite(s) else 0.0 for s in sigma],
+            }
+        return result
+
+    def _suspect(self, points: Observations) -> Bools:
+        """Which triangulated points rest on a sighting that is an outlier."""
+        suspect = np.zeros((len(self.session.poses), len(self.session.leds)), dtype=bool)
+        for block, cut in zip(self.observations, self.fit.outlier, strict=True):
+            group, slot = np.nonzero(cut)
+            suspect[block.pose[group], block.led[group, slot]] = True
+        return suspect[points.pose[:, None], points.led]
+
+    def _check(self, data: bytes) -> None:
+        """Read the URDF again with two independent readers and compare their FK with the DH rows."""
+        rng = np.random.default_rng(self.seed)
+        q = self.chain.random_values(_CHECK_POSES, rng)
+        expected = tip_poses(self.chain, q, self.placements)
+        rows = np.array([self.table.forward(q_k, self.estimate.offsets) for q_k in q])
+        pinocchio = tip_poses(Chain.from_urdf(Urdf.parse(data), self.chain.tip_link, self.chain.base_link), q)
+        yourdfpy = _yourdfpy_tips(data, self.chain, q)
+        for reader, T in (("the DH rows", rows), ("Pinocchio", pinocchio), ("yourdfpy", yourdfpy)):
+            error = float(np.abs(T - expected).max())
+            if not error <= _AGREEMENT:
+                raise OutputError(
+                    f"the corrected URDF moves differently when read by {reader}: {error:.1e} m or in the rotation",
+                    where=str(self.session.urdf and self.session.urdf.path),
+                    remedy="This is a defect of urdfcal; please report it with the URDF.",
+                )
+
+
+def calibrate(
+    session: Session, *, priors: bool = True, seed: int = 0, progress: Progress | None = None
+) -> Calibration:
+    """Estimate the robot's DH offsets, base pose, LED places and unknown camera poses from a session.
+
+    Maximum likelihood on pixels (or a tracker's points), whitened by the declared noise of sightings and joint
+    readings, with manufacturing tolerances as priors; robust against outliers (Rossi, Savino et al., eq. 8 and 22).
+    The start is found in closed form. Parameters that the sightings cannot tell are held at nominal.
+
+    Args:
+        session: what was measured.
+        priors: whether manufacturing tolerances act as priors; without, plain least squares (the seed's eq. 8).
+        seed: of the configurations at which the result is checked; the estimate itself is deterministic.
+        progress: called after every solver step.
+
+    Raises:
+        CalibrationError: no start, or no convergence.
+    """
+    table = DHTable.from_chain(session.chain)
+    blocks = observe(session)
+    start = first_state(session)
+    known = session.rig.T_cam_world if session.rig is not None else ()
+    extrinsics = [c for c in range(1, len(start.cameras)) if known[c] is None]
+    joint_sigma = session.noise.joint
+
+    parameters = choose_parameters(session, table, start, geometry="none", extrinsics=extrinsics)
+    nominal = solve(table, blocks, start, parameters, joint_sigma, progress)
+    candidates = choose_parameters(session, table, start, geometry="dh", extrinsics=extrinsics, priors=priors)
+    identifiability = identify(table, blocks, nominal.state, candidates)
+    fit = solve(table, blocks, nominal.state, identifiability.parameters, joint_sigma, progress)
+    if not fit.converged:
+        raise CalibrationError(
+            f"the estimate did not settle in {len(fit.history)} steps",
+            remedy="Check the joint readings' columns and units, the tip link and the cameras.",
+        )
+    return Calibration(
+        session=session,
+        table=table,
+        observations=blocks,
+        nominal_fit=nominal,
+        fit=fit,
+        identifiability=identifiability,
+        seed=seed,
+        warnings=(*session.warnings, *_doubts(table, fit)),
+    )
+
+
+def _doubts(table: DHTable, fit: Solution) -> list[str]:
+    """What in a fit a careful engineer would ask about."""
+    doubts = []
+    if fit.reduced_chi2 > _MISFIT:
+        doubts.append(
+            f"the residuals are {np.sqrt(fit.reduced_chi2):.1f} times the declared noise: the noise is larger than "
+            "declared, or camera intrinsics, units or the robot's stiffness are not what the model assumes"
+        )
+    cut = sum(int(np.sum(outlier)) for outlier in fit.outlier)
+    total = sum(deviation[deviation > 0.0].size for deviation in fit.deviation)
+    if cut > 0.2 * total:
+        doubts.append(f"{cut} of {total} sightings were taken out as outliers: look at how LEDs were detected")
+    for index, (row, name) in enumerate(fit.parameters.rows):
+        offset, prior = fit.state.offsets[row, PARAMETERS.index(name)], fit.parameters.prior[index]
+        if fit.parameters.active[index] and abs(offset) > _FAR * prior:
+            scale, unit = (1e3, "mm") if name in ("d", "a") else (1e3, "mrad")
+            doubts.append(
+                f"{table.rows[row].joint}: {name} is off by {scale * offset:.1f} {unit}, "
+                f"{abs(offset) / prior:.0f} times its tolerance"
+            )
+    return doubts
+
+
+def _structural(table: DHTable, index: int, name: str) -> str:
+    """Why a parameter of a row is never a candidate."""
+    row = table.rows[index]
+    if index == len(table.rows) - 1:
+        return "it places the tip on the last link, which is no joint's origin"
+    if row.directed and name in ("theta", "d", "a", "beta"):
+        return "the next joint slides: its axis has a direction but no place"
+    if row.parallel and name == "d":
+        return "the next axis is parallel: d of the two rows only appears as a sum"
+    return "the next axis is not parallel: the common normal needs no beta"
+
+
+def _rms(residual: Floats) -> float:
+    return float(np.sqrt(np.mean(np.sum(residual**2, axis=-1)))) if residual.size else float("nan")
+
+
+def _yourdfpy_tips(data: bytes, chain: Chain, q: Floats) -> Floats:
+    """T_base_tip by yourdfpy, which shares no code with Pinocchio."""
+    import io
+
+    import yourdfpy
+
+    robot = yourdfpy.URDF.load(io.BytesIO(data), load_meshes=False, build_scene_graph=True)
+    names = [joint.name for joint in robot.actuated_joints]
+    result = np.empty((len(q), 4, 4))
+    for k, q_k in enumerate(q):
+        values = dict(zip(chain.names, q_k, strict=True))
+        robot.update_cfg([values.get(name, 0.0) for name in names])
+        result[k] = robot.get_transform(chain.tip_link, chain.base_link)
+    return result

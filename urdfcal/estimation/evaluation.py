@@ -1,0 +1,150 @@
+"""How far two robots are apart, and how well one explains a session."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from urdfcal.arrays import Floats, frozen
+from urdfcal.errors import RobotError
+from urdfcal.estimation.observations import observe
+from urdfcal.estimation.parameters import choose_parameters
+from urdfcal.estimation.residuals import predict
+from urdfcal.estimation.solver import solve
+from urdfcal.estimation.start import first_state, kabsch
+from urdfcal.robot.dh import DHTable
+from urdfcal.robot.kinematics import tip_poses
+
+if TYPE_CHECKING:
+    from urdfcal.estimation.solver import Progress, Solution
+    from urdfcal.robot.chain import Chain
+    from urdfcal.session.model import Session
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Distances or angles in four numbers.
+
+    Attributes:
+        rms: root mean square. [m, rad or px]
+        mean: mean.
+        p95: 95 % of the values are at most this.
+        max: largest.
+    """
+
+    rms: float
+    mean: float
+    p95: float
+    max: float
+
+    @classmethod
+    def of(cls, values: Floats) -> Spread:
+        """Summarise non-negative values; NaN where there are none."""
+        if values.size == 0:
+            return cls(*[float("nan")] * 4)
+        return cls(
+            float(np.sqrt(np.mean(values**2))),
+            float(np.mean(values)),
+            float(np.percentile(values, 95)),
+            float(np.max(values)),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Difference:
+    """The tips of two robots at the same joint values.
+
+    Attributes:
+        position: (N,) distance of the tips after the best rigid alignment at the base. [m]
+        orientation: (N,) angle between them after it. [rad]
+        position_unaligned: (N,) distance with the base links laid over each other. [m]
+        orientation_unaligned: (N,) angle with the base links laid over each other. [rad]
+        T_a_b: (4, 4) the alignment: b's base link in a's. [m]
+    """
+
+    position: Floats
+    orientation: Floats
+    position_unaligned: Floats
+    orientation_unaligned: Floats
+    T_a_b: Floats
+
+
+def compare(a: Chain, b: Chain, q: Floats) -> Difference:
+    """Compare two versions of one robot over joint configurations.
+
+    The alignment minimises the tips' distances (Kabsch): how a robot is bolted down is nothing its URDF could know.
+
+    Args:
+        a: first robot's chain.
+        b: second robot's chain, with the same joints.
+        q: (N, n) joint values. [rad or m]
+
+    Raises:
+        RobotError: the chains do not have the same joints.
+    """
+    if a.names != b.names:
+        raise RobotError(
+            f"the two robots have different joints between base and tip: {', '.join(a.names)} and {', '.join(b.names)}",
+            remedy="Compare two versions of the same robot, with the same --base and --tip.",
+        )
+    tips_a, tips_b = tip_poses(a, q), tip_poses(b, q)
+    T_a_b = kabsch(tips_b[:, :3, 3], tips_a[:, :3, 3])
+    aligned = T_a_b @ tips_b
+    return Difference(
+        position=frozen(_distance(tips_a, aligned)),
+        orientation=frozen(_angle(tips_a, aligned)),
+        position_unaligned=frozen(_distance(tips_a, tips_b)),
+        orientation_unaligned=frozen(_angle(tips_a, tips_b)),
+        T_a_b=frozen(T_a_b),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """A session under an arm that is left as drawn.
+
+    Attributes:
+        residuals: for each kind of sighting (S, D) predicted minus measured, in the order of the session's
+            table: pixels (D = 2), points (D = 3). [px or m]
+        fit: base pose, LED places and camera poses.
+    """
+
+    residuals: tuple[Floats, ...]
+    fit: Solution
+
+
+def explain(chain: Chain, session: Session, progress: Progress | None = None) -> Explanation:
+    """Fit base pose, LED places and, for pixels, camera poses to a session; the arm stays as ``chain`` draws it.
+
+    Args:
+        chain: the arm.
+        session: what was measured; its own chain is not used.
+        progress: called after every solver step.
+
+    Raises:
+        CalibrationError: no start from these sightings.
+    """
+    session = replace(session, chain=chain)
+    table = DHTable.from_chain(chain)
+    blocks = observe(session)
+    start = first_state(session)
+    parameters = choose_parameters(
+        session, table, start, geometry="none", extrinsics=range(1, len(start.cameras)), priors=False
+    )
+    fit = solve(table, blocks, start, parameters, session.noise.joint, progress)
+    residuals = [block.by_row(predict(table, block, fit.state) - block.value) for block in blocks]
+    return Explanation(tuple(residuals), fit)
+
+
+def _distance(a: Floats, b: Floats) -> Floats:
+    result: Floats = np.linalg.norm(a[:, :3, 3] - b[:, :3, 3], axis=1)
+    return result
+
+
+def _angle(a: Floats, b: Floats) -> Floats:
+    # |R_a - R_b| = 2 sqrt(2) sin(angle / 2) stays accurate for small angles, where the trace does not.
+    chord = np.linalg.norm(a[:, :3, :3] - b[:, :3, :3], axis=(1, 2)) / (2.0 * np.sqrt(2.0))
+    result: Floats = 2.0 * np.arcsin(np.minimum(chord, 1.0))
+    return result

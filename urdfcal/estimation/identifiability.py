@@ -1,0 +1,125 @@
+"""What the data cannot tell: rank of the whitened Jacobian, and which parameters to hold for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from urdfcal.estimation.residuals import linearise
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from urdfcal.arrays import Floats
+    from urdfcal.estimation.observations import Observations
+    from urdfcal.estimation.parameters import Parameters
+    from urdfcal.estimation.state import State
+    from urdfcal.robot.dh import DHTable, Parameter
+
+# Singular values of the column-normalised Jacobian below this share of the largest are lost directions. On the
+# shipped rigs, LEDs on the last axis included, lost ones come out below 1e-12 (axes of a URDF with rpy to eleven
+# digits) and the weakest direction that is told above 1e-3.
+_LOST = 1e-8
+# Normalising a column to 1 would make rounding look like information; smaller ones are divided by this share of
+# the largest column.
+_LEAST_NORM = 1e-3
+# A parameter takes part in a lost direction when its share of it is above rounding.
+_PART = 1e-5
+_ORDER: tuple[Parameter, ...] = ("d", "a", "theta", "alpha", "beta")
+_BLOCK = 1024
+
+
+@dataclass(frozen=True, eq=False)
+class Identifiability:
+    """What the sightings alone, without priors, tell about the active parameters.
+
+    Attributes:
+        parameters: the packing with the lost parameters held.
+        rank: number of parameters left, all of which the data tell.
+        condition_number: of the column-normalised whitened Jacobian of those.
+        lost: one sentence for each parameter held.
+    """
+
+    parameters: Parameters
+    rank: int
+    condition_number: float
+    lost: tuple[str, ...]
+
+
+def identify(table: DHTable, blocks: Sequence[Observations], state: State, parameters: Parameters) -> Identifiability:
+    """Hold parameters until the Jacobian at ``state`` has full column rank.
+
+    Of the parameters that take part in a lost direction, the first in the order d, a, theta, alpha, beta, inner rows
+    first, is held, so that two runs agree; then LED coordinates, then the base.
+    """
+    R = _triangle(table, blocks, state, parameters)
+    columns = np.flatnonzero(parameters.active)
+    R = R * _scales(parameters, state)[columns]
+    norms = np.linalg.norm(R, axis=0)
+    R = R / np.maximum(norms, _LEAST_NORM * norms.max())
+    order = sorted(range(len(columns)), key=lambda k: _rank_key(parameters, int(columns[k])))
+    kept = np.ones(len(columns), dtype=bool)
+    held: dict[int, str] = {}
+    while True:
+        _, singular, Vt = np.linalg.svd(R[:, kept], full_matrices=True)
+        singular = np.pad(singular, (0, Vt.shape[0] - len(singular)))
+        null = Vt[singular <= _LOST * singular[0]]
+        if not len(null):
+            break
+        share = np.zeros(len(columns))
+        share[kept] = np.linalg.norm(null, axis=0)
+        victim = next(k for k in order if share[k] > _PART)
+        # The direction that this parameter alone must follow names what it is confused with.
+        direction = np.zeros(len(columns))
+        direction[kept] = null.T @ null[:, np.flatnonzero(np.flatnonzero(kept) == victim)[0]]
+        partners = [
+            parameters.names[columns[k]]
+            for k in np.argsort(-np.abs(direction))
+            if k != victim and abs(direction[k]) > 0.05 * np.abs(direction).max()
+        ]
+        name = parameters.names[columns[victim]]
+        held[int(columns[victim])] = (
+            f"{name} cannot be told from {', '.join(partners[:6])}"
+            if partners
+            else f"{name} moves nothing that is seen"
+        )
+        kept[victim] = False
+    left = singular[: np.count_nonzero(kept)]
+    return Identifiability(
+        parameters=parameters.holding(held),
+        rank=int(np.count_nonzero(kept)),
+        condition_number=float(left[0] / left[-1]),
+        lost=tuple(held.values()),
+    )
+
+
+def _triangle(table: DHTable, blocks: Sequence[Observations], state: State, parameters: Parameters) -> Floats:
+    """R of the whitened Jacobian's QR, block by block: squaring it would hide singular values below 1e-8."""
+    R = np.zeros((0, parameters.count))
+    for block in blocks:
+        W = np.linalg.inv(np.linalg.cholesky(block.covariance))
+        for first in range(0, len(block.pose), _BLOCK):
+            poses = slice(first, first + _BLOCK)
+            J = W[poses] @ linearise(table, block, state, parameters, poses).J
+            R = np.asarray(np.linalg.qr(np.vstack([R, J.reshape(-1, parameters.count)]), mode="r"))
+    return R
+
+
+def _scales(parameters: Parameters, state: State) -> Floats:
+    """What brings a unit of each parameter to about the same effect: pixels of a lens count in focal lengths."""
+    scales = np.ones(parameters.size)
+    for position, c in enumerate(parameters.lenses):
+        fx, fy = state.cameras[c].intrinsics[:2]
+        first = parameters.lens(position).start
+        scales[first : first + 4] = fx, fy, fx, fy
+    return scales
+
+
+def _rank_key(parameters: Parameters, index: int) -> tuple[int, int]:
+    if index < len(parameters.rows):
+        row, name = parameters.rows[index]
+        return (_ORDER.index(name), row)
+    inner = index - parameters.base.stop
+    return (len(_ORDER) + (0 if inner >= 0 else 1), index)

@@ -1,0 +1,325 @@
+"""Robust nonlinear least squares: Levenberg-Marquardt on normal equations accumulated over poses.
+
+Residuals are whitened by the noise of the sightings and of the joint readings, a Huber weight tames each
+LED sighting, and what is left far outside the noise is taken out at the end (DESIGN section 6).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol, TypeAlias
+
+import numpy as np
+import threadpoolctl
+
+from urdfcal.errors import CalibrationError, CameraError
+from urdfcal.estimation.residuals import linearise
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from urdfcal.arrays import Bools, Floats
+    from urdfcal.estimation.observations import Observations
+    from urdfcal.estimation.parameters import Parameters
+    from urdfcal.estimation.state import State
+    from urdfcal.robot.dh import DHTable
+
+# Poses evaluated at a time: large enough to hide Python's overhead, small enough that a block's Jacobian
+# (a few MB) stays in cache and memory does not grow with the session.
+_BLOCK = 1024
+_MAX_ITERATIONS = 60
+_MAX_CUTS = 5
+_FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-12, 1e12
+# A step of this many standard deviations of the estimate is no step; the coarse one is for weights that still move.
+_CONVERGED, _CONVERGED_COARSE = 1e-6, 1e-2
+# Rounding of a cost that no longer falls.
+_COST_ROUNDING = 1e-10
+# Upper tails of the noise: beyond the first a sighting's pull stops growing (which costs clean data less than
+# 5 % efficiency), beyond the second it is an outlier (one clean sighting in 100,000).
+_HUBER_TAIL, _OUTLIER_TAIL = 0.05, 1e-9
+_REJECTED = 1e-12
+
+Weights: TypeAlias = "Sequence[Floats]"
+"""For each block of observations (N, m): 1 counts fully, less inflates the sighting's covariance by 1 / weight."""
+
+
+class Progress(Protocol):
+    """Called after every iteration with the cost so far."""
+
+    def __call__(self, iteration: int, cost: float) -> None:
+        """Take note of an accepted step."""
+
+
+@dataclass(frozen=True, eq=False)
+class Iteration:
+    """One accepted step.
+
+    Attributes:
+        cost: weighted sum of squared whitened residuals, priors included.
+        damping: Levenberg-Marquardt's lambda.
+        step: its length in standard deviations of the estimate.
+        state: after the step.
+    """
+
+    cost: float
+    damping: float
+    step: float
+    state: State
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Where the solver arrived.
+
+    Attributes:
+        state: the estimate.
+        parameters: what was estimated.
+        information: (count, count) J^T J of the whitened residuals and the priors, outliers left out.
+        deviation: for each block of observations (N, m): whitened length of the residual of each sighting.
+        outlier: for each block (N, m): taken out of the fit.
+        cost: chi-square of residuals and priors, outliers left out.
+        chi2: the residuals' part of it.
+        observations: scalar measurements used.
+        history: accepted steps.
+        converged: whether the last step was small.
+    """
+
+    state: State
+    parameters: Parameters
+    information: Floats
+    deviation: tuple[Floats, ...]
+    outlier: tuple[Bools, ...]
+    cost: float
+    chi2: float
+    observations: int
+    history: tuple[Iteration, ...]
+    converged: bool
+
+    @property
+    def reduced_chi2(self) -> float:
+        """Chi-square per degree of freedom, priors counted as measurements; about 1 when the noise is as declared."""
+        priors = int(np.count_nonzero(np.isfinite(self.parameters.prior) & self.parameters.active))
+        freedom = self.observations + priors - self.parameters.count
+        return self.cost / freedom if freedom > 0 else float("nan")
+
+    @property
+    def covariance(self) -> Floats:
+        """(count, count) of the active parameters, widened where the misfit exceeds the declared noise."""
+        scale = 1.0 / np.sqrt(np.diag(self.information))
+        inverse: Floats = np.linalg.inv(self.information * np.outer(scale, scale)) * np.outer(scale, scale)
+        return inverse * max(1.0, self.reduced_chi2)
+
+
+def solve(
+    table: DHTable,
+    blocks: Sequence[Observations],
+    start: State,
+    parameters: Parameters,
+    joint_sigma: float,
+    progress: Progress | None = None,
+) -> Solution:
+    """Estimate the active parameters from a start that is near enough for Gauss-Newton.
+
+    First Huber weights that follow a robust scale of the residuals (the nominal arm is many sigmas off); once they
+    have settled, outliers are cut and least squares on the rest finishes, until the cut stays the same.
+
+    Args:
+        table: the nominal rows.
+        blocks: what was measured.
+        start: first state.
+        parameters: what to estimate, with priors.
+        joint_sigma: standard deviation of the joint readings. [rad or m]
+        progress: called after every step.
+
+    Raises:
+        CalibrationError: the start puts an LED behind a camera.
+    """
+    with threadpoolctl.threadpool_limits(1, user_api="blas"):  # two threads are slower at these sizes
+        problem = _Problem(table, tuple(blocks), parameters, joint_sigma)
+        descent = _descend(problem, start, _huber_weights, _CONVERGED_COARSE, progress)
+        history = list(descent.history)
+        for _ in range(_MAX_CUTS):
+            outlier = _outliers(problem.blocks, descent.at)
+            kept = [np.where(cut, _REJECTED, 1.0) for cut in outlier]
+            descent = _descend(problem, descent.state, lambda *_, kept=kept: kept, _CONVERGED, progress)
+            history += descent.history
+            again = _outliers(problem.blocks, descent.at)
+            if all(np.array_equal(a, b) for a, b in zip(outlier, again, strict=True)):
+                break
+    left = sum(block.dimension * int(np.sum(block.valid & ~cut)) for block, cut in zip(blocks, outlier, strict=True))
+    return Solution(
+        state=descent.state,
+        parameters=parameters,
+        information=descent.at.H,
+        deviation=descent.at.deviation,
+        outlier=tuple(outlier),
+        cost=descent.at.cost,
+        chi2=descent.at.chi2,
+        observations=left,
+        history=tuple(history),
+        converged=descent.converged,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Evaluation:
+    """The normal equations at a state, the cost, and each sighting's deviation on its own."""
+
+    H: Floats
+    g: Floats
+    cost: float
+    chi2: float
+    deviation: tuple[Floats, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Noise:
+    """What gives residuals unit variance: of whole poses (N, mD, mD), and of each sighting alone (N, m, D, D)."""
+
+    whitening: tuple[Floats, ...]
+    marginal: tuple[Floats, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """Observations, parameters and noise; evaluates states, knows nothing of the iteration."""
+
+    table: DHTable
+    blocks: tuple[Observations, ...]
+    parameters: Parameters
+    joint_sigma: float
+
+    def joint_noise(self, state: State) -> tuple[Floats, ...]:
+        """For each block the covariance that joint reading noise gives its poses' residuals, (N, m, D, m, D)."""
+        result = []
+        for block in self.blocks:
+            N, m, D = block.value.shape
+            covariance = np.zeros((N, m * D, m * D))
+            for poses in _chunks(N) if self.joint_sigma > 0.0 else ():
+                J_q = linearise(self.table, block, state, self.parameters, poses).J_q
+                J_q = self.joint_sigma * J_q.reshape(-1, m * D, J_q.shape[-1])
+                covariance[poses] = J_q @ np.swapaxes(J_q, -1, -2)
+            result.append(covariance.reshape(N, m, D, m, D))
+        return tuple(result)
+
+    def noise(self, joint_noise: Sequence[Floats], weights: Weights) -> _Noise:
+        """Combine the sightings' and the joint readings' noise."""
+        whitening, marginal = [], []
+        for block, joint, weight in zip(self.blocks, joint_noise, weights, strict=True):
+            N, m, D = block.value.shape
+            each = np.arange(m)
+            pose = joint.copy()
+            pose[:, each, :, each, :] += np.moveaxis(block.covariance / weight[..., None, None], 1, 0)
+            own = block.covariance + np.moveaxis(joint[:, each, :, each, :], 0, 1)
+            whitening.append(np.linalg.inv(np.linalg.cholesky(pose.reshape(N, m * D, m * D))))
+            marginal.append(np.linalg.inv(np.linalg.cholesky(own)))
+        return _Noise(tuple(whitening), tuple(marginal))
+
+    def evaluate(self, state: State, noise: _Noise) -> _Evaluation:
+        """Accumulate the normal equations over all poses."""
+        r, J = self.parameters.prior_residuals(state)
+        H, g, prior, chi2 = J.T @ J, J.T @ r, float(r @ r), 0.0
+        deviations = []
+        for block, W, M in zip(self.blocks, noise.whitening, noise.marginal, strict=True):
+            N, m, D = block.value.shape
+            deviation = np.zeros((N, m))
+            for poses in _chunks(N):
+                at = linearise(self.table, block, state, self.parameters, poses)
+                deviation[poses] = np.linalg.norm((M[poses] @ at.residual[..., None])[..., 0], axis=-1)
+                r = (W[poses] @ at.residual.reshape(-1, m * D, 1)).ravel()
+                J = (W[poses] @ at.J.reshape(-1, m * D, self.parameters.count)).reshape(len(r), -1)
+                H += J.T @ J
+                g += J.T @ r
+                chi2 += float(r @ r)
+            deviations.append(deviation)
+        return _Evaluation(H, g, prior + chi2, chi2, tuple(deviations))
+
+
+@dataclass(frozen=True, eq=False)
+class _Descent:
+    state: State
+    at: _Evaluation
+    history: tuple[Iteration, ...]
+    converged: bool
+
+
+def _descend(
+    problem: _Problem,
+    state: State,
+    weigh: Callable[[Sequence[Observations], _Evaluation], Weights],
+    tolerance: float,
+    progress: Progress | None,
+) -> _Descent:
+    """Levenberg-Marquardt until a step is shorter than ``tolerance``; weights are renewed after every step."""
+    joint_noise = problem.joint_noise(state)
+    weights: Weights = [np.ones(block.row.shape) for block in problem.blocks]
+    noise = problem.noise(joint_noise, weights)
+    at = problem.evaluate(state, noise)
+    if not np.isfinite(at.cost):
+        raise CalibrationError(
+            "the start puts an LED behind a camera",
+            remedy="Check the order of the cameras, the units of the joint readings and the tip link.",
+        )
+    history: list[Iteration] = []
+    damping, length = _FIRST_DAMPING, np.inf
+    while damping < _MOST_DAMPING and len(history) < _MAX_ITERATIONS:
+        renewed = weigh(problem.blocks, at)
+        if any(not np.array_equal(a, b) for a, b in zip(renewed, weights, strict=True)):
+            weights, noise = renewed, problem.noise(joint_noise, renewed)
+            at = problem.evaluate(state, noise)
+        if length < tolerance:
+            break
+        step = _damped_step(at, damping)
+        try:
+            candidate = problem.parameters.move(state, step)
+        except CameraError:  # a trial lens that is none
+            damping *= 10.0
+            continue
+        new = problem.evaluate(candidate, noise)
+        if not new.cost <= at.cost * (1.0 + _COST_ROUNDING) + _COST_ROUNDING:  # NaN is no improvement either
+            damping *= 10.0
+            continue
+        length = float(np.sqrt(step @ at.H @ step))
+        state, at, damping = candidate, new, max(damping / 10.0, _LEAST_DAMPING)
+        history.append(Iteration(at.cost, damping, length, state))
+        if progress is not None:
+            progress(len(history), at.cost)
+    return _Descent(state, at, tuple(history), length < tolerance)
+
+
+def _damped_step(at: _Evaluation, damping: float) -> Floats:
+    """Solve the normal equations in column-scaled form, so that metres and radians weigh alike."""
+    diagonal = np.diag(at.H)
+    scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
+    H = at.H * np.outer(scale, scale)
+    step: Floats = -scale * np.linalg.solve(H + damping * np.eye(len(H)), scale * at.g)
+    return step
+
+
+def _huber_weights(blocks: Sequence[Observations], at: _Evaluation) -> Weights:
+    limits = _limits(blocks, at, _HUBER_TAIL)
+    return [limit / np.maximum(deviation, limit) for limit, deviation in zip(limits, at.deviation, strict=True)]
+
+
+def _outliers(blocks: Sequence[Observations], at: _Evaluation) -> list[Bools]:
+    limits = _limits(blocks, at, _OUTLIER_TAIL)
+    return [(d > limit) & block.valid for limit, d, block in zip(limits, at.deviation, blocks, strict=True)]
+
+
+def _limits(blocks: Sequence[Observations], at: _Evaluation, tail: float) -> list[float]:
+    """The deviation beyond which ``tail`` of the noise lies, in units of the residuals' robust scale.
+
+    The scale is the median's, at least that of the declared noise.
+    """
+    from scipy.special import chdtri  # a fifth of a second that no import of urdfcal should cost
+
+    limits = []
+    for block, deviation in zip(blocks, at.deviation, strict=True):
+        median = float(np.median(deviation[block.valid]))
+        scale = max(1.0, median / np.sqrt(chdtri(block.dimension, 0.5)))
+        limits.append(float(np.sqrt(chdtri(block.dimension, tail))) * scale)
+    return limits
+
+
+def _chunks(count: int) -> Iterator[slice]:
+    return (slice(first, min(first + _BLOCK, count)) for first in range(0, count, _BLOCK))

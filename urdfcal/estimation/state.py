@@ -1,0 +1,38 @@
+"""Everything an estimate moves, as one immutable value."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from urdfcal.arrays import Floats, frozen
+
+if TYPE_CHECKING:
+    from urdfcal.vision.camera import Camera
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """One hypothesis about the robot, the LEDs and the cameras.
+
+    Attributes:
+        offsets: (n, 5) added to the DH rows, columns as ``dh.PARAMETERS``. [rad, m]
+        T_world_base: (4, 4) the base link in the world. [m]
+        leds: (L, 3) LED positions in the tip frame. [m]
+        cameras: lenses, in the rig's order.
+        T_cam_world: (C, 4, 4) the world in each camera. [m]
+    """
+
+    offsets: Floats
+    T_world_base: Floats
+    leds: Floats
+    cameras: tuple[Camera, ...] = ()
+    T_cam_world: Floats = field(default_factory=lambda: np.zeros((0, 4, 4)))
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            if isinstance(value, np.ndarray):
+                object.__setattr__(self, entry.name, frozen(value))
