@@ -190,17 +190,15 @@ class Calibration:
             "converged": self.fit.converged,
             "reduced_chi2": self.fit.reduced_chi2,
         }
-        for block, cut in zip(self.observations, self.fit.outlier, strict=True):
-            used = block.valid & ~cut
-            unit, scale = ("px", 1.0) if block.dimension == 2 else ("mm", 1e3)
-            for suffix, state in (("nominal_", self.nominal), ("", self.estimate)):
-                residual = (predict(self.table, block, state) - block.value)[used]
-                summary[f"rms_{suffix}{unit}"] = scale * _rms(residual)
-        points = triangulated(self.session)
-        if points is not None and self.session.points is None:
-            used = points.valid & ~self._suspect(points)
-            for suffix, state in (("nominal_", self.nominal), ("", self.estimate)):
-                summary[f"rms_{suffix}mm"] = 1e3 * _rms((predict(self.table, points, state) - points.value)[used])
+        points = triangulated(self.session) if self.session.points is None else None
+        for prefix, fit in (("nominal_", self.nominal_fit), ("", self.fit)):
+            for block, cut in zip(self.observations, fit.outlier, strict=True):
+                unit, scale = ("px", 1.0) if block.dimension == 2 else ("mm", 1e3)
+                residual = predict(self.table, block, fit.state) - block.value
+                summary[f"rms_{prefix}{unit}"] = scale * _rms(residual[block.valid & ~cut])
+            if points is not None:
+                residual = predict(self.table, points, fit.state) - points.value
+                summary[f"rms_{prefix}mm"] = 1e3 * _rms(residual[points.valid & ~self._suspect(points, fit)])
         return summary
 
     def outliers(self) -> list[dict[str, Any]]:
@@ -277,10 +275,10 @@ class Calibration:
             }
         return result
 
-    def _suspect(self, points: Observations) -> Bools:
+    def _suspect(self, points: Observations, fit: Solution) -> Bools:
         """Which triangulated points rest on a sighting that is an outlier."""
         suspect = np.zeros((len(self.session.poses), len(self.session.leds)), dtype=bool)
-        for block, cut in zip(self.observations, self.fit.outlier, strict=True):
+        for block, cut in zip(self.observations, fit.outlier, strict=True):
             group, slot = np.nonzero(cut)
             suspect[block.pose[group], block.led[group, slot]] = True
         return suspect[points.pose[:, None], points.led]
@@ -303,9 +301,7 @@ class Calibration:
                 )
 
 
-def calibrate(
-    session: Session, *, priors: bool = True, seed: int = 0, progress: Progress | None = None
-) -> Calibration:
+def calibrate(session: Session, *, priors: bool = True, seed: int = 0, progress: Progress | None = None) -> Calibration:
     """Estimate the robot's DH offsets, base pose, LED places and unknown camera poses from a session.
 
     Maximum likelihood on pixels (or a tracker's points), whitened by the declared noise of sightings and joint

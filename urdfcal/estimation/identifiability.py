@@ -27,6 +27,7 @@ _LOST = 1e-8
 _LEAST_NORM = 1e-3
 # A parameter takes part in a lost direction when its share of it is above rounding.
 _PART = 1e-5
+_NAMED = 6
 _ORDER: tuple[Parameter, ...] = ("d", "a", "theta", "alpha", "beta")
 _BLOCK = 1024
 
@@ -36,10 +37,10 @@ class Identifiability:
     """What the sightings alone, without priors, tell about the active parameters.
 
     Attributes:
-        parameters: the packing with the lost parameters held.
-        rank: number of parameters left, all of which the data tell.
+        parameters: the packing, with what only a nominal value can tell held at it.
+        rank: number of parameters that the sightings tell.
         condition_number: of the column-normalised whitened Jacobian of those.
-        lost: one sentence for each parameter held.
+        lost: one sentence for each lost direction.
     """
 
     parameters: Parameters
@@ -49,10 +50,12 @@ class Identifiability:
 
 
 def identify(table: DHTable, blocks: Sequence[Observations], state: State, parameters: Parameters) -> Identifiability:
-    """Hold parameters until the Jacobian at ``state`` has full column rank.
+    """Find the directions that the sightings cannot tell, and hold a parameter for each.
 
     Of the parameters that take part in a lost direction, the first in the order d, a, theta, alpha, beta, inner rows
-    first, is held, so that two runs agree; then LED coordinates, then the base.
+    first, is named for it, so that two runs agree; then LED coordinates, then the base. It is held at its nominal
+    value unless several DH parameters with tolerances share the direction (as all lengths share the scale that one
+    camera cannot tell): their tolerances then say more together than one nominal value.
     """
     R = _triangle(table, blocks, state, parameters)
     columns = np.flatnonzero(parameters.active)
@@ -60,8 +63,10 @@ def identify(table: DHTable, blocks: Sequence[Observations], state: State, param
     norms = np.linalg.norm(R, axis=0)
     R = R / np.maximum(norms, _LEAST_NORM * norms.max())
     order = sorted(range(len(columns)), key=lambda k: _rank_key(parameters, int(columns[k])))
+    tolerated = (columns < len(parameters.rows)) & np.isfinite(parameters.prior[columns])
     kept = np.ones(len(columns), dtype=bool)
     held: dict[int, str] = {}
+    lost: list[str] = []
     while True:
         _, singular, Vt = np.linalg.svd(R[:, kept], full_matrices=True)
         singular = np.pad(singular, (0, Vt.shape[0] - len(singular)))
@@ -79,19 +84,21 @@ def identify(table: DHTable, blocks: Sequence[Observations], state: State, param
             for k in np.argsort(-np.abs(direction))
             if k != victim and abs(direction[k]) > 0.05 * np.abs(direction).max()
         ]
+        names = f"{', '.join(partners[:_NAMED])}{', ...' if len(partners) > _NAMED else ''}"
         name = parameters.names[columns[victim]]
-        held[int(columns[victim])] = (
-            f"{name} cannot be told from {', '.join(partners[:6])}"
-            if partners
-            else f"{name} moves nothing that is seen"
-        )
+        sentence = f"{name} cannot be told from {names}" if partners else f"{name} moves nothing that is seen"
+        if np.count_nonzero(tolerated & (np.abs(direction) > _PART)) > 1:
+            sentence += ": their tolerances share it out"
+        else:
+            held[int(columns[victim])] = sentence
+        lost.append(sentence)
         kept[victim] = False
     left = singular[: np.count_nonzero(kept)]
     return Identifiability(
         parameters=parameters.holding(held),
         rank=int(np.count_nonzero(kept)),
         condition_number=float(left[0] / left[-1]),
-        lost=tuple(held.values()),
+        lost=tuple(lost),
     )
 
 

@@ -96,9 +96,9 @@ class TolerancesKeys(_Keys):
     zero: NotNegative = Tolerances.zero
 
     @property
-    def joints(self) -> dict[str, dict[Parameter, float]]:
-        """The exceptions, by joint."""
-        return self.__pydantic_extra__
+    def joints(self) -> dict[str, dict[str, float]]:
+        """The exceptions, by joint and parameter."""
+        return {joint: {str(name): value for name, value in of.items()} for joint, of in self.__pydantic_extra__.items()}
 
 
 class StandKeys(_Keys):

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +16,15 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from urdfcal.session.simulate import Simulated
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """The folder of measured data; tests that need it skip where it is absent."""
+    folder = Path(__file__).parents[2] / "shared" / "data"
+    if not folder.is_dir():
+        pytest.skip(f"the measured data are not here: {folder}")
+    return folder
 
 
 @cache

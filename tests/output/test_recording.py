@@ -1,0 +1,266 @@
+from __future__ import annotations
+
+import re
+import warnings
+
+import numpy as np
+import pytest
+from rerun.chunk import RrdReader
+
+from urdfcal.arrays import inverse
+from urdfcal.calibration import calibrate
+from urdfcal.estimation.residuals import predict
+from urdfcal.output import arms
+from urdfcal.output.recording import log_calibration, write_recording
+from urdfcal.output.scene import lay_out
+from urdfcal.robot.chain import Chain
+from urdfcal.robot.kinematics import tip_poses
+from urdfcal.robot.urdf import Urdf, find_urdf
+from urdfcal.session.files import read_rig
+from urdfcal.session.model import Led, Points, Session
+from urdfcal.session.rigs import find_rig
+from urdfcal.session.simulate import simulate
+from urdfcal.vision.rig import Rig
+
+POSES = 20
+BLIND = 3
+"""A pose at which no camera sees the LED."""
+
+
+class Recorded:
+    """What is in a recording, by entity."""
+
+    def __init__(self, path):
+        self.reader = RrdReader(path)
+        self.chunks = [(chunk, chunk.to_record_batch()) for chunk in self.reader.stream()]
+        self.entities = {chunk.entity_path for chunk, _ in self.chunks}
+        self.timelines = {
+            name for chunk, _ in self.chunks for name in chunk.timeline_names if not name.startswith("log_")
+        }
+
+    def static(self, entity, component):
+        (value,) = [
+            batch.column(component)[0].as_py()
+            for chunk, batch in self.chunks
+            if chunk.entity_path == entity and chunk.is_static and component in batch.schema.names
+        ]
+        return np.array(value)
+
+    def rows(self, entity, component, timeline="pose"):
+        """Row by row: where on the timeline, and the instances there."""
+        (batch,) = [
+            batch
+            for chunk, batch in self.chunks
+            if chunk.entity_path == entity and not chunk.is_static and component in batch.schema.names
+        ]
+        values = [np.array(row.as_py()) for row in batch.column(component)]
+        return dict(zip(batch.column(timeline).to_pylist(), values, strict=True))
+
+    def all_rows(self, entity, component):
+        """All instances, pose by pose."""
+        return np.concatenate([row for row in self.rows(entity, component).values() if len(row)])
+
+
+def make_session(shipped="elbow3r", **changes):
+    session = simulate(read_rig(find_rig(shipped)), seed=4, poses=POSES).session
+    seen = session.detections.pose != BLIND
+    columns = {name: getattr(session.detections, name)[seen] for name in ("pose", "camera", "led", "uv", "sigma")}
+    columns["uv"][5] += 40.0
+    detections = type(session.detections)(**columns)
+    values = {name: getattr(session, name) for name in session.__dataclass_fields__}
+    return Session(**values | {"detections": detections} | changes)
+
+
+@pytest.fixture(scope="module")
+def calibration():
+    return calibrate(make_session())
+
+
+@pytest.fixture(scope="module")
+def recorded(calibration, tmp_path_factory):
+    path = tmp_path_factory.mktemp("recording") / "calibration.rrd"
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # rerun only warns when it cannot log something
+        assert write_recording(path, calibration) == ()
+    assert [file.name for file in path.parent.iterdir()] == ["calibration.rrd"]
+    return Recorded(path)
+
+
+def residuals(calibration, state):
+    """Predicted minus measured of every sighting, and its pose, by the estimator's own prediction."""
+    (block,) = calibration.observations
+    pose = np.broadcast_to(block.pose[:, None], block.valid.shape)
+    used = block.valid & ~calibration.fit.outlier[0]
+    return pose[used], (predict(calibration.table, block, state) - block.value)[used]
+
+
+def test_everything_promised_is_there(recorded):
+    for entity in ("calibrated", "nominal", "dh/F0", "dh/F3", "led/measured", "led/predicted", "about"):
+        assert any(name.startswith(f"/base/{entity}") for name in recorded.entities), entity
+    for camera in ("cam0", "cam1"):
+        assert f"/base/rays/{camera}" in recorded.entities
+        assert f"/base/cameras/{camera}/image" in recorded.entities
+    assert recorded.timelines == {"pose", "iteration"}
+    assert len(recorded.reader.blueprints()) == 1
+
+
+def test_every_pose_has_its_row_even_when_nothing_was_seen(recorded):
+    for entity, component in (
+        ("/base/led/measured", "Points3D:positions"),
+        ("/base/rays/cam0", "LineStrips3D:strips"),
+        ("/base/residuals/calibrated", "Arrows3D:vectors"),
+        ("/base/cameras/cam1/image/sighted", "Points2D:positions"),
+    ):
+        rows = recorded.rows(entity, component)
+        assert list(rows) == list(range(POSES))
+        assert len(rows[BLIND]) == 0
+        assert len(rows[BLIND + 1]) == 1
+    assert len(recorded.rows("/base/plots/residual_px/calibrated", "Scalars:scalars")[BLIND]) == 0
+
+
+@pytest.mark.parametrize("name", ["nominal", "calibrated"])
+def test_logged_residuals_are_those_of_the_calibration(calibration, recorded, name):
+    state = calibration.nominal if name == "nominal" else calibration.estimate
+    pose, residual = residuals(calibration, state)
+    rows = recorded.rows(f"/base/plots/residual_px/{name}", "Scalars:scalars")
+    for k in range(POSES):
+        expected = [np.sqrt(np.mean(np.sum(residual[pose == k] ** 2, axis=1)))] if k in pose else []
+        np.testing.assert_allclose(rows[k], expected, rtol=1e-12)
+    summary = calibration.summary()
+    per_iteration = recorded.rows("/base/plots/rms_px", "Scalars:scalars", "iteration")
+    assert per_iteration[0] == pytest.approx(summary["rms_nominal_px"], rel=1e-12)
+    assert per_iteration[max(per_iteration)] == pytest.approx(summary["rms_px"], rel=1e-12)
+
+
+def test_cost_of_every_iteration_is_logged(calibration, recorded):
+    rows = recorded.rows("/base/plots/cost", "Scalars:scalars", "iteration")
+    np.testing.assert_allclose(np.concatenate(list(rows.values())), [step.cost for step in calibration.fit.history])
+
+
+def test_pictures_show_where_the_led_was_seen_and_predicted(calibration, recorded):
+    seen = calibration.session.detections
+    for c, camera in enumerate(("cam0", "cam1")):
+        logged = recorded.all_rows(f"/base/cameras/{camera}/image/sighted", "Points2D:positions")
+        np.testing.assert_allclose(logged, seen.uv[seen.camera == c], atol=1e-3)
+        predicted = recorded.all_rows(f"/base/cameras/{camera}/image/predicted", "Points2D:positions")
+        (block,) = calibration.observations
+        expected = predict(calibration.table, block, calibration.estimate)[block.camera == c]
+        np.testing.assert_allclose(predicted, expected, atol=1e-3)
+
+
+def test_predicted_led_rides_on_the_calibrated_tip(calibration, recorded):
+    chain, state = calibration.chain, calibration.estimate
+    T = tip_poses(chain, calibration.session.q, calibration.placements)
+    expected = T[:, :3, :3] @ state.leds[0] + T[:, :3, 3]
+    logged = recorded.rows("/base/led/predicted", "Points3D:positions")
+    for k, row in logged.items():
+        if k != BLIND:
+            np.testing.assert_allclose(row[0], expected[k], atol=1e-6)
+
+
+def test_arrows_are_residuals_enlarged_by_the_stated_factor(calibration, recorded):
+    (text,) = recorded.rows("/base/about", "TextDocument:text")[0]
+    factor = float(re.search(r"enlarged \*\*(\d+) times", text)[1])
+    assert factor == lay_out(calibration).factor
+    measured = recorded.all_rows("/base/led/measured", "Points3D:positions")
+    predicted = recorded.all_rows("/base/led/predicted", "Points3D:positions")
+    vectors = recorded.all_rows("/base/residuals/calibrated", "Arrows3D:vectors")
+    np.testing.assert_allclose(vectors, factor * (predicted - measured), atol=factor * 1e-6)
+
+
+def test_rays_leave_the_camera_through_the_sighting(calibration, recorded):
+    for c, camera in enumerate(calibration.estimate.cameras):
+        T = calibration.estimate.T_cam_world[c] @ calibration.estimate.T_world_base
+        strips = recorded.all_rows(f"/base/rays/{camera.name}", "LineStrips3D:strips")
+        np.testing.assert_allclose(strips[:, 0], inverse(T)[:3, 3] + np.zeros((len(strips), 3)), atol=1e-6)
+        pixels = camera.project(strips[:, 1] @ T[:3, :3].T + T[:3, 3])
+        seen = calibration.session.detections
+        np.testing.assert_allclose(pixels, seen.uv[seen.camera == c], atol=0.01)
+
+
+def test_sightings_taken_out_of_the_fit_are_marked(calibration, recorded):
+    (outlier,) = calibration.outliers()
+    marked = recorded.static(f"/base/cameras/{outlier['camera']}/image/outliers", "Points2D:positions")
+    np.testing.assert_allclose(marked, calibration.session.detections.uv[5][None], atol=1e-3)
+    assert recorded.static("/base/led/outliers", "Points3D:positions").shape == (1, 3)
+
+
+def test_links_move_with_the_calibrated_joints(calibration, recorded):
+    scene = lay_out(calibration)
+    link = calibration.session.urdf.joints[calibration.chain.names[-1]].child
+    logged = recorded.rows(f"/base/calibrated/{link}", "Transform3D:translation")
+    np.testing.assert_allclose(np.concatenate(list(logged.values())), scene.frames[:, -1, :3, 3], atol=1e-6)
+
+
+def test_a_trackers_points_are_recorded_without_cameras(calibration, tmp_path):
+    session, state = calibration.session, calibration.estimate
+    T = state.T_world_base @ tip_poses(session.chain, session.q, calibration.placements)
+    leds = np.array([[0.02, 0.0, 0.05], [0.0, 0.03, 0.04]])
+    xyz = (leds @ np.swapaxes(T[:, :3, :3], 1, 2) + T[:, None, :3, 3]).reshape(-1, 3)
+    pose, led = np.divmod(np.arange(2 * POSES), 2)
+    points = Points(pose, led, xyz + np.random.default_rng(0).normal(0, 1e-4, xyz.shape), 1e-4)
+    tracked = calibrate(make_session(leds=(Led("a"), Led("b")), rig=None, detections=None, points=points))
+    write_recording(tmp_path / "points.rrd", tracked)
+    recorded = Recorded(tmp_path / "points.rrd")
+    assert not [entity for entity in recorded.entities if entity.startswith(("/base/cameras", "/base/rays"))]
+    measured = recorded.all_rows("/base/led/measured", "Points3D:positions")
+    T = inverse(tracked.estimate.T_world_base)
+    np.testing.assert_allclose(measured, points.xyz @ T[:3, :3].T + T[:3, 3], atol=1e-5)
+    rms = recorded.rows("/base/plots/residual_mm/calibrated", "Scalars:scalars")
+    assert 0.05 < np.mean(np.concatenate(list(rms.values()))) < 0.3
+
+
+def test_with_one_camera_the_measured_led_lies_on_its_ray():
+    session = make_session()
+    one = Rig(session.rig.cameras[:1], session.rig.T_cam_world[:1])
+    seen = session.detections.camera == 0
+    columns = {name: getattr(session.detections, name)[seen] for name in ("pose", "camera", "led", "uv", "sigma")}
+    scene = lay_out(calibrate(make_session(rig=one, detections=type(session.detections)(**columns))))
+    np.testing.assert_allclose(scene.leds.measured, scene.rays[:, 1])
+
+
+def test_an_arm_without_shapes_is_a_stick_figure(calibration, tmp_path):
+    bare = re.sub(rb"<visual.*?</visual>", b"", calibration.session.urdf.data, flags=re.DOTALL)
+    urdf = Urdf.parse(bare)
+    stick = calibrate(make_session(urdf=urdf, chain=Chain.from_urdf(urdf, calibration.chain.tip_link)))
+    assert write_recording(tmp_path / "stick.rrd", stick) == ()
+    recorded = Recorded(tmp_path / "stick.rrd")
+    strips = recorded.all_rows("/base/calibrated/stick\\ figure", "LineStrips3D:strips")
+    tips = tip_poses(stick.chain, stick.session.q, stick.placements)
+    np.testing.assert_allclose(strips[:, -1], tips[:, :3, 3], atol=1e-6)
+    assert "/base/nominal/stick\\ figure" in recorded.entities
+
+
+def test_meshes_are_recorded_once_an_arm_and_missing_ones_are_named(tmp_path):
+    data = find_urdf("package://example-robot-data/robots/ur_description/urdf/ur5_robot.urdf").read_bytes()
+    urdf = Urdf.parse(data.replace(b"ur5/visual/forearm.dae", b"ur5/visual/lost.dae"))
+    broken = calibrate(make_session("ur5", urdf=urdf))
+    (warning,) = write_recording(tmp_path / "ur5.rrd", broken)
+    assert "1 shapes" in warning
+    assert "lost.dae" in warning
+    recorded = Recorded(tmp_path / "ur5.rrd")
+    meshes = [c.entity_path for c, batch in recorded.chunks if "Asset3D:blob" in batch.schema.names]
+    assert len(meshes) == len(set(meshes)) == 2 * 6
+    assert "/base/calibrated/stick\\ figure" in recorded.entities
+
+
+def test_the_users_own_stream_and_path(calibration):
+    import rerun as rr
+
+    stream = rr.RecordingStream("mine")
+    memory = stream.memory_recording()
+    log_calibration(stream, calibration, path="cell/robot 1")
+    assert memory.num_msgs() > 50
+
+
+def test_a_failed_recording_leaves_nothing_behind(calibration, tmp_path, monkeypatch):
+    def fail(*_):
+        raise RuntimeError("stop")
+
+    monkeypatch.setattr(arms, "log_arms", fail)
+    path = tmp_path / "calibration.rrd"
+    path.write_bytes(b"earlier")
+    with pytest.raises(RuntimeError, match="stop"):
+        write_recording(path, calibration)
+    assert [file.name for file in tmp_path.iterdir()] == ["calibration.rrd"]
+    assert path.read_bytes() == b"earlier"

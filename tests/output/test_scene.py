@@ -1,0 +1,114 @@
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from urdfcal.arrays import inverse
+from urdfcal.calibration import calibrate
+from urdfcal.estimation.state import State
+from urdfcal.output.blueprint import viewpoint
+from urdfcal.output.palette import by_sigma
+from urdfcal.output.scene import dh_frames, exaggerated, joint_frames, lay_out, led_positions, readable
+from urdfcal.output.stream import quaternions
+from urdfcal.robot.dh import PARAMETERS, DHTable
+from urdfcal.robot.kinematics import tip_poses
+from urdfcal.session.files import read_rig
+from urdfcal.session.rigs import find_rig, shipped_rigs
+from urdfcal.session.simulate import simulate
+
+
+def random_transforms(rng, count, angle=np.pi):
+    twists = np.column_stack([rng.normal(size=(count, 3)), rng.normal(size=(count, 3))])
+    twists[:, 3:] *= rng.uniform(0, angle, (count, 1)) / np.linalg.norm(twists[:, 3:], axis=1, keepdims=True)
+    return np.array([pin.exp6(twist).homogeneous for twist in twists])
+
+
+@pytest.mark.parametrize("rig", shipped_rigs())
+def test_frames_agree_with_the_dh_product_and_the_tip(rig):
+    rng = np.random.default_rng(0)
+    chain = read_rig(find_rig(rig)).chain
+    table = DHTable.from_chain(chain)
+    offsets = np.zeros((len(table.rows), 5))
+    for i, row in enumerate(table.rows):
+        for name in row.free if i + 1 < len(table.rows) else (row.variable,):
+            offsets[i, PARAMETERS.index(name)] = rng.normal(0, 0.01)
+    state = State(offsets=offsets, T_world_base=np.eye(4), leds=rng.normal(0, 0.1, (2, 3)))
+    q = chain.random_values(5, rng)
+    frames = joint_frames(table, state, q)
+    np.testing.assert_allclose(dh_frames(table, state, frames), [table.frames(q_k, offsets) for q_k in q], atol=1e-12)
+    T = tip_poses(chain, q, table.placements(offsets))
+    leds = np.einsum("nij,lj->nli", T[:, :3, :3], state.leds) + T[:, None, :3, 3]
+    np.testing.assert_allclose(led_positions(chain, frames, state.leds), leds, atol=1e-12)
+
+
+def test_exaggeration_goes_nowhere_there_and_further():
+    rng = np.random.default_rng(1)
+    here = random_transforms(rng, 50)
+    step = random_transforms(rng, 50, angle=0.02)
+    there = here @ step
+    np.testing.assert_allclose(exaggerated(here, there, 0.0), here, atol=1e-12)
+    np.testing.assert_allclose(exaggerated(here, there, 1.0), there, atol=1e-12)
+    np.testing.assert_allclose(exaggerated(here, here, 500.0), here, atol=1e-10)
+    far = exaggerated(here, there, 20.0)
+    turned = np.array([pin.exp3(20.0 * pin.log3(T[:3, :3])) for T in step])
+    np.testing.assert_allclose(far[:, :3, :3], here[:, :3, :3] @ turned, atol=1e-10)
+    np.testing.assert_allclose(far[:, :3, 3], here[:, :3, 3] + 20 * (there - here)[:, :3, 3], atol=1e-10)
+
+
+def test_quaternions_are_the_rotations_they_came_from():
+    rng = np.random.default_rng(2)
+    half_turns = [np.diag(d) for d in ([1.0, -1, -1], [-1.0, 1, -1], [-1.0, -1, 1])]
+    R = np.concatenate([random_transforms(rng, 200)[:, :3, :3], half_turns, [np.eye(3)]])
+    back = [pin.Quaternion(np.array(q)).matrix() for q in quaternions(R)]
+    np.testing.assert_allclose(back, R, atol=1e-12)
+
+
+@pytest.mark.parametrize("length", np.logspace(-4, 0, 30))
+def test_enlarged_lengths_reach_but_never_pass_the_target(length):
+    factor = readable(length, 0.1)
+    assert factor in {1, 2, 5, 10, 20, 50, 100, 200, 500, 1000}
+    assert factor == 1 or factor * length <= 0.1
+    assert factor == 1000 or 2.5 * factor * length >= 0.1 * (1 - 1e-12)
+
+
+def test_no_deviation_is_not_enlarged():
+    assert readable(0.0, 0.1) == 1.0
+
+
+def test_colours_run_from_green_to_red_and_unpredictable_is_red():
+    small, large, unknown = by_sigma(np.array([0.5, 50.0, np.nan]))
+    assert small.argmax() == 1
+    assert large.argmax() == 0
+    np.testing.assert_array_equal(unknown, large)
+
+
+@pytest.mark.parametrize("rig", ["elbow3r", "stanford"])
+def test_all_is_in_view_at_first(rig):
+    scene = lay_out(calibrate(simulate(read_rig(find_rig(rig)), seed=3, poses=15).session))
+    eye, target = viewpoint(scene)
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(forward, [0, 0, 1])
+    right /= np.linalg.norm(right)
+    up = np.cross(right, forward)
+    assert up[2] > 0.5  # looking across, not down
+    points = np.concatenate([scene.frames[..., :3, 3].reshape(-1, 3), scene.leds.measured, scene.T_base_cam[:, :3, 3]])
+    depth = (points - eye) @ forward
+    assert np.all(depth > 0)
+    half = np.tan(np.radians(55 / 2))
+    assert np.all(np.abs((points - eye) @ up) < half * depth)
+    assert np.all(np.abs((points - eye) @ right) < 1.2 * half * depth)
+
+
+def test_the_ghost_is_the_nominal_arm_where_it_fits_the_sightings_best():
+    calibration = calibrate(simulate(read_rig(find_rig("elbow3r")), seed=0, poses=15).session)
+    scene = lay_out(calibration)
+    chain, q = calibration.chain, calibration.session.q
+    T_base_world = inverse(calibration.estimate.T_world_base)
+    nominal = T_base_world @ calibration.nominal.T_world_base @ tip_poses(chain, q) @ inverse(chain.T_last_tip)
+    calibrated = scene.frames[:, -1, :3, 3]
+    expected = calibrated + scene.factor * (nominal[:, :3, 3] - calibrated)
+    np.testing.assert_allclose(scene.ghost[:, -1, :3, 3], expected, atol=1e-10)
+    assert scene.factor > 1
+    closer = np.linalg.norm(scene.leds.predicted - scene.leds.measured, axis=1)
+    assert np.median(closer) < np.median(np.linalg.norm(scene.leds.nominal - scene.leds.measured, axis=1))

@@ -1,0 +1,5 @@
+"""``python -m urdfcal``."""
+
+from urdfcal.cli import main
+
+main()

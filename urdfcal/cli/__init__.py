@@ -1,0 +1,51 @@
+"""The command line: parse, run, report errors; each command in its own module."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING
+
+import click
+
+from urdfcal.cli import calibrate, demo, dh, evaluate, simulate, view
+from urdfcal.errors import UrdfcalError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+
+@click.group(
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+    epilog="Any command: --debug shows the traceback of an error.",
+)
+@click.version_option(package_name="urdfcal")
+def cli() -> None:
+    """Make the URDF match the arm, with two cameras and an LED."""
+
+
+for _module in (demo, simulate, calibrate, evaluate, dh, view):
+    cli.add_command(_module.command)
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run one command line and say how it ended: 0 well, 1 a calibration failed its checks, 2 bad input."""
+    debug = "--debug" in arguments
+    try:
+        cli.main([a for a in arguments if a != "--debug"], prog_name="urdfcal", standalone_mode=False)
+    except click.ClickException as error:
+        error.show()
+        return error.exit_code
+    except click.Abort:
+        click.echo("interrupted", err=True)
+        return 130
+    except UrdfcalError as error:
+        if debug:
+            raise
+        click.echo(f"urdfcal: {error}", err=True)
+        return error.exit_code
+    return 0
+
+
+def main() -> None:
+    """Entry point of the ``urdfcal`` command."""
+    sys.exit(run(sys.argv[1:]))

@@ -1,0 +1,79 @@
+"""The arm in a recording: its links' shapes, or a stick figure, and its DH frames."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import rerun as rr
+
+from urdfcal.output.bodies import MESH_FORMATS, visible_bodies
+from urdfcal.output.palette import CALIBRATED, GHOST, NOMINAL
+from urdfcal.output.stream import placed
+
+if TYPE_CHECKING:
+    from rerun import AsComponents
+
+    from urdfcal.arrays import Floats
+    from urdfcal.output.bodies import Body, Shape
+    from urdfcal.output.scene import Scene
+    from urdfcal.output.stream import Layer
+    from urdfcal.session.model import Session
+
+Color = tuple[int, ...]
+
+
+def log_arms(layer: Layer, session: Session, scene: Scene) -> tuple[str, ...]:
+    """Log the calibrated arm solid and the arm as drawn as a ghost; where shapes are missing, stick figures too.
+
+    Returns:
+        Warnings about shapes that cannot be shown.
+    """
+    bodies, warnings = visible_bodies(session.urdf, session.chain) if session.urdf else ((), ())
+    arms = (("calibrated", scene.frames, None, CALIBRATED), ("nominal", scene.ghost, GHOST, NOMINAL))
+    for name, frames, tint, line in arms:
+        arm = layer.at(name)
+        for body in bodies:
+            _log_body(arm.at(body.link), body, frames, tint)
+        if warnings or not bodies:
+            joints = np.concatenate([frames, frames[:, -1:] @ session.chain.T_last_tip], axis=1)
+            radius = 0.006 * session.chain.reach
+            columns = rr.LineStrips3D.columns(
+                strips=joints[..., :3, 3].astype(np.float32), radii=[radius] * layer.poses
+            )
+            arm.at("stick figure").fixed(rr.LineStrips3D.from_fields(colors=line))
+            arm.at("stick figure").each(columns)
+    return warnings
+
+
+def log_dh_frames(layer: Layer, dh: Floats, length: float) -> None:
+    """Log the DH frames F0 ... Fn, (N, n + 1, 4, 4), as axes of a length in m."""
+    for i in range(dh.shape[1]):
+        layer.at(f"F{i}").moving(dh[:, i])
+        layer.at(f"F{i}").fixed(rr.TransformAxes3D(axis_length=length))
+
+
+def _log_body(layer: Layer, body: Body, frames: Floats, tint: Color | None) -> None:
+    T = frames[:, body.frame] @ body.T_frame_link
+    if body.frame == 0:
+        layer.fixed(placed(T[0]))
+    else:
+        layer.moving(T)
+    for k, shape in enumerate(body.shapes):
+        scale = shape.size if shape.mesh else (1.0, 1.0, 1.0)
+        layer.at(f"shape {k}").fixed(placed(shape.T_link_shape, scale), _drawn(shape, tint))
+
+
+def _drawn(shape: Shape, tint: Color | None) -> AsComponents:
+    color = tint or (tuple(round(255 * c) for c in shape.color) if shape.color else None)
+    if shape.mesh:
+        suffix = shape.mesh.suffix.lower()
+        # The other formats bring colours of their own, and finer ones than the URDF's one a link.
+        albedo = color if tint or suffix == ".stl" else None
+        return rr.Asset3D(path=shape.mesh, media_type=MESH_FORMATS[suffix], albedo_factor=albedo)
+    fill = rr.components.FillMode.TransparentFillMajorWireframe if tint else rr.components.FillMode.Solid
+    if shape.kind == "box":
+        return rr.Boxes3D(sizes=[shape.size], colors=color, fill_mode=fill)
+    if shape.kind == "cylinder":
+        return rr.Cylinders3D(radii=shape.size[0], lengths=shape.size[1], colors=color, fill_mode=fill)
+    return rr.Ellipsoids3D(radii=shape.size[0], colors=color, fill_mode=fill)

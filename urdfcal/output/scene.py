@@ -1,0 +1,281 @@
+"""What there is to see of a calibration, as numbers: everything stands in the base link's frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pinocchio as pin
+
+from urdfcal.arrays import Floats, Ints, inverse, skew
+from urdfcal.estimation.residuals import predict
+from urdfcal.robot.dh import PARAMETERS, row_transform
+from urdfcal.vision.rig import Rig
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from urdfcal.calibration import Calibration
+    from urdfcal.estimation.state import State
+    from urdfcal.robot.chain import Chain
+    from urdfcal.robot.dh import DHTable
+
+    Bools = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Sightings:
+    """Measurements of one kind as a table, one row each, ordered by pose: pixels (D = 2) or points (D = 3).
+
+    Attributes:
+        pose: (S,) index of the pose.
+        led: (S,) index of the LED.
+        camera: (S,) index of the camera; -1 for points.
+        measured: (S, D) in px of the camera, or m in the world.
+        sigma: (S,) standard deviation of each component.
+        predicted: (S, D) by the calibrated arm.
+        nominal: (S, D) by the arm as drawn.
+        size: (S,) rms of the whitened residual's components after calibration: about 1 where the noise is as declared.
+        size_nominal: (S,) the same for the arm as drawn.
+        outlier: (S,) whether it was taken out of the fit.
+    """
+
+    pose: Ints
+    led: Ints
+    camera: Ints
+    measured: Floats
+    sigma: Floats
+    predicted: Floats
+    nominal: Floats
+    size: Floats
+    size_nominal: Floats
+    outlier: Bools
+
+
+@dataclass(frozen=True, eq=False)
+class Leds:
+    """LEDs in space, one row for every LED and pose at which it was measured, ordered by pose.
+
+    Attributes:
+        pose: (M,) index of the pose.
+        led: (M,) index of the LED.
+        measured: (M, 3) triangulated, or the tracker's point, in the base link's frame. [m]
+        predicted: (M, 3) by the calibrated arm. [m]
+        nominal: (M, 3) by the arm as drawn. [m]
+        size: (M,) of the residual after calibration, in standard deviations (rms over the LED's sightings).
+        size_nominal: (M,) the same for the arm as drawn.
+        outlier: (M,) whether one of its sightings was taken out of the fit.
+    """
+
+    pose: Ints
+    led: Ints
+    measured: Floats
+    predicted: Floats
+    nominal: Floats
+    size: Floats
+    size_nominal: Floats
+    outlier: Bools
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A calibration laid out in the base link's frame, at N poses of a chain of n joints.
+
+    Attributes:
+        frames: (N, n + 1, 4, 4) base link and joint frames of the calibrated arm. [m]
+        ghost: (N, n + 1, 4, 4) those of the arm as drawn, their deviation from the calibrated arm enlarged. [m]
+        dh: (N, n + 1, 4, 4) DH frames F_0 ... F_n of the calibrated arm. [m]
+        T_base_cam: (C, 4, 4) camera frames. [m]
+        leds: where the LEDs were measured and predicted.
+        tables: the measurements, each kind that there is.
+        rays: (S, 2, 3) for every row of ``pixels``: the camera, and the point of the sighting's ray as far away as
+            the predicted LED; NaN where the lens model has no ray. [m]
+        factor: how many times deviations and residuals in space are enlarged.
+        pixel_factor: how many times residuals of the arm as drawn are enlarged in the pictures.
+        field_factor: how many times those of the calibrated arm are.
+    """
+
+    frames: Floats
+    ghost: Floats
+    dh: Floats
+    T_base_cam: Floats
+    leds: Leds
+    tables: tuple[Sightings, ...]
+    rays: Floats
+    factor: float
+    pixel_factor: float
+    field_factor: float
+
+    @property
+    def pixels(self) -> Sightings | None:
+        """What the cameras saw, if there are any."""
+        return pixels_of(self.tables)
+
+
+def pixels_of(tables: tuple[Sightings, ...]) -> Sightings | None:
+    """The table of pixels among others."""
+    return next((table for table in tables if table.measured.shape[1] == 2), None)
+
+
+def lay_out(calibration: Calibration) -> Scene:
+    """Work out where everything of a calibration stands, seen from the base link."""
+    session, table, estimate = calibration.session, calibration.table, calibration.estimate
+    frames = joint_frames(table, estimate, session.q)
+    # The two arms are compared in the world they share; the calibrated base carries the picture.
+    T_base_nominal = inverse(estimate.T_world_base) @ calibration.nominal.T_world_base
+    nominal = T_base_nominal @ joint_frames(table, calibration.nominal, session.q)
+    predicted_leds = led_positions(table.chain, frames, estimate.leds)
+    nominal_leds = led_positions(table.chain, nominal, calibration.nominal.leds)
+    tables = tuple(_tabulated(calibration, index) for index in range(len(calibration.observations)))
+    pixels = pixels_of(tables)
+    T_base_cam = inverse(estimate.T_world_base) @ inverse(estimate.T_cam_world)
+    rays = _rays(pixels, estimate, T_base_cam, predicted_leds) if pixels else np.zeros((0, 2, 3))
+    parts = [_leds(block, estimate, rays, predicted_leds, nominal_leds) for block in tables]
+    leds = parts[0] if len(parts) == 1 else _merged(parts)
+    apart = np.linalg.norm(nominal[..., :3, 3] - frames[..., :3, 3], axis=-1).mean(axis=0).max()
+    factor = readable(max(float(apart), _typical(leds.nominal - leds.measured)), 0.1 * table.chain.reach)
+    width = float(np.mean([camera.resolution[0] for camera in estimate.cameras])) if pixels else 0.0
+    return Scene(
+        frames=frames,
+        ghost=exaggerated(frames, nominal, factor),
+        dh=dh_frames(table, estimate, frames),
+        T_base_cam=T_base_cam,
+        leds=leds,
+        tables=tables,
+        rays=rays,
+        factor=factor,
+        pixel_factor=readable(_typical(pixels.nominal - pixels.measured), 0.05 * width) if pixels else 1.0,
+        field_factor=readable(_typical(pixels.predicted - pixels.measured), 0.03 * width) if pixels else 1.0,
+    )
+
+
+def _tabulated(calibration: Calibration, index: int) -> Sightings:
+    """Bring one of the calibration's blocks of observations, and what became of it, into a table."""
+    block, fit = calibration.observations[index], calibration.fit
+    rows = block.valid
+
+    def size(deviation: Floats) -> Floats:
+        result: Floats = deviation[rows] / np.sqrt(block.dimension)
+        return result
+
+    return Sightings(
+        pose=np.broadcast_to(block.pose[:, None], rows.shape)[rows],
+        led=block.led[rows],
+        camera=block.camera[rows],
+        measured=block.value[rows],
+        sigma=np.sqrt(block.covariance[rows][:, 0, 0]),
+        predicted=predict(calibration.table, block, calibration.estimate)[rows],
+        nominal=predict(calibration.table, block, calibration.nominal)[rows],
+        size=size(fit.deviation[index]),
+        size_nominal=size(calibration.nominal_fit.deviation[index]),
+        outlier=fit.outlier[index][rows],
+    )
+
+
+def joint_frames(table: DHTable, state: State, q: Floats) -> Floats:
+    """T_base_joint of the base link and every joint at every pose, (N, n + 1, 4, 4) in m."""
+    model = table.chain.build_model(table.placements(state.offsets))
+    data = model.createData()
+    T = np.empty((len(q), model.njoints, 4, 4))
+    for k, q_k in enumerate(q):
+        pin.forwardKinematics(model, data, q_k)
+        T[k] = [M.homogeneous for M in data.oMi]
+    return T
+
+
+def led_positions(chain: Chain, frames: Floats, leds: Floats) -> Floats:
+    """Where every LED is at every pose, (N, L, 3), in m in the base link's frame."""
+    T = frames[:, -1] @ chain.T_last_tip
+    result: Floats = leds @ np.swapaxes(T[:, :3, :3], 1, 2) + T[:, None, :3, 3]
+    return result
+
+
+def dh_frames(table: DHTable, state: State, frames: Floats) -> Floats:
+    """T_base_F of the DH frames F_0 ... F_n at every pose, (N, n + 1, 4, 4) in m.
+
+    F_i rides on joint i's link: F_i = L_i K_i^-1 B_i, the joint variable's own offset being part of L_i already.
+    """
+    T = np.empty_like(frames)
+    T[:, 0] = table.base
+    for i, (row, offsets) in enumerate(zip(table.rows, state.offsets, strict=True)):
+        values = np.add(row.values, np.where([p == row.variable for p in PARAMETERS], 0.0, offsets))
+        T[:, i + 1] = frames[:, i + 1] @ inverse(table.K[i]) @ row_transform(values)
+    return T
+
+
+def exaggerated(T_base_here: Floats, T_base_there: Floats, factor: float) -> Floats:
+    """Go from frames towards their counterparts and ``factor`` times as far, (..., 4, 4)."""
+    R = np.swapaxes(T_base_here[..., :3, :3], -1, -2) @ T_base_there[..., :3, :3]
+    twice = np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1)
+    sine = np.linalg.norm(twice, axis=-1) / 2
+    angle = factor * np.arctan2(sine, (np.trace(R, axis1=-2, axis2=-1) - 1) / 2)[..., None, None]
+    axis = skew(twice / np.maximum(2 * sine, np.finfo(float).tiny)[..., None])
+    T: Floats = T_base_here.copy()
+    T[..., :3, :3] @= np.eye(3) + np.sin(angle) * axis + (1 - np.cos(angle)) * (axis @ axis)
+    T[..., :3, 3] += factor * (T_base_there[..., :3, 3] - T_base_here[..., :3, 3])
+    return T
+
+
+def readable(length: float, target: float) -> float:
+    """The factor 1, 2, 5, 10 ... 1000 that draws a length at most as long as ``target``."""
+    steps = np.outer(10.0 ** np.arange(4), [1, 2, 5]).ravel()[:10]
+    return float(steps[np.searchsorted(steps[1:], target / length)]) if length > 0 else 1.0
+
+
+def _typical(vectors: Floats) -> float:
+    """Median length of vectors (S, D), those that could not be predicted left out."""
+    return float(np.nanmedian(np.linalg.norm(vectors, axis=-1)))
+
+
+def _rays(pixels: Sightings, state: State, T_base_cam: Floats, predicted: Floats) -> Floats:
+    T = T_base_cam[pixels.camera]
+    depth = np.einsum("si,si->s", T[:, :3, 2], predicted[pixels.pose, pixels.led] - T[:, :3, 3])
+    ray = np.empty((len(T), 3))
+    for c, camera in enumerate(state.cameras):
+        ray[pixels.camera == c] = camera.unproject(pixels.measured[pixels.camera == c])
+    end = T[:, :3, 3] + np.einsum("sij,sj->si", T[:, :3, :3], ray * depth[:, None])
+    return np.stack([T[:, :3, 3], end], axis=1)
+
+
+def _leds(block: Sightings, state: State, rays: Floats, predicted: Floats, nominal: Floats) -> Leds:
+    keys, row = np.unique(block.pose * len(state.leds) + block.led, return_inverse=True)
+    pose, led = np.divmod(keys, len(state.leds))
+    # A tracker measures every LED once a pose: the keys are in its table's order.
+    tracked = block.measured.shape[1] == 3
+    world = block.measured if tracked else _triangulated(block, state, row, len(keys))
+    T = inverse(state.T_world_base)
+    measured = world @ T[:3, :3].T + T[:3, 3]
+    # Where a single camera sees an LED there is no distance: its ray stands in, at the predicted one.
+    alone = np.isnan(measured[row]).any(axis=1)
+    if alone.any():
+        measured[row[alone]] = rays[alone, 1]
+    somewhere = np.isfinite(measured).all(axis=1)  # not where the lens model has no ray for the pixel
+
+    def rms(size: Floats) -> Floats:
+        result: Floats = np.sqrt(np.bincount(row, size**2) / np.bincount(row))[somewhere]
+        return result
+
+    return Leds(
+        pose=pose[somewhere],
+        led=led[somewhere],
+        measured=measured[somewhere],
+        predicted=predicted[pose, led][somewhere],
+        nominal=nominal[pose, led][somewhere],
+        size=rms(block.size),
+        size_nominal=rms(block.size_nominal),
+        outlier=np.bincount(row, block.outlier)[somewhere] > 0,
+    )
+
+
+def _triangulated(pixels: Sightings, state: State, row: Ints, count: int) -> Floats:
+    uv = np.full((count, len(state.cameras), 2), np.nan)
+    sigma = np.ones(uv.shape[:2])
+    uv[row, pixels.camera], sigma[row, pixels.camera] = pixels.measured, pixels.sigma
+    return Rig(state.cameras, tuple(state.T_cam_world)).triangulate(uv, sigma).points
+
+
+def _merged(parts: list[Leds]) -> Leds:
+    order = np.argsort(np.concatenate([part.pose for part in parts]), kind="stable")
+    columns = zip(*(vars(part).values() for part in parts), strict=True)
+    return Leds(*(np.concatenate(column)[order] for column in columns))

@@ -1,0 +1,76 @@
+"""Columns of poses into a rerun stream."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import rerun as rr
+
+if TYPE_CHECKING:
+    from rerun import AsComponents, RecordingStream
+    from rerun._baseclasses import ComponentColumnList
+
+    from urdfcal.arrays import Floats, Ints
+
+POSE = "pose"
+ITERATION = "iteration"
+
+
+@dataclass(frozen=True)
+class Layer:
+    """A branch of the entity tree and the poses its entities live at.
+
+    Attributes:
+        stream: where everything goes.
+        path: of the branch.
+        poses: N, number of poses.
+    """
+
+    stream: RecordingStream
+    path: str
+    poses: int
+
+    def at(self, *names: str) -> Layer:
+        """Go down the tree; names are taken literally, whatever characters they have."""
+        return Layer(self.stream, "/".join([self.path, *map(rr.escape_entity_path_part, names)]), self.poses)
+
+    def fixed(self, *what: AsComponents) -> None:
+        """Log what is the same at all poses."""
+        self.stream.log(self.path, *what, static=True)
+
+    def each(self, columns: ComponentColumnList, pose: Ints | None = None) -> None:
+        """Log one row a pose; with ``pose`` given, (M,) and ascending, as many instances as it names the pose."""
+        if pose is not None:
+            columns = columns.partition(np.bincount(pose, minlength=self.poses))
+        rows = rr.TimeColumn(POSE, sequence=np.arange(self.poses))
+        rr.send_columns(self.path, [rows], columns, recording=self.stream)
+
+    def moving(self, T: Floats) -> None:
+        """Place the branch in its parent at every pose, (N, 4, 4)."""
+        self.each(rr.Transform3D.columns(translation=T[:, :3, 3], quaternion=quaternions(T[:, :3, :3])))
+
+
+def placed(T: Floats, scale: tuple[float, ...] = (1.0, 1.0, 1.0)) -> rr.Transform3D:
+    """A transform that does not change, (4, 4)."""
+    return rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3] * scale)
+
+
+def quaternions(R: Floats) -> Floats:
+    """Turn rotation matrices (N, 3, 3) into quaternions (N, 4), x y z w.
+
+    Of the four ways to write a quaternion from a matrix, each dividing by one component, the one with the largest
+    divisor is taken (Shepperd, J. Guidance and Control 1(3), 1978).
+    """
+    x, y, z = R[:, 0, 0], R[:, 1, 1], R[:, 2, 2]
+    # 4 q q^T, whose columns are all parallel to q.
+    outer = np.empty((len(R), 4, 4))
+    outer[:, range(4), range(4)] = 1 + np.stack([x - y - z, y - z - x, z - x - y, x + y + z], axis=1)
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        outer[:, i, j] = outer[:, j, i] = R[:, i, j] + R[:, j, i]
+        outer[:, k, 3] = outer[:, 3, k] = R[:, j, i] - R[:, i, j]
+    best = np.argmax(outer[:, range(4), range(4)], axis=1)
+    q = outer[np.arange(len(R)), best]
+    result: Floats = q / np.linalg.norm(q, axis=1, keepdims=True)
+    return result
