@@ -98,7 +98,7 @@ class TolerancesKeys(_Keys):
     @property
     def joints(self) -> dict[str, dict[str, float]]:
         """The exceptions, by joint and parameter."""
-        return {joint: {str(name): value for name, value in of.items()} for joint, of in self.__pydantic_extra__.items()}
+        return {joint: {str(k): value for k, value in of.items()} for joint, of in self.__pydantic_extra__.items()}
 
 
 class StandKeys(_Keys):

@@ -1,0 +1,45 @@
+"""The README's commands and its library example, verbatim."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from urdfcal.cli import run
+
+README = Path(__file__).parents[1] / "README.md"
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("readme")
+
+
+def test_what_people_do_works_as_written(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(place)
+    lines = [line.split("#")[0].split() for line in blocks("sh")[2].splitlines()]
+    assert [line[1] for line in lines] == ["simulate", "calibrate", "view", "evaluate", "dh"]
+    for line in lines:
+        if line[1] != "view":  # needs a screen
+            assert run(line[1:]) == 0, line
+
+
+def test_the_library_example_works_as_written(place: Path) -> None:
+    (example,) = blocks("python")
+    ended = subprocess.run([sys.executable, "-c", example], cwd=place, capture_output=True, text=True)
+    assert ended.returncode == 0, ended.stderr
+    assert float(ended.stdout.split()[0]) < 0.2
+
+
+def test_the_two_commands_are_what_ci_and_the_demonstration_run() -> None:
+    setup, tests = blocks("sh")[:2]
+    assert setup.splitlines()[-1].endswith(".venv/bin/urdfcal demo")
+    assert tests.splitlines()[-1] in (README.parent / ".ci" / "run").read_text()
