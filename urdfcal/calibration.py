@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any
@@ -14,22 +14,25 @@ import pinocchio as pin
 from urdfcal import files
 from urdfcal.arrays import Bools, Floats, frozen, inverse
 from urdfcal.errors import CalibrationError, OutputError, RobotError
-from urdfcal.estimation.identifiability import Identifiability, identify
 from urdfcal.estimation.observations import Observations, observe
-from urdfcal.estimation.parameters import choose_parameters
 from urdfcal.estimation.residuals import predict
-from urdfcal.estimation.solver import Progress, Solution, solve
+from urdfcal.estimation.selection import Comparison, compare_models
 from urdfcal.estimation.start import first_state, triangulated
+from urdfcal.estimation.uncertainty import tip_covariance
 from urdfcal.robot.chain import Chain
-from urdfcal.robot.dh import PARAMETERS, DHTable
+from urdfcal.robot.dh import DHTable
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.robot.origins import origins_of, rewrite_origins
+from urdfcal.robot.placements import PlacementTable
 from urdfcal.robot.rpy import matrix_to_rpy
 from urdfcal.robot.urdf import Urdf
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from urdfcal.estimation.identifiability import Identifiability
+    from urdfcal.estimation.parameters import Geometry
+    from urdfcal.estimation.solver import Progress, Solution
     from urdfcal.estimation.state import State
     from urdfcal.session.model import Session
 
@@ -39,6 +42,7 @@ FORMAT = "urdfcal/1"
 _MISFIT = 2.0
 # Corrections of this many tolerances are either a wrong session or a very unusual arm.
 _FAR = 5.0
+_LENGTHS = ("d", "a", "x", "y", "z")
 # FK of the URDF that was written against the estimate. [m, entries of the rotation]
 _AGREEMENT = 1e-9
 _CHECK_POSES = 20
@@ -51,22 +55,40 @@ class Calibration:
     Attributes:
         session: what was measured.
         table: the DH rows as drawn.
+        geometry: what was estimated of the arm: the offsets of those rows, or of whole placements.
         observations: the session's sightings, in the order the solutions' deviations follow.
-        nominal_fit: the arm as drawn, with base, LEDs and free camera poses fitted.
-        fit: the calibrated arm.
-        identifiability: what the sightings could not tell.
-        seed: of the check configurations.
+        comparison: the models that were tried, and the chosen one.
+        seed: of the folds and of the check configurations.
         warnings: what the user should know before trusting the result.
     """
 
     session: Session
     table: DHTable
+    geometry: Geometry
     observations: tuple[Observations, ...]
-    nominal_fit: Solution
-    fit: Solution
-    identifiability: Identifiability
+    comparison: Comparison
     seed: int
     warnings: tuple[str, ...]
+
+    @property
+    def nominal_fit(self) -> Solution:
+        """The arm and the lenses as given, with base, LEDs and unknown camera poses fitted."""
+        return self.comparison.nominal
+
+    @property
+    def fit(self) -> Solution:
+        """The chosen model's estimate."""
+        return self.comparison.chosen.fit
+
+    @property
+    def identifiability(self) -> Identifiability:
+        """What the sightings could not tell."""
+        return self.comparison.chosen.identifiability
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """Why this result should not be used; empty when it passed its checks."""
+        return self.comparison.failures
 
     @property
     def nominal(self) -> State:
@@ -86,7 +108,20 @@ class Calibration:
     @cached_property
     def placements(self) -> Floats:
         """(n, 4, 4) calibrated placement of each joint in the previous joint's frame. [m]."""
-        return frozen(self.table.placements(self.estimate.offsets))
+        return frozen(self.geometry.placements(self.estimate.offsets))
+
+    def tip_sigma(self, q: Floats) -> Floats:
+        """Predicted standard deviation of the calibrated tip's position, after base alignment.
+
+        Args:
+            q: (N, n) joint values. [rad or m]
+
+        Returns:
+            (N,) root of the covariance's trace. [m]
+        """
+        covariance = tip_covariance(self.geometry, self.fit, q)
+        result: Floats = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
+        return result
 
     def apply(self, model: pin.Model) -> pin.Model:
         """Return a copy of a Pinocchio model of this robot with the calibrated joint placements.
@@ -165,12 +200,22 @@ class Calibration:
                 for camera, T in zip(self.estimate.cameras, self.estimate.T_cam_world, strict=True)
             },
             "fit": self.summary(),
+            "validation": self.validation(),
+            "models": [
+                {
+                    "model": str(trial.freedoms),
+                    "loss": trial.loss,
+                    "parameters": trial.fit.parameters.count,
+                    "chosen": trial is self.comparison.chosen,
+                }
+                for trial in self.comparison.trials
+            ],
             "identifiability": {
                 "condition_number": self.identifiability.condition_number,
                 "lost": list(self.identifiability.lost),
             },
             "outliers": self.outliers(),
-            "warnings": list(self.warnings),
+            "warnings": [*self.failures, *self.warnings],
             "provenance": {
                 "urdfcal": metadata.version("urdfcal"),
                 "pinocchio": pin.__version__,
@@ -194,18 +239,37 @@ class Calibration:
         for prefix, fit in (("nominal_", self.nominal_fit), ("", self.fit)):
             for block, cut in zip(self.observations, fit.outlier, strict=True):
                 unit, scale = ("px", 1.0) if block.dimension == 2 else ("mm", 1e3)
-                residual = predict(self.table, block, fit.state) - block.value
+                residual = predict(self.geometry, block, fit.state) - block.value
                 summary[f"rms_{prefix}{unit}"] = scale * _rms(residual[block.valid & ~cut])
             if points is not None:
-                residual = predict(self.table, points, fit.state) - points.value
+                residual = predict(self.geometry, points, fit.state) - points.value
                 summary[f"rms_{prefix}mm"] = 1e3 * _rms(residual[points.valid & ~self._suspect(points, fit)])
         return summary
+
+    def validation(self) -> dict[str, Any]:
+        """How well poses are predicted that the estimate has not seen, the arm as drawn and calibrated.
+
+        Both with the same cameras; over sightings that are no outliers; for pixels the distance across the ray.
+        """
+        chosen, drawn = self.comparison.chosen, self.comparison.drawn
+        distance = 1e3 * chosen.residuals("distance")
+        result = {
+            "folds": chosen.held_out.folds,
+            "rms_nominal_mm": 1e3 * _rms(drawn.residuals("distance")[:, None]),
+            "rms_mm": _rms(distance[:, None]),
+            "max_mm": float(distance.max()),
+            "p95_mm": float(np.percentile(distance, 95)),
+        }
+        if self.estimate.cameras:
+            result["rms_nominal_px"] = _rms(drawn.residuals("residual")[:, None])
+            result["rms_px"] = _rms(chosen.residuals("residual")[:, None])
+        return result
 
     def outliers(self) -> list[dict[str, Any]]:
         """The sightings taken out of the fit: pose, camera, LED and residual (px, or mm for points)."""
         found = []
         for block, cut, deviation in zip(self.observations, self.fit.outlier, self.fit.deviation, strict=True):
-            residual = predict(self.table, block, self.estimate) - block.value
+            residual = predict(self.geometry, block, self.estimate) - block.value
             scale = 1.0 if block.dimension == 2 else 1e3
             for group, slot in np.argwhere(cut):
                 camera = int(block.camera[group, slot])
@@ -221,10 +285,10 @@ class Calibration:
         return found
 
     def sigmas(self) -> Floats:
-        """(n, 5) standard deviations of the DH offsets; NaN where a parameter was not estimated. [rad, m]."""
-        result = np.full((len(self.table.rows), 5), np.nan)
+        """Standard deviations of the estimate's offsets, in rad and m; NaN where one was not estimated."""
+        result = np.full(self.estimate.offsets.shape, np.nan)
         for index, (row, name) in enumerate(self.fit.parameters.rows):
-            result[row, PARAMETERS.index(name)] = self._sigma[index]
+            result[row, self.geometry.columns.index(name)] = self._sigma[index]
         return result
 
     @cached_property
@@ -239,13 +303,14 @@ class Calibration:
         packed = self.fit.parameters.rows
         reasons = {packed[i]: why for i, why in self.fit.parameters.reasons.items() if i < len(packed)}
         entries = []
-        for i, row in enumerate(self.table.rows):
-            for k, name in enumerate(PARAMETERS):
+        drawn = self.table.nominal if self.geometry is self.table else np.zeros_like(sigmas)
+        for i, joint in enumerate(self.chain.names):
+            for k, name in enumerate(self.geometry.columns):
                 entry: dict[str, Any] = {
-                    "joint": row.joint,
+                    "joint": joint,
                     "parameter": name,
-                    "unit": "m" if name in ("d", "a") else "rad",
-                    "nominal": float(self.table.nominal[i, k]),
+                    "unit": "m" if name in _LENGTHS else "rad",
+                    "nominal": float(drawn[i, k]),
                     "offset": float(self.estimate.offsets[i, k]),
                 }
                 if np.isfinite(sigmas[i, k]):
@@ -288,10 +353,12 @@ class Calibration:
         rng = np.random.default_rng(self.seed)
         q = self.chain.random_values(_CHECK_POSES, rng)
         expected = tip_poses(self.chain, q, self.placements)
-        rows = np.array([self.table.forward(q_k, self.estimate.offsets) for q_k in q])
         pinocchio = tip_poses(Chain.from_urdf(Urdf.parse(data), self.chain.tip_link, self.chain.base_link), q)
         yourdfpy = _yourdfpy_tips(data, self.chain, q)
-        for reader, T in (("the DH rows", rows), ("Pinocchio", pinocchio), ("yourdfpy", yourdfpy)):
+        tips = {"Pinocchio": pinocchio, "yourdfpy": yourdfpy}
+        if self.geometry is self.table:
+            tips["the DH rows"] = np.array([self.table.forward(q_k, self.estimate.offsets) for q_k in q])
+        for reader, T in tips.items():
             error = float(np.abs(T - expected).max())
             if not error <= _AGREEMENT:
                 raise OutputError(
@@ -301,52 +368,54 @@ class Calibration:
                 )
 
 
-def calibrate(session: Session, *, priors: bool = True, seed: int = 0, progress: Progress | None = None) -> Calibration:
-    """Estimate the robot's DH offsets, base pose, LED places and unknown camera poses from a session.
+def calibrate(
+    session: Session,
+    *,
+    priors: bool = True,
+    seed: int = 0,
+    force: bool = False,
+    progress: Progress | None = None,
+) -> Calibration:
+    """Estimate the robot that was really built from a session.
 
     Maximum likelihood on pixels (or a tracker's points), whitened by the declared noise of sightings and joint
     readings, with manufacturing tolerances as priors; robust against outliers (Rossi, Savino et al., eq. 8 and 22).
-    The start is found in closed form. Parameters that the sightings cannot tell are held at nominal.
+    The start is found in closed form. Where the session does not say what to estimate, the model that predicts poses
+    best that it has not seen is chosen. Parameters that the sightings cannot tell are held at nominal.
 
     Args:
         session: what was measured.
         priors: whether manufacturing tolerances act as priors; without, plain least squares (the seed's eq. 8).
-        seed: of the configurations at which the result is checked; the estimate itself is deterministic.
+        seed: of the division into folds and of the configurations at which the result is checked.
+        force: give the result even where it fails its own checks; ``Calibration.failures`` says which.
         progress: called after every solver step.
 
     Raises:
-        CalibrationError: no start, or no convergence.
+        CalibrationError: there is no start, or the result fails its checks: no convergence, no better than the drawn
+            arm on poses not seen, or lenses that the sightings refute.
     """
     table = DHTable.from_chain(session.chain)
+    geometry = PlacementTable(session.chain) if session.estimate.geometry == "full" else table
     blocks = observe(session)
     start = first_state(session)
-    known = session.rig.T_cam_world if session.rig is not None else ()
-    extrinsics = [c for c in range(1, len(start.cameras)) if known[c] is None]
-    joint_sigma = session.noise.joint
-
-    parameters = choose_parameters(session, table, start, geometry="none", extrinsics=extrinsics)
-    nominal = solve(table, blocks, start, parameters, joint_sigma, progress)
-    candidates = choose_parameters(session, table, start, geometry="dh", extrinsics=extrinsics, priors=priors)
-    identifiability = identify(table, blocks, nominal.state, candidates)
-    fit = solve(table, blocks, nominal.state, identifiability.parameters, joint_sigma, progress)
-    if not fit.converged:
+    start = replace(start, offsets=np.zeros((len(table.rows), len(geometry.columns))))
+    comparison = compare_models(session, geometry, blocks, start, priors=priors, seed=seed, progress=progress)
+    if comparison.failures and not force:
         raise CalibrationError(
-            f"the estimate did not settle in {len(fit.history)} steps",
-            remedy="Check the joint readings' columns and units, the tip link and the cameras.",
+            "; ".join(comparison.failures), where="not written", remedy="--force writes it all the same."
         )
     return Calibration(
         session=session,
         table=table,
+        geometry=geometry,
         observations=blocks,
-        nominal_fit=nominal,
-        fit=fit,
-        identifiability=identifiability,
+        comparison=comparison,
         seed=seed,
-        warnings=(*session.warnings, *_doubts(table, fit)),
+        warnings=(*session.warnings, *_doubts(comparison.chosen.fit)),
     )
 
 
-def _doubts(table: DHTable, fit: Solution) -> list[str]:
+def _doubts(fit: Solution) -> list[str]:
     """What in a fit a careful engineer would ask about."""
     doubts = []
     if fit.reduced_chi2 > _MISFIT:
@@ -359,11 +428,10 @@ def _doubts(table: DHTable, fit: Solution) -> list[str]:
     if cut > 0.2 * total:
         doubts.append(f"{cut} of {total} sightings were taken out as outliers: look at how LEDs were detected")
     for index, (row, name) in enumerate(fit.parameters.rows):
-        offset, prior = fit.state.offsets[row, PARAMETERS.index(name)], fit.parameters.prior[index]
+        offset, prior = fit.state.offsets[row, fit.parameters.columns.index(name)], fit.parameters.prior[index]
         if fit.parameters.active[index] and abs(offset) > _FAR * prior:
-            scale, unit = (1e3, "mm") if name in ("d", "a") else (1e3, "mrad")
             doubts.append(
-                f"{table.rows[row].joint}: {name} is off by {scale * offset:.1f} {unit}, "
+                f"{fit.parameters.names[index]} is off by {1e3 * offset:.1f} {'mm' if name in _LENGTHS else 'mrad'}, "
                 f"{abs(offset) / prior:.0f} times its tolerance"
             )
     return doubts

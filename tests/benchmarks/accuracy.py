@@ -16,6 +16,7 @@ import numpy as np
 from urdfcal.arrays import skew
 from urdfcal.calibration import calibrate
 from urdfcal.estimation.evaluation import compare
+from urdfcal.estimation.freedoms import Freedoms
 from urdfcal.estimation.identifiability import identify
 from urdfcal.estimation.observations import observe
 from urdfcal.estimation.parameters import choose_parameters
@@ -48,7 +49,7 @@ def bound(simulated: Simulated, q: np.ndarray) -> float:
     table = DHTable.from_chain(session.chain)
     (block,) = observe(session)
     truth = true_state(simulated)
-    candidates = choose_parameters(session, table, truth, geometry="dh", priors=False)
+    candidates = choose_parameters(session, table, truth, Freedoms("dh", ("fixed",) * 2, ("fixed",) * 2, priors=False))
     parameters = identify(table, [block], truth, candidates).parameters
     at = linearise(table, block, truth, parameters, slice(None))
     N, m, D, P = at.J.shape

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from urdfcal.calibration import calibrate
+from urdfcal.estimation.freedoms import Freedoms
 from urdfcal.estimation.identifiability import identify
 from urdfcal.estimation.observations import observe
 from urdfcal.estimation.parameters import choose_parameters
@@ -41,7 +42,7 @@ def test_an_led_on_the_last_axis_tells_less(simulated: Callable) -> None:
     session = replace(data.session, leds=(on_axis,))
     table = DHTable.from_chain(data.session.chain)
     state = replace(first_state(session), leds=np.array([[0.0, 0.0, 0.05]]))
-    parameters = choose_parameters(session, table, state, geometry="dh")
+    parameters = choose_parameters(session, table, state, Freedoms("dh", ("fixed",) * 2, ("fixed",) * 2))
     assert identify(table, observe(session), state, parameters).rank == 25
 
 

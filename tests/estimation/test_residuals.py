@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from urdfcal.estimation.freedoms import Freedoms
 from urdfcal.estimation.observations import arrange, observe
 from urdfcal.estimation.parameters import choose_parameters
 from urdfcal.estimation.residuals import linearise, predict
@@ -25,7 +26,7 @@ def test_every_jacobian_block_agrees_with_finite_differences(
     table = DHTable.from_chain(session.chain)
     (block,) = observe(session)
     centre = true_state(simulated(rig, poses=8))
-    parameters = choose_parameters(session, table, centre, geometry="dh", extrinsics=[1], lenses=[0, 1])
+    parameters = choose_parameters(session, table, centre, Freedoms("dh", ("free", "free"), ("fixed", "free")))
     state = parameters.move(centre, np.random.default_rng(0).normal(0.0, 1e-3, parameters.count))
     J = linearise(table, block, state, parameters, EVERY).J
     for k, name in enumerate(parameters.names):
@@ -44,7 +45,7 @@ def test_the_derivative_by_joint_readings_agrees_with_finite_differences(
     table = DHTable.from_chain(data.session.chain)
     (block,) = observe(data.session)
     state = true_state(data)
-    parameters = choose_parameters(data.session, table, state, geometry="none")
+    parameters = choose_parameters(data.session, table, state, Freedoms("none", ("fixed",) * 2, ("fixed",) * 2))
     J_q = linearise(table, block, state, parameters, EVERY).J_q
     for i in range(block.q.shape[1]):
         step = 1e-6 * np.eye(block.q.shape[1])[i]
@@ -60,7 +61,7 @@ def test_points_have_the_same_derivatives_as_pixels(simulated: Callable, true_st
     block = arrange(
         session.q, pose, np.zeros(8, int), np.full(8, -1), np.zeros((8, 3)), np.broadcast_to(np.eye(3), (8, 3, 3))
     )
-    parameters = choose_parameters(session, table, state, geometry="dh")
+    parameters = choose_parameters(session, table, state, Freedoms("dh", ("fixed",) * 2, ("fixed",) * 2))
     J = linearise(table, block, state, parameters, EVERY).J
     for k in range(parameters.count):
         step = 1e-6 * np.eye(parameters.count)[k]
@@ -72,7 +73,7 @@ def test_blocks_of_poses_add_up(simulated: Callable, true_state: Callable) -> No
     data = simulated("ur5", poses=12)
     table, state = DHTable.from_chain(data.session.chain), true_state(data)
     (block,) = observe(data.session)
-    parameters = choose_parameters(data.session, table, state, geometry="dh")
+    parameters = choose_parameters(data.session, table, state, Freedoms("dh", ("fixed",) * 2, ("fixed",) * 2))
     whole = linearise(table, block, state, parameters, EVERY)
     parts = [linearise(table, block, state, parameters, slice(a, a + 5)) for a in (0, 5, 10)]
     np.testing.assert_array_equal(whole.residual, np.concatenate([part.residual for part in parts]))
@@ -89,7 +90,7 @@ def test_padding_pulls_at_nothing(simulated: Callable, true_state: Callable) -> 
     )
     table, state = DHTable.from_chain(session.chain), true_state(data)
     (block,) = observe(fewer)
-    parameters = choose_parameters(fewer, table, state, geometry="dh", extrinsics=[1], lenses=[0])
+    parameters = choose_parameters(fewer, table, state, Freedoms("dh", ("free", "fixed"), ("fixed", "free")))
     at = linearise(table, block, state, parameters, EVERY)
     assert block.count == keep.sum()
     assert np.count_nonzero(~block.valid) == 1

@@ -8,6 +8,7 @@ import pytest
 
 from urdfcal.calibration import calibrate
 from urdfcal.estimation.evaluation import compare
+from urdfcal.estimation.freedoms import Freedoms
 from urdfcal.estimation.observations import observe
 from urdfcal.estimation.parameters import choose_parameters
 from urdfcal.estimation.solver import solve
@@ -79,7 +80,9 @@ def test_a_held_parameter_does_not_move(simulated: Callable, true_state: Callabl
     data = simulated("elbow3r")
     table, blocks = DHTable.from_chain(data.session.chain), observe(data.session)
     state = true_state(data)
-    parameters = choose_parameters(data.session, table, state, geometry="dh").holding({0: "test", 1: "test"})
+    parameters = choose_parameters(data.session, table, state, Freedoms("dh", ("fixed",) * 2, ("fixed",) * 2)).holding(
+        {0: "test", 1: "test"}
+    )
     fit = solve(table, blocks, parameters.move(state, np.full(parameters.count, 1e-4)), parameters, 0.0)
     row, column = parameters.rows[0][0], 0
     assert fit.state.offsets[row, column] == state.offsets[row, column]

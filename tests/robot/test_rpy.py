@@ -20,7 +20,7 @@ def round_trip_error(R):
 
 @given(angles, angles, angles)
 def test_the_matrix_is_pinocchios(roll, pitch, yaw):
-    assert np.allclose(rpy_to_matrix([roll, pitch, yaw]), pin.rpy.rpyToMatrix(roll, pitch, yaw), rtol=0, atol=1e-15)
+    assert np.allclose(rpy_to_matrix([roll, pitch, yaw]), pin.rpy.rpyToMatrix(roll, pitch, yaw), rtol=0, atol=ROUNDING)
 
 
 @given(angles, angles, angles)

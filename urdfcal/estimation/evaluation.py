@@ -9,6 +9,7 @@ import numpy as np
 
 from urdfcal.arrays import Floats, frozen
 from urdfcal.errors import RobotError
+from urdfcal.estimation.freedoms import nominal
 from urdfcal.estimation.observations import observe
 from urdfcal.estimation.parameters import choose_parameters
 from urdfcal.estimation.residuals import predict
@@ -20,7 +21,7 @@ from urdfcal.robot.kinematics import tip_poses
 if TYPE_CHECKING:
     from urdfcal.estimation.solver import Progress, Solution
     from urdfcal.robot.chain import Chain
-    from urdfcal.session.model import Session
+    from urdfcal.session.model import Freedom, Session
 
 
 @dataclass(frozen=True)
@@ -130,8 +131,10 @@ def explain(chain: Chain, session: Session, progress: Progress | None = None) ->
     table = DHTable.from_chain(chain)
     blocks = observe(session)
     start = first_state(session)
+    freedoms = nominal(session)
+    free: Freedom = "free"
     parameters = choose_parameters(
-        session, table, start, geometry="none", extrinsics=range(1, len(start.cameras)), priors=False
+        session, table, start, replace(freedoms, extrinsics=(free,) * len(freedoms.extrinsics))
     )
     fit = solve(table, blocks, start, parameters, session.noise.joint, progress)
     residuals = [block.by_row(predict(table, block, fit.state) - block.value) for block in blocks]

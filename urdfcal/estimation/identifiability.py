@@ -14,9 +14,8 @@ if TYPE_CHECKING:
 
     from urdfcal.arrays import Floats
     from urdfcal.estimation.observations import Observations
-    from urdfcal.estimation.parameters import Parameters
+    from urdfcal.estimation.parameters import Geometry, Parameters
     from urdfcal.estimation.state import State
-    from urdfcal.robot.dh import DHTable, Parameter
 
 # Singular values of the column-normalised Jacobian below this share of the largest are lost directions. On the
 # shipped rigs, LEDs on the last axis included, lost ones come out below 1e-12 (axes of a URDF with rpy to eleven
@@ -28,7 +27,7 @@ _LEAST_NORM = 1e-3
 # A parameter takes part in a lost direction when its share of it is above rounding.
 _PART = 1e-5
 _NAMED = 6
-_ORDER: tuple[Parameter, ...] = ("d", "a", "theta", "alpha", "beta")
+_ORDER = ("d", "a", "theta", "alpha", "beta", "z", "x", "y", "rz", "rx", "ry")
 _BLOCK = 1024
 
 
@@ -49,7 +48,7 @@ class Identifiability:
     lost: tuple[str, ...]
 
 
-def identify(table: DHTable, blocks: Sequence[Observations], state: State, parameters: Parameters) -> Identifiability:
+def identify(table: Geometry, blocks: Sequence[Observations], state: State, parameters: Parameters) -> Identifiability:
     """Find the directions that the sightings cannot tell, and hold a parameter for each.
 
     Of the parameters that take part in a lost direction, the first in the order d, a, theta, alpha, beta, inner rows
@@ -102,9 +101,10 @@ def identify(table: DHTable, blocks: Sequence[Observations], state: State, param
     )
 
 
-def _triangle(table: DHTable, blocks: Sequence[Observations], state: State, parameters: Parameters) -> Floats:
+def _triangle(table: Geometry, blocks: Sequence[Observations], state: State, parameters: Parameters) -> Floats:
     """R of the whitened Jacobian's QR, block by block: squaring it would hide singular values below 1e-8."""
-    R = np.zeros((0, parameters.count))
+    # How far apart LEDs are was measured; tolerances were not.
+    R = parameters.distance_residuals(state)[1][:, parameters.active]
     for block in blocks:
         W = np.linalg.inv(np.linalg.cholesky(block.covariance))
         for first in range(0, len(block.pose), _BLOCK):

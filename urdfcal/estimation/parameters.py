@@ -4,27 +4,64 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import pinocchio as pin
 
 from urdfcal.arrays import Bools, Floats, frozen
 from urdfcal.estimation.state import State
-from urdfcal.robot.dh import PARAMETERS
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping
 
-    from urdfcal.robot.dh import DHRow, DHTable, Parameter
-    from urdfcal.session.model import Session, Tolerances
-
-Geometry = Literal["dh", "offsets", "none"]
+    from urdfcal.estimation.freedoms import Freedoms
+    from urdfcal.robot.chain import Chain
+    from urdfcal.session.model import Freedom, Led, Session, Tolerances
+    from urdfcal.vision.rig import Rig
 
 LED_TOLERANCE = 0.02
 """Standard deviation of an LED position given without one: a hand-held ruler on a gripper. [m]"""
 
+FREE_LENS = (0.2, 0.3, 1.0, 0.1)
+"""Standard deviations of a free lens: focal length (share of it), principal point (share of the longer image side),
+radial and decentring coefficients. Next to no prior: it spans any real lens and keeps k3 from running off where
+sightings leave the picture's corners empty; the principal points of ../shared/data/motoman_right are a quarter of the
+image off."""
+
+REFINED_LENS = (0.005, 0.005, 0.02, 0.001)
+"""The same for a lens to be refined whose calibration gave no standard deviations: a careful board calibration."""
+
+REFINED_POSE = (0.002, 0.002, 0.002, 0.002, 0.002, 0.002)
+"""Standard deviations of a camera pose to be refined that was calibrated without any. [m, rad]"""
+
 _POSE_AXES = ("x", "y", "z", "rx", "ry", "rz")
+
+
+class Geometry(Protocol):
+    """The arm's parameters: DH rows, or whole placements."""
+
+    @property
+    def chain(self) -> Chain:
+        """The arm as drawn."""
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """What each column of an offsets array adds to."""
+
+    @property
+    def parameters(self) -> tuple[tuple[int, str], ...]:
+        """(joint index, column name) of every parameter."""
+
+    @property
+    def zeros(self) -> tuple[tuple[int, str], ...]:
+        """Those of them that are joints' zero offsets."""
+
+    def placements(self, offsets: Floats) -> Floats:
+        """Joint placements (n, 4, 4) under offsets (n, columns)."""
+
+    def twists(self, offsets: Floats, parameters: Iterable[tuple[int, str]]) -> Floats:
+        """Body twists (6 n, p) of the placements for each parameter."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +72,8 @@ class Parameters:
     says which of its entries are estimated, the others keep their value.
 
     Attributes:
-        rows: (row index, parameter) of each DH offset.
+        rows: (row index, parameter) of each of the arm's offsets.
+        columns: the parameters' order in an offsets array.
         leds: number of LEDs, three coordinates each.
         cameras: indices of the cameras whose pose is a parameter.
         lenses: indices of the cameras whose intrinsics are parameters.
@@ -44,10 +82,12 @@ class Parameters:
         active: (P,) bool.
         prior: (P,) standard deviation about the centre; inf where there is no prior. [unit of the entry]
         centre: the state the priors are centred at.
+        distances: (LED, LED, distance, standard deviation) of each measured LED distance. [m]
         reasons: why an entry is not active.
     """
 
-    rows: tuple[tuple[int, Parameter], ...]
+    rows: tuple[tuple[int, str], ...]
+    columns: tuple[str, ...]
     leds: int
     cameras: tuple[int, ...]
     lenses: tuple[int, ...]
@@ -56,6 +96,7 @@ class Parameters:
     active: Bools
     prior: Floats
     centre: State
+    distances: tuple[tuple[int, int, float, float], ...]
     reasons: Mapping[int, str]
 
     @property
@@ -105,7 +146,7 @@ class Parameters:
         full[self.active] = step
         offsets = np.array(state.offsets)
         for value, (row, name) in zip(full, self.rows, strict=False):
-            offsets[row, PARAMETERS.index(name)] += value
+            offsets[row, self.columns.index(name)] += value
         leds = state.leds + full[self.base.stop : self.base.stop + 3 * self.leds].reshape(-1, 3)
         T_cam_world = np.array(state.T_cam_world)
         for position, c in enumerate(self.cameras):
@@ -125,11 +166,11 @@ class Parameters:
         """Deviation from the priors' centre in standard deviations, and its derivative.
 
         Returns:
-            r (p,) and J (p, count), a row for every active entry with a prior.
+            r (p,) and J (p, count), a row for every active entry with a prior and for every LED distance.
         """
         full = np.zeros(self.size)
         for i, (row, name) in enumerate(self.rows):
-            full[i] = state.offsets[row, PARAMETERS.index(name)] - self.centre.offsets[row, PARAMETERS.index(name)]
+            full[i] = state.offsets[row, self.columns.index(name)] - self.centre.offsets[row, self.columns.index(name)]
         full[self.base.stop : self.base.stop + 3 * self.leds] = (state.leds - self.centre.leds).ravel()
         blocks: list[tuple[slice, Floats]] = []
         for position, c in enumerate(self.cameras):
@@ -143,82 +184,135 @@ class Parameters:
         for where, block in blocks:
             J[where, where] = block
         used = self.active & np.isfinite(self.prior)
-        J = (J / self.prior[:, None])[used][:, self.active]
-        return full[used] / self.prior[used], J
+        r, J = full[used] / self.prior[used], (J / self.prior[:, None])[used]
+        distances, J_distances = self.distance_residuals(state)
+        return np.concatenate([r, distances]), np.vstack([J, J_distances])[:, self.active]
+
+    def distance_residuals(self, state: State) -> tuple[Floats, Floats]:
+        """Deviation from the measured LED distances in standard deviations, and its derivative by the full vector."""
+        r, J = np.zeros(len(self.distances)), np.zeros((len(self.distances), self.size))
+        for k, (a, b, distance, sigma) in enumerate(self.distances):
+            difference = state.leds[a] - state.leds[b]
+            length = float(np.linalg.norm(difference))
+            r[k] = (length - distance) / sigma
+            J[k, self.led(a)] = difference / max(length, 1e-12) / sigma
+            J[k, self.led(b)] = -J[k, self.led(a)]
+        return r, J
 
 
-def choose_parameters(
-    session: Session,
-    table: DHTable,
-    centre: State,
-    *,
-    geometry: Geometry,
-    extrinsics: Sequence[int] = (),
-    lenses: Sequence[int] = (),
-    priors: bool = True,
-) -> Parameters:
-    """List the parameters of an estimate, with the session's tolerances as priors.
+def choose_parameters(session: Session, table: Geometry, centre: State, freedoms: Freedoms) -> Parameters:
+    """List the parameters of an estimate, with tolerances and what was measured of LEDs and cameras as priors.
 
     Args:
-        session: names, LED knowledge and tolerances.
-        table: the nominal rows; each row's free parameters are candidates (the last row's joint variable only).
-        centre: nominal values, where the priors are centred.
-        geometry: ``dh`` for the rows' free parameters, ``offsets`` for the joints' zeros, ``none`` for neither.
-        extrinsics: cameras whose pose is free.
-        lenses: cameras whose intrinsics are free.
-        priors: whether manufacturing tolerances act as priors; how well an LED's place was measured always does.
+        session: names, LED and camera knowledge, tolerances.
+        table: the arm's parameters.
+        centre: where priors without a measured value are centred.
+        freedoms: which of arm, lenses and camera poses may move.
     """
-    rows: list[tuple[int, Parameter]] = []
+    rows: list[tuple[int, str]] = []
     names: list[str] = []
     prior: list[float] = []
     held: dict[int, str] = {}
-    for i, row in enumerate(table.rows):
-        by_geometry: dict[Geometry, tuple[Parameter, ...]] = {
-            "dh": row.free,
-            "offsets": (row.variable,),
-            "none": (),
-        }
-        for name in by_geometry[geometry]:
-            if i == len(table.rows) - 1 and name != row.variable:
-                continue
-            tolerance = _tolerance(session.tolerances, row, name)
-            if tolerance == 0.0:
-                held[len(rows)] = "fixed by the session's tolerances"
-            rows.append((i, name))
-            names.append(f"{row.joint}.{name}")
-            prior.append(tolerance if priors and tolerance > 0.0 else np.inf)
+    chosen = {"none": (), "offsets": table.zeros}.get(freedoms.geometry, table.parameters)
+    zeros = set(table.zeros)
+    for i, name in chosen:
+        joint = table.chain.joints[i].name
+        tolerance = _tolerance(session.tolerances, joint, name, zero=(i, name) in zeros)
+        if tolerance == 0.0:
+            held[len(rows)] = "fixed by the session's tolerances"
+        rows.append((i, name))
+        names.append(f"{joint}.{name}")
+        prior.append(tolerance if freedoms.priors and tolerance > 0.0 else np.inf)
     names += [f"T_world_base.{axis}" for axis in _POSE_AXES]
     prior += [np.inf] * 6
     for led in session.leds:
-        known = led.position is not None
-        sigma = (LED_TOLERANCE if led.sigma is None else led.sigma) if known else np.inf
+        sigma = _led_sigma(led)
         for axis in "xyz":
             if sigma == 0.0:
                 held[len(names)] = "its position is given as exact"
             names.append(f"{led.name}.{axis}")
             prior.append(sigma if sigma > 0.0 else np.inf)
-    for c in extrinsics:
+    moving = [c for c, freedom in enumerate(freedoms.extrinsics) if c and freedom != "fixed"]
+    for c in moving:
         names += [f"{centre.cameras[c].name}.{axis}" for axis in _POSE_AXES]
-        prior += [np.inf] * 6
+        prior += [np.inf] * 6 if freedoms.extrinsics[c] == "free" else list(_pose_sigma(session.rig, c))
+    lenses = [c for c, freedom in enumerate(freedoms.intrinsics) if freedom != "fixed"]
     for c in lenses:
         camera = centre.cameras[c]
         names += [f"{camera.name}.{name}" for name in camera.parameter_names]
-        prior += [np.inf] * len(camera.parameters)
+        prior += list(_lens_sigma(session.rig, c, freedoms.intrinsics[c]))
+    leds = np.array(
+        [led.position if led.position is not None else at for led, at in zip(session.leds, centre.leds, strict=True)]
+    )
+    rig = session.rig
     return Parameters(
         rows=tuple(rows),
+        columns=table.columns,
         leds=len(session.leds),
-        cameras=tuple(extrinsics),
+        cameras=tuple(moving),
         lenses=tuple(lenses),
         lens_sizes=tuple(len(centre.cameras[c].parameters) for c in lenses),
         names=tuple(names),
         active=frozen(np.ones(len(names)), bool),
         prior=frozen(prior),
-        centre=centre,
+        centre=State(
+            offsets=np.zeros_like(centre.offsets),
+            T_world_base=centre.T_world_base,
+            leds=leds,
+            cameras=rig.cameras if centre.cameras and rig is not None else (),
+            T_cam_world=np.array(
+                [
+                    given if given is not None else at
+                    for given, at in zip(rig.T_cam_world, centre.T_cam_world, strict=True)
+                ]
+                if centre.cameras and rig is not None
+                else centre.T_cam_world
+            ),
+        ),
+        distances=tuple(
+            (session.led_names.index(d.leds[0]), session.led_names.index(d.leds[1]), d.distance, d.sigma)
+            for d in session.led_distances
+        ),
         reasons={},
     ).holding(held)
 
 
-def _tolerance(tolerances: Tolerances, row: DHRow, name: Parameter) -> float:
-    by_kind = tolerances.length if name in ("d", "a") else tolerances.angle
-    default = tolerances.zero if name == row.variable else by_kind
-    return tolerances.joints.get(row.joint, {}).get(name, default)
+def _as_given(session: Session, state: State) -> State:
+    """The state with everything that the session gives as given, and an arm as drawn."""
+    leds = [at if led.position is None else led.position for led, at in zip(session.leds, state.leds, strict=True)]
+    given = replace(state, offsets=np.zeros_like(state.offsets), leds=np.array(leds))
+    if not state.cameras or session.rig is None:
+        return given
+    rig = session.rig
+    places = [at if T is None else T for T, at in zip(rig.T_cam_world, state.T_cam_world, strict=True)]
+    return replace(given, cameras=rig.cameras, T_cam_world=np.array(places))
+
+
+def _tolerance(tolerances: Tolerances, joint: str, name: str, *, zero: bool) -> float:
+    by_kind = tolerances.length if name in ("d", "a", "x", "y", "z") else tolerances.angle
+    default = tolerances.zero if zero else by_kind
+    return tolerances.joints.get(joint, {}).get(name, default)
+
+
+def _led_sigma(led: Led) -> float:
+    if led.position is None:
+        return np.inf
+    return LED_TOLERANCE if led.sigma is None else led.sigma
+
+
+def _pose_sigma(rig: Rig | None, c: int) -> Floats:
+    known = rig.sigmas[c] if rig is not None else None
+    return np.array(REFINED_POSE) if known is None or known.pose is None else known.pose
+
+
+def _lens_sigma(rig: Rig | None, c: int, freedom: Freedom) -> Floats:
+    if rig is None:
+        raise ValueError("lenses without a rig")
+    known, camera = rig.sigmas[c], rig.cameras[c]
+    if freedom == "refine" and known is not None:
+        return np.where(known.parameters > 0.0, known.parameters, np.inf)
+    focal, centre, bend, decentring = FREE_LENS if freedom == "free" else REFINED_LENS
+    f, width = camera.intrinsics[0], max(camera.resolution)
+    by_name = {"fx": focal * f, "fy": focal * f, "cx": centre * width, "cy": centre * width}
+    by_name |= {"p1": decentring, "p2": decentring}
+    return np.array([by_name.get(name, bend) for name in camera.parameter_names])

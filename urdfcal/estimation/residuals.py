@@ -12,9 +12,8 @@ from urdfcal.robot.kinematics import joint_axes, tip_motion, tip_poses
 
 if TYPE_CHECKING:
     from urdfcal.estimation.observations import Observations
-    from urdfcal.estimation.parameters import Parameters
+    from urdfcal.estimation.parameters import Geometry, Parameters
     from urdfcal.estimation.state import State
-    from urdfcal.robot.dh import DHTable
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,11 +31,31 @@ class Linearisation:
     J_q: Floats
 
 
-def predict(table: DHTable, observations: Observations, state: State) -> Floats:
-    """Where every LED should be seen, (N, m, D); NaN behind a camera, zero for padding."""
+def led_positions(table: Geometry, observations: Observations, state: State) -> Floats:
+    """Where every LED is in the world, (N, m, 3). [m]."""
     T = tip_poses(table.chain, observations.q, table.placements(state.offsets))
     p_base = T[:, None, :3, 3] + (T[:, None, :3, :3] @ state.leds[observations.led][..., None])[..., 0]
-    p_world = p_base @ state.T_world_base[:3, :3].T + state.T_world_base[:3, 3]
+    result: Floats = p_base @ state.T_world_base[:3, :3].T + state.T_world_base[:3, 3]
+    return result
+
+
+def distances_per_unit(table: Geometry, observations: Observations, state: State) -> Floats:
+    """What one unit of residual is worth at the LED, (N, m): metres a pixel across the ray, 1 for points."""
+    result = np.ones(observations.row.shape)
+    if observations.dimension == 3:
+        return result
+    p_world = led_positions(table, observations, state)
+    for c, camera in enumerate(state.cameras):
+        seen = observations.camera == c
+        T_cam_world = state.T_cam_world[c]
+        depth = p_world[seen] @ T_cam_world[2, :3] + T_cam_world[2, 3]
+        result[seen] = depth / np.sqrt(camera.intrinsics[0] * camera.intrinsics[1])
+    return result
+
+
+def predict(table: Geometry, observations: Observations, state: State) -> Floats:
+    """Where every LED should be seen, (N, m, D); NaN behind a camera, zero for padding."""
+    p_world = led_positions(table, observations, state)
     if observations.dimension == 3:
         return np.where(observations.valid[..., None], p_world, 0.0)
     predicted = np.zeros_like(observations.value)
@@ -48,7 +67,7 @@ def predict(table: DHTable, observations: Observations, state: State) -> Floats:
 
 
 def linearise(
-    table: DHTable, observations: Observations, state: State, parameters: Parameters, poses: slice
+    table: Geometry, observations: Observations, state: State, parameters: Parameters, poses: slice
 ) -> Linearisation:
     """Evaluate residuals and derivatives for some of the poses.
 
@@ -56,7 +75,7 @@ def linearise(
     of the LED in the base frame to the measurement.
 
     Args:
-        table: the nominal rows.
+        table: the arm's parameters.
         observations: what was measured.
         state: where to linearise.
         parameters: the derivative's columns.

@@ -20,16 +20,16 @@ if TYPE_CHECKING:
 
     from urdfcal.arrays import Bools, Floats
     from urdfcal.estimation.observations import Observations
-    from urdfcal.estimation.parameters import Parameters
+    from urdfcal.estimation.parameters import Geometry, Parameters
     from urdfcal.estimation.state import State
-    from urdfcal.robot.dh import DHTable
 
 # Poses evaluated at a time: large enough to hide Python's overhead, small enough that a block's Jacobian
 # (a few MB) stays in cache and memory does not grow with the session.
 _BLOCK = 1024
-_MAX_ITERATIONS = 60
+# Ordinary sessions settle in ten; lenses that start a thousand pixels off need a hundred along a bent valley.
+_MAX_ITERATIONS = 300
 _MAX_CUTS = 5
-_FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-12, 1e12
+_FIRST_DAMPING, _MOST_DAMPING = 1e-3, 1e16
 # A step of this many standard deviations of the estimate is no step; the coarse one is for weights that still move.
 _CONVERGED, _CONVERGED_COARSE = 1e-6, 1e-2
 # Rounding of a cost that no longer falls.
@@ -77,6 +77,7 @@ class Solution:
         information: (count, count) J^T J of the whitened residuals and the priors, outliers left out.
         deviation: for each block of observations (N, m): whitened length of the residual of each sighting.
         outlier: for each block (N, m): taken out of the fit.
+        kept: for each block (N, m): the sightings the fit rests on.
         cost: chi-square of residuals and priors, outliers left out.
         chi2: the residuals' part of it.
         observations: scalar measurements used.
@@ -89,6 +90,7 @@ class Solution:
     information: Floats
     deviation: tuple[Floats, ...]
     outlier: tuple[Bools, ...]
+    kept: tuple[Bools, ...]
     cost: float
     chi2: float
     observations: int
@@ -99,6 +101,7 @@ class Solution:
     def reduced_chi2(self) -> float:
         """Chi-square per degree of freedom, priors counted as measurements; about 1 when the noise is as declared."""
         priors = int(np.count_nonzero(np.isfinite(self.parameters.prior) & self.parameters.active))
+        priors += len(self.parameters.distances)
         freedom = self.observations + priors - self.parameters.count
         return self.cost / freedom if freedom > 0 else float("nan")
 
@@ -111,7 +114,7 @@ class Solution:
 
 
 def solve(
-    table: DHTable,
+    table: Geometry,
     blocks: Sequence[Observations],
     start: State,
     parameters: Parameters,
@@ -124,7 +127,7 @@ def solve(
     have settled, outliers are cut and least squares on the rest finishes, until the cut stays the same.
 
     Args:
-        table: the nominal rows.
+        table: the arm's parameters.
         blocks: what was measured.
         start: first state.
         parameters: what to estimate, with priors.
@@ -153,12 +156,46 @@ def solve(
         information=descent.at.H,
         deviation=descent.at.deviation,
         outlier=tuple(outlier),
+        kept=tuple(block.valid & ~cut for block, cut in zip(blocks, outlier, strict=True)),
         cost=descent.at.cost,
         chi2=descent.at.chi2,
         observations=left,
         history=tuple(history),
         converged=descent.converged,
     )
+
+
+def refit(
+    table: Geometry,
+    blocks: Sequence[Observations],
+    kept: Sequence[Bools],
+    start: State,
+    parameters: Parameters,
+    joint_sigma: float,
+) -> State:
+    """Estimate from some of the sightings, near a start that is already good.
+
+    Args:
+        table: the arm's parameters.
+        blocks: what was measured.
+        kept: for each block (N, m): the sightings that count.
+        start: first state.
+        parameters: what to estimate, with priors.
+        joint_sigma: standard deviation of the joint readings. [rad or m]
+    """
+    weights = [np.where(keep, 1.0, _REJECTED) for keep in kept]
+    with threadpoolctl.threadpool_limits(1, user_api="blas"):
+        problem = _Problem(table, tuple(blocks), parameters, joint_sigma)
+        return _descend(problem, start, lambda *_: weights, _CONVERGED_COARSE, None).state
+
+
+def deviations(
+    table: Geometry, block: Observations, state: State, parameters: Parameters, joint_sigma: float
+) -> Floats:
+    """Whitened length (N, m) of every sighting's residual at a state: its noise and its joint readings' count."""
+    problem = _Problem(table, (block,), parameters, joint_sigma)
+    noise = problem.noise(problem.joint_noise(state), [np.ones(block.row.shape)])
+    return problem.evaluate(state, noise).deviation[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +221,7 @@ class _Noise:
 class _Problem:
     """Observations, parameters and noise; evaluates states, knows nothing of the iteration."""
 
-    table: DHTable
+    table: Geometry
     blocks: tuple[Observations, ...]
     parameters: Parameters
     joint_sigma: float
@@ -250,7 +287,10 @@ def _descend(
     tolerance: float,
     progress: Progress | None,
 ) -> _Descent:
-    """Levenberg-Marquardt until a step is shorter than ``tolerance``; weights are renewed after every step."""
+    """Levenberg-Marquardt until a step is shorter than ``tolerance``; weights are renewed after every step.
+
+    Damping follows the gain, the cost's fall over what the linear model promised (Nielsen, IMM-REP-1999-05).
+    """
     joint_noise = problem.joint_noise(state)
     weights: Weights = [np.ones(block.row.shape) for block in problem.blocks]
     noise = problem.noise(joint_noise, weights)
@@ -261,7 +301,7 @@ def _descend(
             remedy="Check the order of the cameras, the units of the joint readings and the tip link.",
         )
     history: list[Iteration] = []
-    damping, length = _FIRST_DAMPING, np.inf
+    damping, growth, length = _FIRST_DAMPING, 2.0, np.inf
     while damping < _MOST_DAMPING and len(history) < _MAX_ITERATIONS:
         renewed = weigh(problem.blocks, at)
         if any(not np.array_equal(a, b) for a, b in zip(renewed, weights, strict=True)):
@@ -270,17 +310,20 @@ def _descend(
         if length < tolerance:
             break
         step = _damped_step(at, damping)
+        promised = -float(step @ (2.0 * at.g + at.H @ step))
         try:
             candidate = problem.parameters.move(state, step)
+            new = problem.evaluate(candidate, noise)
         except CameraError:  # a trial lens that is none
-            damping *= 10.0
-            continue
-        new = problem.evaluate(candidate, noise)
-        if not new.cost <= at.cost * (1.0 + _COST_ROUNDING) + _COST_ROUNDING:  # NaN is no improvement either
-            damping *= 10.0
+            new = None
+        # NaN (an LED behind a camera) is no improvement either.
+        if new is None or not new.cost <= at.cost * (1.0 + _COST_ROUNDING) + _COST_ROUNDING:
+            damping, growth = damping * growth, 2.0 * growth
             continue
         length = float(np.sqrt(step @ at.H @ step))
-        state, at, damping = candidate, new, max(damping / 10.0, _LEAST_DAMPING)
+        gain = (at.cost - new.cost) / promised if promised > 0.0 else 1.0
+        damping, growth = damping * max(0.1, 1.0 - (2.0 * gain - 1.0) ** 3), 2.0
+        state, at = candidate, new
         history.append(Iteration(at.cost, damping, length, state))
         if progress is not None:
             progress(len(history), at.cost)

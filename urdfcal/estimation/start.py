@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import Floats, Ints, inverse
+from urdfcal.arrays import Bools, Floats, Ints, inverse
 from urdfcal.errors import CalibrationError
 from urdfcal.estimation.observations import arrange
 from urdfcal.estimation.state import State
+from urdfcal.robot.dh import PARAMETERS
 from urdfcal.robot.kinematics import tip_poses
 
 if TYPE_CHECKING:
@@ -38,10 +39,11 @@ def first_state(session: Session) -> State:
     T_base_tip = tip_poses(session.chain, session.q)
     guesses = np.array([np.zeros(3) if led.position is None else led.position for led in session.leds])
     unknown = np.array([led.position is None for led in session.leds])
+    exact = np.array([led.sigma == 0.0 for led in session.leds])
     points = _points(session)
     T_world_base, leds = None, guesses
     if points is not None:
-        T_world_base, leds = place_base(T_base_tip, *points, guesses, unknown)
+        T_world_base, leds = place_base(T_base_tip, *points, guesses, unknown, exact)
     T_cam_world: list[Floats] = []
     cameras = session.rig.cameras if session.rig is not None and session.detections is not None else ()
     for c, camera in enumerate(cameras):
@@ -56,7 +58,7 @@ def first_state(session: Session) -> State:
     if T_world_base is None:
         raise CalibrationError("there are no sightings to start from")
     return State(
-        offsets=np.zeros((len(session.chain.joints), 5)),
+        offsets=np.zeros((len(session.chain.joints), len(PARAMETERS))),
         T_world_base=T_world_base,
         leds=leds,
         cameras=tuple(cameras),
@@ -106,7 +108,7 @@ def _views(rig: Rig, detections: Detections) -> tuple[Ints, Ints, Floats, Floats
 
 
 def place_base(
-    T_base_tip: Floats, pose: Ints, led: Ints, points: Floats, guesses: Floats, unknown: Floats
+    T_base_tip: Floats, pose: Ints, led: Ints, points: Floats, guesses: Floats, unknown: Bools, exact: Bools
 ) -> tuple[Floats, Floats]:
     """Find T_world_base and the LED places that carry the arm onto measured points.
 
@@ -120,7 +122,8 @@ def place_base(
         led: (S,) LED of each point.
         points: (S, 3) in the world. [m]
         guesses: (L, 3) LED places in the tip frame to start from. [m]
-        unknown: (L,) bool, LEDs whose guess is none.
+        unknown: (L,) LEDs whose guess is none.
+        exact: (L,) LEDs whose guess is kept.
 
     Returns:
         T_world_base (4, 4) and leds (L, 3); LEDs never seen keep their guess.
@@ -142,7 +145,7 @@ def place_base(
     best: tuple[float, Floats, Floats] | None = None
     for leds in candidates:
         for _ in range(2):  # once with all points, once without the grossly wrong ones
-            T, leds = _alternate(R[kept], p[kept], led[kept], points[kept], leds)
+            T, leds = _alternate(R[kept], p[kept], led[kept], points[kept], leds, ~exact)
             predicted = (p + (R @ leds[led][..., None])[..., 0]) @ T[:3, :3].T + T[:3, 3]
             distance = np.linalg.norm(predicted - points, axis=1)
             kept = distance <= _GROSS * np.median(distance)
@@ -178,12 +181,12 @@ def _linear_leds(R: Floats, p: Floats, led: Ints, points: Floats, guesses: Float
     return np.where(np.isin(np.arange(L), led)[:, None], solution[12:].reshape(L, 3), guesses)
 
 
-def _alternate(R: Floats, p: Floats, led: Ints, points: Floats, leds: Floats) -> tuple[Floats, Floats]:
+def _alternate(R: Floats, p: Floats, led: Ints, points: Floats, leds: Floats, movable: Bools) -> tuple[Floats, Floats]:
     leds = leds.copy()
     for _ in range(_ALTERNATIONS):
         T = kabsch(p + (R @ leds[led][..., None])[..., 0], points)
         in_tip = (np.swapaxes(R, 1, 2) @ ((points - T[:3, 3]) @ T[:3, :3] - p)[..., None])[..., 0]
-        for index in np.unique(led):
+        for index in np.flatnonzero(movable & np.isin(np.arange(len(leds)), led)):
             leds[index] = in_tip[led == index].mean(axis=0)
     return kabsch(p + (R @ leds[led][..., None])[..., 0], points), leds
 

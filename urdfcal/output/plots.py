@@ -43,7 +43,7 @@ def log_convergence(base: Layer, calibration: Calibration) -> None:
     for block, outlier in zip(calibration.observations, calibration.fit.outlier, strict=True):
         unit, scale = _UNITS[block.dimension]
         used = block.valid & ~outlier
-        residuals = [(predict(calibration.table, block, state) - block.value)[used] for state in states]
+        residuals = [(predict(calibration.geometry, block, state) - block.value)[used] for state in states]
         rms = scale * np.sqrt([np.mean(np.sum(r**2, axis=1)) for r in residuals])
         _log_iterations(base.at("plots", f"rms_{unit}"), 0, rms)
 

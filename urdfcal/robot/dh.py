@@ -43,7 +43,9 @@ _COINCIDENT = 1e-12
 # theta this close to +-pi/2 leaves both signs of x equally small: the sign of a (or alpha) decides.
 _TIE = 1e-6
 
-_MOTIONS: dict[Parameter, Floats] = {
+_COLUMN: dict[str, int] = {name: column for column, name in enumerate(PARAMETERS)}
+
+_MOTIONS: dict[str, Floats] = {
     "theta": frozen([0, 0, 0, 0, 0, 1]),
     "d": frozen([0, 0, 1, 0, 0, 0]),
     "a": frozen([1, 0, 0, 0, 0, 0]),
@@ -148,6 +150,22 @@ class DHTable:
         return cls(chain, frozen(base), tuple(rows), frozen(inverse(F) @ L[-1]), frozen(K))
 
     @property
+    def columns(self) -> tuple[str, ...]:
+        """What each column of an offsets array adds to."""
+        return PARAMETERS
+
+    @property
+    def parameters(self) -> tuple[tuple[int, Parameter], ...]:
+        """(row, name) of every parameter that a joint's placement can take up and its neighbours cannot."""
+        last = len(self.rows) - 1
+        return tuple((i, p) for i, row in enumerate(self.rows) for p in row.free if i < last or p == row.variable)
+
+    @property
+    def zeros(self) -> tuple[tuple[int, Parameter], ...]:
+        """(row, name) of every joint's zero offset."""
+        return tuple((i, row.variable) for i, row in enumerate(self.rows))
+
+    @property
     def nominal(self) -> Floats:
         """The rows as drawn, (n, 5), columns as ``PARAMETERS``; in rad and m."""
         return np.array([row.values for row in self.rows])
@@ -210,7 +228,7 @@ class DHTable:
             result[i] = left @ _factor(row.variable, zero) @ self.K[i]
         return result
 
-    def twists(self, offsets: ArrayLike, parameters: Iterable[tuple[int, Parameter]]) -> Floats:
+    def twists(self, offsets: ArrayLike, parameters: Iterable[tuple[int, str]]) -> Floats:
         """Map DH parameters to body twists of the joints' placements: M_j <- M_j exp6(xi_j).
 
         Each parameter is one factor of one placement: with Q what stands to its right, xi = Ad(Q^-1) e.
@@ -231,7 +249,7 @@ class DHTable:
                 xi[i] = _carried(_MOTIONS[name], self.K[i])
             else:
                 # The row's own zero offset stands further left, in its joint's placement.
-                Q = row_transform(self.nominal[i] + shape[i], PARAMETERS.index(name) + 1)
+                Q = row_transform(self.nominal[i] + shape[i], _COLUMN[name] + 1)
                 zero = offsets[i + 1, own[i + 1]]
                 xi[i + 1] = _carried(_MOTIONS[name], Q @ _factor(self.rows[i + 1].variable, zero) @ self.K[i + 1])
             columns.append(xi.ravel())

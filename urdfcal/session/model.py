@@ -58,6 +58,28 @@ class Led:
 
 
 @dataclass(frozen=True)
+class LedDistance:
+    """The measured distance of two LEDs, as on an LED bar.
+
+    Attributes:
+        leds: the two.
+        distance: between them. [m]
+        sigma: how well it is known, one standard deviation. [m]
+    """
+
+    leds: tuple[str, str]
+    distance: float
+    sigma: float
+
+    def __post_init__(self) -> None:
+        where = f"distance of LEDs {self.leds[0]!r} and {self.leds[1]!r}"
+        if self.leds[0] == self.leds[1]:
+            raise SessionError("an LED has no distance to itself", where=where)
+        object.__setattr__(self, "distance", _number(self.distance, "distance", where, zero=False))
+        object.__setattr__(self, "sigma", _number(self.sigma, "sigma", where, zero=False))
+
+
+@dataclass(frozen=True)
 class Noise:
     """What was measured, how well: one standard deviation of each number.
 
@@ -82,13 +104,18 @@ class Estimate:
 
     Attributes:
         geometry: of the arm: DH rows, zero offsets only, every placement, or nothing.
-        intrinsics: of the cameras.
-        extrinsics: of the cameras.
+        intrinsics: of all cameras, or of each by name.
+        extrinsics: of all cameras, or of each by name.
     """
 
     geometry: Geometry | None = None
-    intrinsics: Freedom | None = None
-    extrinsics: Freedom | None = None
+    intrinsics: Freedom | Mapping[str, Freedom] | None = None
+    extrinsics: Freedom | Mapping[str, Freedom] | None = None
+
+    def of(self, what: Literal["intrinsics", "extrinsics"], camera: str) -> Freedom | None:
+        """What the session says of one camera; None leaves it to the calibration."""
+        said: Freedom | Mapping[str, Freedom] | None = getattr(self, what)
+        return said if said is None or isinstance(said, str) else said.get(camera)
 
     def __post_init__(self) -> None:
         for name, known in (("geometry", Geometry), ("intrinsics", Freedom), ("extrinsics", Freedom)):
@@ -193,6 +220,7 @@ class Setup:
     Attributes:
         chain: the joints that are calibrated.
         leds: on the tip link.
+        led_distances: measured between them.
         rig: the cameras; None where points were measured instead.
         urdf: the robot description; None for a chain from elsewhere.
         urdf_reference: how the file names it: a path or ``package://``.
@@ -205,6 +233,7 @@ class Setup:
 
     chain: Chain
     leds: tuple[Led, ...]
+    led_distances: tuple[LedDistance, ...] = ()
     rig: Rig | None = None
     urdf: Urdf | None = None
     urdf_reference: str = ""
@@ -216,6 +245,12 @@ class Setup:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "leds", tuple(self.leds))
+        object.__setattr__(self, "led_distances", tuple(self.led_distances))
+        for name in (name for distance in self.led_distances for name in distance.leds):
+            if name not in self.led_names:
+                raise SessionError(
+                    f"there is no LED {name!r}", where="led_distances", remedy=suggest(name, self.led_names, "LEDs")
+                )
         object.__setattr__(self, "sha256", MappingProxyType(dict(self.sha256)))
         if not self.leds:
             raise SessionError("there is no LED", remedy="Name at least one.")

@@ -21,7 +21,7 @@ from pydantic import (
 
 from urdfcal.errors import SessionError
 from urdfcal.robot.dh import Parameter  # noqa: TC001  # pydantic needs it at run time
-from urdfcal.session.model import Estimate, Freedom, Geometry, Led, Noise, Tolerances
+from urdfcal.session.model import Estimate, Freedom, Geometry, Led, LedDistance, Noise, Tolerances
 from urdfcal.session.names import flaw, listed, suggest
 from urdfcal.session.source import Source
 
@@ -69,6 +69,14 @@ class LedKeys(_Keys):
         return self
 
 
+class LedDistanceKeys(_Keys):
+    """The distance of two LEDs, in m."""
+
+    leds: tuple[Name, Name] = Field(strict=False)
+    distance: Positive
+    sigma: Positive
+
+
 class NoiseKeys(_Keys):
     """Standard deviations of what was measured."""
 
@@ -81,8 +89,8 @@ class EstimateKeys(_Keys):
     """What is to be estimated; what is not named is left to the calibration."""
 
     geometry: Geometry | None = None
-    intrinsics: Freedom | None = None
-    extrinsics: Freedom | None = None
+    intrinsics: Freedom | dict[str, Freedom] | None = None
+    extrinsics: Freedom | dict[str, Freedom] | None = None
 
 
 class TolerancesKeys(_Keys):
@@ -118,6 +126,7 @@ class SetupFile(_Keys):
 
     robot: RobotKeys
     leds: dict[Name, Annotated[LedKeys, BeforeValidator(_nothing_is_empty)]]
+    led_distances: list[LedDistanceKeys] = []
     cameras: Name | None = None
     noise: NoiseKeys = NoiseKeys()
     estimate: EstimateKeys = EstimateKeys()
@@ -139,6 +148,7 @@ class SetupFile(_Keys):
         """The parts that need no other file, as arguments of :class:`~urdfcal.session.model.Setup`."""
         return {
             "leds": tuple(Led(name, led.position, led.sigma) for name, led in self.leds.items()),  # type: ignore[arg-type]
+            "led_distances": tuple(LedDistance(d.leds, d.distance, d.sigma) for d in self.led_distances),
             "noise": Noise(**self.noise.model_dump()),
             "estimate": Estimate(**self.estimate.model_dump()),
             "tolerances": Tolerances(

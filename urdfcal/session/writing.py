@@ -93,6 +93,10 @@ def _write_files(folder: Path, session: Session, urdf: Urdf) -> None:
         "robot": {"urdf": reference, "base_link": chain.base_link, "tip_link": chain.tip_link},
         "leds": {led.name: _led_keys(led) for led in session.leds},
     }
+    if session.led_distances:
+        content["led_distances"] = [
+            {"leds": list(d.leds), "distance": d.distance, "sigma": d.sigma} for d in session.led_distances
+        ]
     if session.rig is not None:
         content["cameras"] = _CAMERAS
         write_kalibr(folder / _CAMERAS, session.rig)
@@ -128,7 +132,11 @@ def _expectations(setup: Setup) -> dict[str, Any]:
     tolerances = setup.tolerances
     content: dict[str, Any] = {
         "noise": dict(vars(setup.noise)),
-        "estimate": {key: str(value) for key, value in vars(setup.estimate).items() if value is not None},
+        "estimate": {
+            key: value if isinstance(value, str) else dict(value)
+            for key, value in vars(setup.estimate).items()
+            if value is not None
+        },
         "tolerances": {key: getattr(tolerances, key) for key in ("length", "angle", "zero")},
     }
     content["tolerances"] |= {name: dict(values) for name, values in tolerances.joints.items()}

@@ -83,22 +83,55 @@ class Triangulation:
 
 
 @dataclass(frozen=True, eq=False)
+class CameraSigma:
+    """How well a camera is known: standard deviations from its own calibration.
+
+    Attributes:
+        parameters: (4 + k,) of the camera's parameters, in their order; 0 = exactly known.
+        pose: (6,) x y z rx ry rz (m, rad) of a small motion exp6(s) after T_cam_world, in the camera's frame; None for
+            the first camera and where it is not known.
+
+    Raises:
+        CameraError: a standard deviation is negative or not finite.
+    """
+
+    parameters: Floats
+    pose: Floats | None = None
+
+    def __post_init__(self) -> None:
+        for name, values in (("parameters", self.parameters), ("pose", self.pose)):
+            if values is None:
+                continue
+            values = frozen(values)
+            if (
+                values.ndim != 1
+                or (name == "pose" and len(values) != 6)
+                or not ((values >= 0) & (values < np.inf)).all()
+            ):
+                raise CameraError(f"standard deviations {values.tolist()} of the camera's {name} make no sense")
+            object.__setattr__(self, name, values)
+
+
+@dataclass(frozen=True, eq=False)
 class Rig:
     """Cameras and where they stand. The world frame is the first camera's.
 
     Attributes:
         cameras: one or more, with different names.
         T_cam_world: for every camera (4, 4), or None where its place is not known; the first is the identity.
+        sigmas: for every camera how well it is known, or None; left out: all None.
 
     Raises:
-        CameraError: no camera, a name twice, or a transform that is not rigid.
+        CameraError: no camera, a name twice, a transform that is not rigid, or standard deviations of something else.
     """
 
     cameras: tuple[Camera, ...]
     T_cam_world: tuple[Floats | None, ...]
+    sigmas: tuple[CameraSigma | None, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "cameras", tuple(self.cameras))
+        object.__setattr__(self, "sigmas", tuple(self.sigmas) or (None,) * len(self.cameras))
         if not self.cameras:
             raise CameraError("a rig needs at least one camera")
         twice = sorted({name for name in self.names if self.names.count(name) > 1})
@@ -117,6 +150,7 @@ class Rig:
                 remedy="The world frame is the first camera's.",
             )
         object.__setattr__(self, "T_cam_world", placed)
+        self._check_sigmas()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -152,6 +186,20 @@ class Rig:
         columns = [i for i, _ in placed]
         cameras = tuple(self.cameras[i] for i in columns)
         return _Sightings(cameras, tuple(T for _, T in placed), uv[:, columns], sigma[:, columns]).triangulate()
+
+    def _check_sigmas(self) -> None:
+        if len(self.sigmas) != len(self.cameras):
+            raise CameraError(f"{len(self.cameras)} cameras have {len(self.sigmas)} sets of standard deviations")
+        for camera, T, sigma in zip(self.cameras, self.T_cam_world, self.sigmas, strict=True):
+            if sigma is None:
+                continue
+            where = f"camera '{camera.name}'"
+            if sigma.parameters.shape != camera.parameters.shape:
+                expected, given = len(camera.parameters), len(sigma.parameters)
+                raise CameraError(f"{expected} parameters have {given} standard deviations", where=where)
+            if sigma.pose is not None and (T is None or camera is self.cameras[0]):
+                place = "the world" if camera is self.cameras[0] else "not known"
+                raise CameraError(f"its place is {place}, and has no standard deviations", where=where)
 
     def _checked_sightings(self, uv: Floats, sigma: ArrayLike) -> tuple[Floats, Floats]:
         uv = np.asarray(uv, dtype=np.float64)

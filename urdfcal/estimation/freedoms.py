@@ -1,0 +1,85 @@
+"""What an estimate may move, and how far: the choice among nested models is made in these words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from urdfcal.session.model import Freedom, Geometry, Session
+
+_FIXED: Freedom = "fixed"
+_FREE: Freedom = "free"
+_WORDS: dict[Geometry, str] = {
+    "none": "arm as drawn",
+    "offsets": "zero offsets",
+    "dh": "DH rows",
+    "full": "all placements",
+}
+
+
+@dataclass(frozen=True)
+class Freedoms:
+    """One model of what differs from the drawing.
+
+    Attributes:
+        geometry: of the arm.
+        intrinsics: of each camera.
+        extrinsics: of each camera; the first one's is the world and fixed.
+        priors: whether manufacturing tolerances hold the arm near its drawing.
+    """
+
+    geometry: Geometry
+    intrinsics: tuple[Freedom, ...] = ()
+    extrinsics: tuple[Freedom, ...] = ()
+    priors: bool = True
+
+    def __str__(self) -> str:
+        words = [_WORDS[self.geometry]]
+        for what, freedoms in (("intrinsics", self.intrinsics), ("camera poses", self.extrinsics[1:])):
+            words += [f"{word} {what}" for word in ("refine", "free") if word in freedoms]
+        return ", ".join(words).replace("refine ", "refined ")
+
+    @property
+    def frozen_arm(self) -> Freedoms:
+        """The same cameras with the arm as drawn."""
+        return replace(self, geometry="none")
+
+
+def nominal(session: Session, *, priors: bool = True) -> Freedoms:
+    """The arm as drawn and the lenses as given; only cameras of unknown pose are free."""
+    known = session.rig.T_cam_world if session.rig is not None and session.detections is not None else ()
+    intrinsics: tuple[Freedom, ...] = (_FIXED,) * len(known)
+    extrinsics: tuple[Freedom, ...] = tuple("fixed" if not c or T is not None else "free" for c, T in enumerate(known))
+    return Freedoms("none", intrinsics, extrinsics, priors)
+
+
+def candidates(session: Session, *, priors: bool = True) -> tuple[Freedoms, ...]:
+    """The models to compare, from simple to rich: every geometry with the lenses as given, and with free ones.
+
+    What the session names is left as it says in every candidate but for the lenses: whether fixed lenses are refuted by
+    the sightings must be known before an arm is bent to fit them.
+    """
+    base, estimate = nominal(session, priors=priors), session.estimate
+    names = session.rig.names if base.intrinsics and session.rig is not None else ()
+    extrinsics = tuple(
+        estimate.of("extrinsics", name) or drawn if c else drawn
+        for c, (name, drawn) in enumerate(zip(names, base.extrinsics, strict=True))
+    )
+    geometries: tuple[Geometry, ...] = (estimate.geometry,) if estimate.geometry else ("none", "offsets", "dh")
+    said = tuple(estimate.of("intrinsics", name) for name in names)
+    lenses: list[tuple[Freedom, ...]] = [tuple(word or "fixed" for word in said), (_FREE,) * len(said)]
+    if any(said):
+        lenses.insert(1, tuple(word or "free" for word in said))
+    return tuple(
+        Freedoms(geometry, intrinsics, extrinsics, priors)
+        for intrinsics in dict.fromkeys(lenses)
+        for geometry in geometries
+    )
+
+
+def allowed(session: Session, freedoms: Freedoms) -> bool:
+    """Whether a model is what the session asks for, as far as it asks for something."""
+    names = session.rig.names if freedoms.intrinsics and session.rig is not None else ()
+    said = (session.estimate.of("intrinsics", name) for name in names)
+    return all(word is None or word == freedom for word, freedom in zip(said, freedoms.intrinsics, strict=True))

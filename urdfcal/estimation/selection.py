@@ -1,0 +1,147 @@
+"""Which freedoms the data support: nested models, compared by the poses they have not seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from urdfcal.errors import CalibrationError
+from urdfcal.estimation.freedoms import allowed, candidates, nominal
+from urdfcal.estimation.identifiability import identify
+from urdfcal.estimation.parameters import choose_parameters
+from urdfcal.estimation.solver import solve
+from urdfcal.estimation.validation import hold_out
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from urdfcal.arrays import Floats
+    from urdfcal.estimation.freedoms import Freedoms
+    from urdfcal.estimation.identifiability import Identifiability
+    from urdfcal.estimation.observations import Observations
+    from urdfcal.estimation.parameters import Geometry
+    from urdfcal.estimation.solver import Progress, Solution
+    from urdfcal.estimation.state import State
+    from urdfcal.estimation.validation import HeldOut
+    from urdfcal.session.model import Session
+
+# Held-out residuals that shrink by this factor with lenses set free refute the lenses as given: the arm would be
+# bent to make up for them (../shared/data/motoman_right: 3.0 against 1.0 px, and an arm ten times worse).
+_REFUTED = 1.5
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One model, estimated and cross-validated.
+
+    Attributes:
+        freedoms: the model.
+        identifiability: what the sightings tell of its parameters.
+        fit: its estimate from all poses.
+        held_out: its predictions of poses it has not seen.
+        loss: of those predictions, the lower the better.
+    """
+
+    freedoms: Freedoms
+    identifiability: Identifiability
+    fit: Solution
+    held_out: HeldOut
+    loss: float
+
+    def residuals(self, what: str) -> Floats:
+        """(S,) held-out ``residual`` or ``distance`` of all sightings that are no outliers. [px or m]."""
+        parts = getattr(self.held_out, what)
+        return np.concatenate([part[keep] for part, keep in zip(parts, self.fit.kept, strict=True)])
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """The models that were tried.
+
+    Attributes:
+        nominal: the arm and the lenses as given; only base, LEDs and unknown camera poses fitted.
+        trials: from simple to rich.
+        chosen: of those that the session allows, the one that predicts unseen poses best.
+        drawn: the chosen one's cameras with the arm as drawn.
+        failures: why the chosen one should not be used.
+    """
+
+    nominal: Solution
+    trials: tuple[Trial, ...]
+    chosen: Trial
+    drawn: Trial
+    failures: tuple[str, ...]
+
+
+def compare_models(
+    session: Session,
+    table: Geometry,
+    blocks: Sequence[Observations],
+    start: State,
+    *,
+    priors: bool,
+    seed: int,
+    progress: Progress | None = None,
+) -> Comparison:
+    """Estimate and cross-validate every model in question, and choose.
+
+    Args:
+        session: what was measured, and what it wants estimated.
+        table: the arm's parameters.
+        blocks: the session's observations.
+        start: first state.
+        priors: whether manufacturing tolerances act as priors.
+        seed: of the division into folds.
+        progress: called after every solver step.
+    """
+    joint_sigma = session.noise.joint
+    base = nominal(session, priors=priors)
+    as_given = solve(table, blocks, start, choose_parameters(session, table, start, base), joint_sigma, progress)
+    trials: dict[Freedoms, Trial] = {}
+
+    def attempt(freedoms: Freedoms) -> Trial:
+        if freedoms not in trials:
+            # Lenses first, the arm after: freed together they start in a bent valley.
+            state = as_given.state if freedoms.geometry == "none" else attempt(freedoms.frozen_arm).fit.state
+            found = identify(table, blocks, state, choose_parameters(session, table, state, freedoms))
+            fit = solve(table, blocks, state, found.parameters, joint_sigma, progress)
+            held_out = hold_out(table, blocks, fit, joint_sigma, seed)
+            trials[freedoms] = Trial(freedoms, found, fit, held_out, held_out.loss(blocks))
+        return trials[freedoms]
+
+    tried = [attempt(freedoms) for freedoms in candidates(session, priors=priors)]
+    chosen = min((trial for trial in tried if allowed(session, trial.freedoms)), key=lambda trial: trial.loss)
+    drawn = attempt(chosen.freedoms.frozen_arm)
+    return Comparison(as_given, tuple(trials.values()), chosen, drawn, tuple(_failures(session, tried, chosen, drawn)))
+
+
+def _failures(session: Session, tried: Sequence[Trial], chosen: Trial, drawn: Trial) -> list[str]:
+    failures = []
+    if not chosen.fit.converged:
+        failures.append(
+            f"the estimate did not settle in {len(chosen.fit.history)} steps: check the joint readings' columns and "
+            "units, the tip link and the cameras"
+        )
+    if session.estimate.geometry != "none" and chosen.loss >= drawn.loss:
+        failures.append(
+            "the calibrated arm does not predict poses it has not seen better than the drawn one: more poses or less "
+            "noise are needed, or there is nothing to correct"
+        )
+    if chosen.freedoms.intrinsics:
+        best = min(tried, key=lambda trial: trial.loss)
+        with_given, with_free = (_rms(trial.residuals("residual")) for trial in (chosen, best))
+        if with_given > _REFUTED * with_free:
+            failures.append(
+                f"the cameras' intrinsics as given are refuted by the sightings: poses not seen are predicted to "
+                f"{with_given:.2f} px with them and to {with_free:.2f} px with free ones, so the arm would be bent to "
+                "make up for the lenses; set estimate: {intrinsics: free}, or calibrate the cameras"
+            )
+    return failures
+
+
+def _rms(values: Floats) -> float:
+    if values.size == 0:
+        raise CalibrationError("no sighting is left: all are outliers", remedy="Check how LEDs were detected.")
+    return float(np.sqrt(np.mean(values**2)))
