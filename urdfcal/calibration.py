@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any
@@ -17,6 +17,7 @@ from urdfcal.errors import CalibrationError, OutputError, RobotError
 from urdfcal.estimation.observations import Observations, observe
 from urdfcal.estimation.residuals import predict
 from urdfcal.estimation.selection import Comparison, compare_models
+from urdfcal.estimation.several import Candidate, several
 from urdfcal.estimation.start import first_state, triangulated
 from urdfcal.estimation.uncertainty import tip_covariance
 from urdfcal.robot.chain import Chain
@@ -58,6 +59,7 @@ class Calibration:
         geometry: what was estimated of the arm: the offsets of those rows, or of whole placements.
         observations: the session's sightings, in the order the solutions' deviations follow.
         comparison: the models that were tried, and the chosen one.
+        solutions: minima reached from other starts, if any were asked for; the kept one first.
         seed: of the folds and of the check configurations.
         warnings: what the user should know before trusting the result.
     """
@@ -67,6 +69,7 @@ class Calibration:
     geometry: Geometry
     observations: tuple[Observations, ...]
     comparison: Comparison
+    solutions: tuple[Candidate, ...]
     seed: int
     warnings: tuple[str, ...]
 
@@ -212,8 +215,13 @@ class Calibration:
             ],
             "identifiability": {
                 "condition_number": self.identifiability.condition_number,
+                **{f"O{k}": value for k, value in enumerate(self.identifiability.observability, start=1)},
                 "lost": list(self.identifiability.lost),
             },
+            "solutions": [
+                {"cost": s.cost if np.isfinite(s.cost) else None, "kept": s.kept, "reason": s.reason}
+                for s in self.solutions
+            ],
             "outliers": self.outliers(),
             "warnings": [*self.failures, *self.warnings],
             "provenance": {
@@ -372,6 +380,7 @@ def calibrate(
     session: Session,
     *,
     priors: bool = True,
+    starts: int = 0,
     seed: int = 0,
     force: bool = False,
     progress: Progress | None = None,
@@ -386,7 +395,8 @@ def calibrate(
     Args:
         session: what was measured.
         priors: whether manufacturing tolerances act as priors; without, plain least squares (the seed's eq. 8).
-        seed: of the division into folds and of the configurations at which the result is checked.
+        starts: how many other arms to start from, near the drawing and far from it; what they lead to is screened.
+        seed: of the division into folds, of other starts, and of the configurations at which the result is checked.
         force: give the result even where it fails its own checks; ``Calibration.failures`` says which.
         progress: called after every solver step.
 
@@ -397,9 +407,15 @@ def calibrate(
     table = DHTable.from_chain(session.chain)
     geometry = PlacementTable(session.chain) if session.estimate.geometry == "full" else table
     blocks = observe(session)
-    start = first_state(session)
-    start = replace(start, offsets=np.zeros((len(table.rows), len(geometry.columns))))
+    start = first_state(session, geometry, np.zeros((len(table.rows), len(geometry.columns))))
     comparison = compare_models(session, geometry, blocks, start, priors=priors, seed=seed, progress=progress)
+    solutions: tuple[Candidate, ...] = ()
+    if starts:
+        fit = comparison.chosen.fit
+        solutions = several(session, geometry, blocks, fit, starts, seed, progress)
+        kept = solutions[0].solution if solutions[0].kept else None
+        if kept is not None and kept is not fit:
+            comparison = comparison.with_fit(geometry, blocks, kept, session, seed)
     if comparison.failures and not force:
         raise CalibrationError(
             "; ".join(comparison.failures), where="not written", remedy="--force writes it all the same."
@@ -410,6 +426,7 @@ def calibrate(
         geometry=geometry,
         observations=blocks,
         comparison=comparison,
+        solutions=solutions,
         seed=seed,
         warnings=(*session.warnings, *_doubts(comparison.chosen.fit)),
     )
@@ -423,10 +440,6 @@ def _doubts(fit: Solution) -> list[str]:
             f"the residuals are {np.sqrt(fit.reduced_chi2):.1f} times the declared noise: the noise is larger than "
             "declared, or camera intrinsics, units or the robot's stiffness are not what the model assumes"
         )
-    cut = sum(int(np.sum(outlier)) for outlier in fit.outlier)
-    total = sum(deviation[deviation > 0.0].size for deviation in fit.deviation)
-    if cut > 0.2 * total:
-        doubts.append(f"{cut} of {total} sightings were taken out as outliers: look at how LEDs were detected")
     for index, (row, name) in enumerate(fit.parameters.rows):
         offset, prior = fit.state.offsets[row, fit.parameters.columns.index(name)], fit.parameters.prior[index]
         if fit.parameters.active[index] and abs(offset) > _FAR * prior:

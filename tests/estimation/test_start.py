@@ -9,6 +9,7 @@ import pytest
 
 from urdfcal.errors import CalibrationError
 from urdfcal.estimation.start import first_state, kabsch, place_base
+from urdfcal.robot.dh import DHTable
 from urdfcal.session.model import Led
 
 if TYPE_CHECKING:
@@ -58,7 +59,8 @@ def test_the_start_is_near_the_truth_on_every_rig(rig: str, known: str, simulate
     if known == "nothing":
         T_cam_world = (session.rig.T_cam_world[0], None)
         session = replace(session, rig=replace(session.rig, T_cam_world=T_cam_world), leds=(Led("led"),))
-    found = first_state(session)
+    table = DHTable.from_chain(session.chain)
+    found = first_state(session, table, np.zeros_like(table.nominal))
     difference = pin.SE3(found.T_world_base).inverse() * pin.SE3(data.truth.T_world_base)
     assert np.linalg.norm(difference.translation) < 0.15
     assert np.linalg.norm(pin.log3(difference.rotation)) < 0.15

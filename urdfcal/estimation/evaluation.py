@@ -130,7 +130,7 @@ def explain(chain: Chain, session: Session, progress: Progress | None = None) ->
     session = replace(session, chain=chain)
     table = DHTable.from_chain(chain)
     blocks = observe(session)
-    start = first_state(session)
+    start = first_state(session, table, np.zeros_like(table.nominal))
     freedoms = nominal(session)
     free: Freedom = "free"
     parameters = choose_parameters(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.estimation.residuals import linearise
+from urdfcal.estimation.words import sentence
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,7 +27,8 @@ _LOST = 1e-8
 _LEAST_NORM = 1e-3
 # A parameter takes part in a lost direction when its share of it is above rounding.
 _PART = 1e-5
-_NAMED = 6
+# ... and is worth naming when it is more than this share of the largest.
+_NAMED_PART = 0.05
 _ORDER = ("d", "a", "theta", "alpha", "beta", "z", "x", "y", "rz", "rx", "ry")
 _BLOCK = 1024
 
@@ -39,12 +41,14 @@ class Identifiability:
         parameters: the packing, with what only a nominal value can tell held at it.
         rank: number of parameters that the sightings tell.
         condition_number: of the column-normalised whitened Jacobian of those.
+        observability: indices O1 to O5, the larger the better the poses were chosen.
         lost: one sentence for each lost direction.
     """
 
     parameters: Parameters
     rank: int
     condition_number: float
+    observability: tuple[float, float, float, float, float]
     lost: tuple[str, ...]
 
 
@@ -78,26 +82,33 @@ def identify(table: Geometry, blocks: Sequence[Observations], state: State, para
         # The direction that this parameter alone must follow names what it is confused with.
         direction = np.zeros(len(columns))
         direction[kept] = null.T @ null[:, np.flatnonzero(np.flatnonzero(kept) == victim)[0]]
-        partners = [
-            parameters.names[columns[k]]
-            for k in np.argsort(-np.abs(direction))
-            if k != victim and abs(direction[k]) > 0.05 * np.abs(direction).max()
-        ]
-        names = f"{', '.join(partners[:_NAMED])}{', ...' if len(partners) > _NAMED else ''}"
-        name = parameters.names[columns[victim]]
-        sentence = f"{name} cannot be told from {names}" if partners else f"{name} moves nothing that is seen"
-        if np.count_nonzero(tolerated & (np.abs(direction) > _PART)) > 1:
-            sentence += ": their tolerances share it out"
-        else:
-            held[int(columns[victim])] = sentence
-        lost.append(sentence)
+        part = np.abs(direction) > _NAMED_PART * np.abs(direction).max()
+        partners = [int(columns[k]) for k in np.argsort(-np.abs(direction), kind="stable") if k != victim and part[k]]
+        hold = bool(np.count_nonzero(tolerated & (np.abs(direction) > _PART)) <= 1)
+        text = sentence(table, parameters, int(columns[victim]), partners, held=hold)
+        if hold:
+            held[int(columns[victim])] = text
+        lost.append(text)
         kept[victim] = False
     left = singular[: np.count_nonzero(kept)]
     return Identifiability(
         parameters=parameters.holding(held),
         rank=int(np.count_nonzero(kept)),
         condition_number=float(left[0] / left[-1]),
+        observability=_observability(left, sum(block.dimension * block.count for block in blocks)),
         lost=tuple(lost),
+    )
+
+
+def _observability(singular: Floats, measurements: int) -> tuple[float, float, float, float, float]:
+    """O1 ... O5 of Sun & Hollerbach (ICRA 2008), of the column-normalised whitened Jacobian's singular values."""
+    geometric = float(np.exp(np.mean(np.log(singular))))
+    return (
+        geometric / np.sqrt(measurements),
+        float(singular[-1] / singular[0]),
+        float(singular[-1]),
+        float(singular[-1] ** 2 / singular[0]),
+        float(1.0 / np.sum(1.0 / singular)),
     )
 
 

@@ -83,6 +83,7 @@ class Parameters:
         prior: (P,) standard deviation about the centre; inf where there is no prior. [unit of the entry]
         centre: the state the priors are centred at.
         distances: (LED, LED, distance, standard deviation) of each measured LED distance. [m]
+        zeros: indices of the joints' zero offsets.
         reasons: why an entry is not active.
     """
 
@@ -97,6 +98,7 @@ class Parameters:
     prior: Floats
     centre: State
     distances: tuple[tuple[int, int, float, float], ...]
+    zeros: frozenset[int]
     reasons: Mapping[int, str]
 
     @property
@@ -273,6 +275,7 @@ def choose_parameters(session: Session, table: Geometry, centre: State, freedoms
             (session.led_names.index(d.leds[0]), session.led_names.index(d.leds[1]), d.distance, d.sigma)
             for d in session.led_distances
         ),
+        zeros=frozenset(k for k, row in enumerate(rows) if row in zeros),
         reasons={},
     ).holding(held)
 

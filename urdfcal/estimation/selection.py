@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,6 +30,11 @@ if TYPE_CHECKING:
 # Held-out residuals that shrink by this factor with lenses set free refute the lenses as given: the arm would be
 # bent to make up for them (../shared/data/motoman_right: 3.0 against 1.0 px, and an arm ten times worse).
 _REFUTED = 1.5
+# Residuals this many times the declared noise are no noise: wrong tip links and exchanged columns start at a hundred,
+# careless declarations end at five or so.
+_ABSURD = 20.0
+_MANY_OUTLIERS = 0.25
+_STRANGE = 20.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +78,16 @@ class Comparison:
     chosen: Trial
     drawn: Trial
     failures: tuple[str, ...]
+
+    def with_fit(
+        self, table: Geometry, blocks: Sequence[Observations], fit: Solution, session: Session, seed: int
+    ) -> Comparison:
+        """The same comparison with a better estimate of the chosen model."""
+        held_out = hold_out(table, blocks, fit, session.noise.joint, seed)
+        better = replace(self.chosen, fit=fit, held_out=held_out, loss=held_out.loss(blocks))
+        trials = tuple(better if trial is self.chosen else trial for trial in self.trials)
+        failures = tuple(_failures(session, trials, better, self.drawn))
+        return replace(self, trials=trials, chosen=better, failures=failures)
 
 
 def compare_models(
@@ -119,6 +134,23 @@ def compare_models(
 
 def _failures(session: Session, tried: Sequence[Trial], chosen: Trial, drawn: Trial) -> list[str]:
     failures = []
+    fit = chosen.fit
+    noise = float(np.sqrt(fit.reduced_chi2))
+    if noise > _ABSURD:
+        failures.append(
+            f"the residuals are {noise:.0f} times the declared noise: this is not a robot like the drawn one; check "
+            "the tip link, the order and the signs of the joint columns, their units, and the cameras"
+        )
+    cut, total = (sum(int(np.sum(part)) for part in parts) for parts in (fit.outlier, fit.kept))
+    total += cut
+    if cut > _MANY_OUTLIERS * total:
+        failures.append(f"{cut} of {total} sightings had to be taken out as outliers: look at how LEDs were detected")
+    strange = _offsets_in_tolerances(fit)
+    if strange:
+        failures.append(
+            f"{', '.join(strange)}: no arm is built so far from its drawing; check the tip link and the joint "
+            "columns, or name larger tolerances"
+        )
     if not chosen.fit.converged:
         failures.append(
             f"the estimate did not settle in {len(chosen.fit.history)} steps: check the joint readings' columns and "
@@ -139,6 +171,16 @@ def _failures(session: Session, tried: Sequence[Trial], chosen: Trial, drawn: Tr
                 "make up for the lenses; set estimate: {intrinsics: free}, or calibrate the cameras"
             )
     return failures
+
+
+def _offsets_in_tolerances(fit: Solution) -> list[str]:
+    """The offsets far beyond tolerance, in words; joints' zeros left out: on cheap arms they are anywhere."""
+    words = []
+    for index, (row, name) in enumerate(fit.parameters.rows):
+        offset, prior = fit.state.offsets[row, fit.parameters.columns.index(name)], fit.parameters.prior[index]
+        if index not in fit.parameters.zeros and abs(offset) > _STRANGE * prior:
+            words.append(f"{fit.parameters.names[index]} would be off by {abs(offset) / prior:.0f} tolerances")
+    return words
 
 
 def _rms(values: Floats) -> float:

@@ -320,7 +320,7 @@ def _descend(
         if new is None or not new.cost <= at.cost * (1.0 + _COST_ROUNDING) + _COST_ROUNDING:
             damping, growth = damping * growth, 2.0 * growth
             continue
-        length = float(np.sqrt(step @ at.H @ step))
+        length = float(np.sqrt(max(float(step @ at.H @ step), 0.0)))
         gain = (at.cost - new.cost) / promised if promised > 0.0 else 1.0
         damping, growth = damping * max(0.1, 1.0 - (2.0 * gain - 1.0) ** 3), 2.0
         state, at = candidate, new

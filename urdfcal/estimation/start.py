@@ -10,11 +10,11 @@ from urdfcal.arrays import Bools, Floats, Ints, inverse
 from urdfcal.errors import CalibrationError
 from urdfcal.estimation.observations import arrange
 from urdfcal.estimation.state import State
-from urdfcal.robot.dh import PARAMETERS
 from urdfcal.robot.kinematics import tip_poses
 
 if TYPE_CHECKING:
     from urdfcal.estimation.observations import Observations
+    from urdfcal.estimation.parameters import Geometry
     from urdfcal.session.model import Detections, Session
     from urdfcal.vision.rig import Rig
 
@@ -27,16 +27,21 @@ _GROSS = 5.0
 _PNP_TOLERANCE = 0.1
 
 
-def first_state(session: Session) -> State:
-    """Place base, LEDs and cameras by what is seen, with the arm as drawn.
+def first_state(session: Session, table: Geometry, offsets: Floats) -> State:
+    """Place base, LEDs and cameras by what is seen.
 
     3-D points (measured, or triangulated where camera poses are known) give the base pose and the LED places
-    in closed form; a camera of unknown pose is placed by PnP on the nominal arm's LED positions.
+    in closed form; a camera of unknown pose is placed by PnP on the arm's LED positions.
+
+    Args:
+        session: what was measured.
+        table: the arm's parameters.
+        offsets: the arm to start from, of the table's shape; zeros for the arm as drawn.
 
     Raises:
         CalibrationError: too few sightings to place the base or a camera.
     """
-    T_base_tip = tip_poses(session.chain, session.q)
+    T_base_tip = tip_poses(session.chain, session.q, table.placements(offsets))
     guesses = np.array([np.zeros(3) if led.position is None else led.position for led in session.leds])
     unknown = np.array([led.position is None for led in session.leds])
     exact = np.array([led.sigma == 0.0 for led in session.leds])
@@ -58,7 +63,7 @@ def first_state(session: Session) -> State:
     if T_world_base is None:
         raise CalibrationError("there are no sightings to start from")
     return State(
-        offsets=np.zeros((len(session.chain.joints), len(PARAMETERS))),
+        offsets=offsets,
         T_world_base=T_world_base,
         leds=leds,
         cameras=tuple(cameras),
