@@ -11,12 +11,13 @@ import pytest
 
 import urdfcal
 from urdfcal.calibration import calibrate
-from urdfcal.errors import OutputError, RobotError
-from urdfcal.estimation.evaluation import compare
+from urdfcal.errors import CalibrationError, OutputError, RobotError
+from urdfcal.estimation.evaluation import compare, explain
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.robot.urdf import Urdf
-from urdfcal.session.files import read_session
+from urdfcal.session.files import read_points, read_session
+from urdfcal.session.model import Estimate, Led
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -150,3 +151,49 @@ def test_every_exported_name_is_there() -> None:
         assert getattr(urdfcal, name) is not None
     with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
         urdfcal.nonsense  # noqa: B018
+
+
+def test_triangulated_points_do_nearly_as_well_as_pixels(simulated: Callable) -> None:
+    data = simulated("ur5", poses=50)
+    session = replace(data.session, estimate=Estimate("dh", "fixed", "fixed"))
+    pixels, points = (calibrate(session, method=method) for method in ("pixels", "points"))
+    assert points.estimate.cameras == ()
+    assert points.summary()["rms_mm"] < 2.0
+    assert error(points, data, points.placements) < 1.5 * error(pixels, data, pixels.placements)
+
+
+def test_a_wrong_tip_link_is_refused(simulated: Callable) -> None:
+    session = simulated("ur5").session
+    wrong = replace(session, chain=Chain.from_urdf(session.urdf, "wrist_2_link", "base_link"), q=session.q[:, :5])
+    with pytest.raises(CalibrationError, match="times the declared noise"):
+        calibrate(wrong)
+    assert calibrate(wrong, force=True).failures
+
+
+def test_refuted_lenses_are_refused(shared: Path) -> None:
+    session = replace(read_session(shared / "motoman_right"), estimate=Estimate("dh", "fixed", "free"))
+    with pytest.raises(CalibrationError, match="intrinsics as given are refuted"):
+        calibrate(session)
+
+
+def test_the_measured_motoman_finds_its_lenses(shared: Path) -> None:
+    calibration = calibrate(read_session(shared / "motoman_right"))
+    assert str(calibration.comparison.chosen.freedoms) == "DH rows, free intrinsics, free camera poses"
+    assert calibration.summary()["rms_px"] <= 1.02
+    points, leds = read_points(shared / "motoman_right" / "check_points.csv", calibration.session)
+    tracker = replace(calibration.session, detections=None, points=points, leds=leds)
+    residual = explain(replace(calibration.chain, placements=calibration.placements), tracker).residuals[0]
+    assert 1e3 * np.sqrt(np.mean(np.sum(residual**2, axis=1))) <= 0.17
+
+
+def test_predicted_tip_errors_are_true(simulated: Callable) -> None:
+    # Squared tip error over predicted variance, averaged over the workspace and a few robots.
+    ratios = []
+    for seed in range(8):
+        data = simulated("elbow3r", poses=20, seed=seed)
+        session = replace(data.session, estimate=Estimate("dh", "fixed", "fixed"), leds=(Led("led"),))
+        calibration = calibrate(session, priors=False)
+        q = session.chain.random_values(300, np.random.default_rng(0))
+        predicted = np.mean(calibration.tip_sigma(q) ** 2)
+        ratios.append(error(calibration, data, calibration.placements) ** 2 / predicted)
+    assert 0.5 < np.mean(ratios) < 1.8

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import PurePosixPath
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import pinocchio as pin
@@ -16,7 +16,7 @@ from urdfcal.arrays import Bools, Floats, frozen, inverse
 from urdfcal.errors import CalibrationError, OutputError, RobotError
 from urdfcal.estimation.observations import Observations, observe
 from urdfcal.estimation.residuals import predict
-from urdfcal.estimation.selection import Comparison, compare_models
+from urdfcal.estimation.selection import Comparison, Trial, compare_models, with_fit
 from urdfcal.estimation.several import Candidate, several
 from urdfcal.estimation.start import first_state, triangulated
 from urdfcal.estimation.uncertainty import tip_covariance
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from urdfcal.session.model import Session
 
 FORMAT = "urdfcal/1"
+Method = Literal["pixels", "points"]
 
 # A reduced chi-square above this is no accident with a few dozen sightings: something is unmodelled.
 _MISFIT = 2.0
@@ -206,12 +207,13 @@ class Calibration:
             "validation": self.validation(),
             "models": [
                 {
-                    "model": str(trial.freedoms),
-                    "loss": trial.loss,
-                    "parameters": trial.fit.parameters.count,
-                    "chosen": trial is self.comparison.chosen,
+                    "model": str(attempt.freedoms),
+                    "parameters": attempt.fit.parameters.count,
+                    "seen_loss": attempt.seen_loss,
+                    "held_out_loss": attempt.loss if isinstance(attempt, Trial) else None,
+                    "chosen": attempt is self.comparison.chosen,
                 }
-                for trial in self.comparison.trials
+                for attempt in self.comparison.attempts
             ],
             "identifiability": {
                 "condition_number": self.identifiability.condition_number,
@@ -243,7 +245,7 @@ class Calibration:
             "converged": self.fit.converged,
             "reduced_chi2": self.fit.reduced_chi2,
         }
-        points = triangulated(self.session) if self.session.points is None else None
+        points = triangulated(self.session) if self.estimate.cameras else None
         for prefix, fit in (("nominal_", self.nominal_fit), ("", self.fit)):
             for block, cut in zip(self.observations, fit.outlier, strict=True):
                 unit, scale = ("px", 1.0) if block.dimension == 2 else ("mm", 1e3)
@@ -379,6 +381,7 @@ class Calibration:
 def calibrate(
     session: Session,
     *,
+    method: Method = "pixels",
     priors: bool = True,
     starts: int = 0,
     seed: int = 0,
@@ -394,6 +397,7 @@ def calibrate(
 
     Args:
         session: what was measured.
+        method: whether the cameras' pixels count, or the points triangulated from them with their covariances.
         priors: whether manufacturing tolerances act as priors; without, plain least squares (the seed's eq. 8).
         starts: how many other arms to start from, near the drawing and far from it; what they lead to is screened.
         seed: of the division into folds, of other starts, and of the configurations at which the result is checked.
@@ -406,8 +410,10 @@ def calibrate(
     """
     table = DHTable.from_chain(session.chain)
     geometry = PlacementTable(session.chain) if session.estimate.geometry == "full" else table
-    blocks = observe(session)
     start = first_state(session, geometry, np.zeros((len(table.rows), len(geometry.columns))))
+    blocks = observe(session)
+    if method == "points":
+        blocks, start = _as_points(session), replace(start, cameras=(), T_cam_world=np.zeros((0, 4, 4)))
     comparison = compare_models(session, geometry, blocks, start, priors=priors, seed=seed, progress=progress)
     solutions: tuple[Candidate, ...] = ()
     if starts:
@@ -415,7 +421,7 @@ def calibrate(
         solutions = several(session, geometry, blocks, fit, starts, seed, progress)
         kept = solutions[0].solution if solutions[0].kept else None
         if kept is not None and kept is not fit:
-            comparison = comparison.with_fit(geometry, blocks, kept, session, seed)
+            comparison = with_fit(comparison, kept, session, geometry, blocks, seed)
     if comparison.failures and not force:
         raise CalibrationError(
             "; ".join(comparison.failures), where="not written", remedy="--force writes it all the same."
@@ -430,6 +436,16 @@ def calibrate(
         seed=seed,
         warnings=(*session.warnings, *_doubts(comparison.chosen.fit)),
     )
+
+
+def _as_points(session: Session) -> tuple[Observations, ...]:
+    points = triangulated(session)
+    if points is None:
+        raise CalibrationError(
+            "no point can be triangulated from these sightings",
+            remedy="It takes two cameras of known pose; a tracker's points.csv needs no --method points.",
+        )
+    return (points,)
 
 
 def _doubts(fit: Solution) -> list[str]:

@@ -53,7 +53,7 @@ def bound(simulated: Simulated, q: np.ndarray) -> float:
     parameters = identify(table, [block], truth, candidates).parameters
     at = linearise(table, block, truth, parameters, slice(None))
     N, m, D, P = at.J.shape
-    J, J_q = at.J.reshape(N, m * D, P), at.J_q.reshape(N, m * D, -1)
+    J, J_q = at.J.reshape(N, m * D, P), at.by_joints(table.chain).reshape(N, m * D, -1)
     noise = np.zeros((N, m, D, m, D))
     each = np.arange(m)
     noise[:, each, :, each, :] = np.moveaxis(block.covariance, 1, 0)

@@ -46,7 +46,7 @@ def test_the_derivative_by_joint_readings_agrees_with_finite_differences(
     (block,) = observe(data.session)
     state = true_state(data)
     parameters = choose_parameters(data.session, table, state, Freedoms("none", ("fixed",) * 2, ("fixed",) * 2))
-    J_q = linearise(table, block, state, parameters, EVERY).J_q
+    J_q = linearise(table, block, state, parameters, EVERY).by_joints(table.chain)
     for i in range(block.q.shape[1]):
         step = 1e-6 * np.eye(block.q.shape[1])[i]
         before, after = (predict(table, replace(block, q=block.q + s * step), state) for s in (-1, 1))

@@ -11,9 +11,12 @@ from urdfcal.estimation.evaluation import compare
 from urdfcal.estimation.freedoms import Freedoms
 from urdfcal.estimation.observations import observe
 from urdfcal.estimation.parameters import choose_parameters
+from urdfcal.estimation.residuals import led_positions, predict
 from urdfcal.estimation.solver import solve
+from urdfcal.estimation.start import kabsch
 from urdfcal.robot.dh import DHTable
-from urdfcal.session.model import Noise
+from urdfcal.session.model import Detections, Estimate, Led, LedDistance, Noise
+from urdfcal.vision.rig import Rig
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -21,8 +24,6 @@ if TYPE_CHECKING:
 
 def noise_free(data: object, true_state: Callable) -> object:
     """The session's sightings replaced by what the true robot shows, with true joint readings."""
-    from urdfcal.estimation.residuals import predict
-
     session = replace(data.session, q=data.truth.q)
     table = DHTable.from_chain(session.chain)
     (block,) = observe(session)
@@ -42,6 +43,16 @@ def test_noise_free_sightings_give_the_truth(rig: str, simulated: Callable, true
     assert compare(true, found, q).position.max() < 1e-7
     np.testing.assert_allclose(calibration.estimate.leds, data.truth.leds, atol=1e-7)
     assert calibration.summary()["rms_px"] < 1e-5
+
+
+def test_the_noises_quantiles_are_chi_squares() -> None:
+    from scipy.stats import chi2
+
+    from urdfcal.estimation import solver
+
+    for constants, tail in ((solver._MEDIAN, 0.5), (solver._HUBER, 0.05), (solver._OUTLIER, 1e-9)):
+        for dimension, length in constants.items():
+            assert length == pytest.approx(np.sqrt(chi2.isf(tail, dimension)), rel=1e-12)
 
 
 def test_the_order_of_poses_does_not_matter(simulated: Callable) -> None:
@@ -107,3 +118,52 @@ def test_standard_deviations_are_true(simulated: Callable) -> None:
         squares.append((((calibration.estimate.offsets - data.truth.offsets) / sigma)[known]) ** 2)
     mean = np.mean(np.concatenate(squares))
     assert 0.6 < mean < 1.5
+
+
+def test_an_led_bar_brings_the_scale_back_to_one_camera(simulated: Callable, true_state: Callable) -> None:
+    # Three LEDs 0.3 m apart, seen by one camera: the truth's own places, known only through their distances.
+    data = simulated("ur5", poses=50)
+    session, rig = data.session, data.session.rig
+    places = data.truth.leds[0] + np.array([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0], [0.15, 0.15 * np.sqrt(3.0), 0.0]])
+    leds = tuple(Led(name) for name in ("a", "b", "c"))
+    pose, led = np.repeat(np.arange(50), 3), np.tile(np.arange(3), 50)
+    blank = Detections(pose, np.zeros(150, int), led, np.zeros((150, 2)), np.full(150, 0.1))
+    one = replace(session, rig=Rig(rig.cameras[:1], rig.T_cam_world[:1]), leds=leds, detections=blank)
+    state = replace(true_state(data), leds=places, cameras=rig.cameras[:1], T_cam_world=np.eye(4)[None])
+    (block,) = observe(replace(one, q=data.truth.q))
+    uv = block.by_row(predict(DHTable.from_chain(one.chain), block, state))
+    uv = uv + np.random.default_rng(0).normal(0.0, 0.1, uv.shape)
+    seen = np.isfinite(uv[:, 0])
+    one = replace(
+        one, detections=Detections(pose[seen], blank.camera[seen], led[seen], uv[seen], np.full(seen.sum(), 0.1))
+    )
+    bar = replace(
+        one, led_distances=tuple(LedDistance(pair, 0.3, 1e-5) for pair in (("a", "b"), ("b", "c"), ("a", "c")))
+    )
+
+    def error(calibration: object) -> float:
+        q = session.chain.random_values(200, np.random.default_rng(1))
+        arms = (replace(session.chain, placements=p) for p in (data.truth.placements, calibration.placements))
+        return float(np.sqrt(np.mean(compare(*arms, q).position ** 2)))
+
+    known, unknown = calibrate(bar), calibrate(one)
+    assert any("scale" in lost for lost in unknown.identifiability.lost)
+    assert not any("scale" in lost for lost in known.identifiability.lost)
+    assert known.identifiability.rank == unknown.identifiability.rank + 1
+    assert error(known) < 1.2 * error(calibrate(session))
+
+
+def test_whole_placements_can_be_estimated(simulated: Callable, true_state: Callable) -> None:
+    data = simulated("elbow3r")
+    # An LED of unknown place takes up what no sighting can tell from moving the last joint.
+    session = replace(data.session, estimate=Estimate("full", "fixed", "fixed"), leds=(Led("led"),))
+    calibration = calibrate(session)
+    assert calibration.estimate.offsets.shape == (3, 6)
+    # Where the tip sits beside the LED is shared out by tolerances: the LED itself is what must come out.
+    (block,) = observe(session)
+    elsewhere = replace(block, q=session.chain.random_values(len(block.q), np.random.default_rng(0)))
+    true = led_positions(DHTable.from_chain(session.chain), elsewhere, true_state(data))[block.valid]
+    found = led_positions(calibration.geometry, elsewhere, calibration.estimate)[block.valid]
+    T = kabsch(found, true)
+    assert np.sqrt(np.mean(np.sum((found @ T[:3, :3].T + T[:3, 3] - true) ** 2, axis=1))) < 3e-4
+    assert calibration.identifiability.rank == 15

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from urdfcal.estimation.state import State
     from urdfcal.session.model import Freedom, Geometry, Session
 
 _FIXED: Freedom = "fixed"
@@ -46,21 +47,27 @@ class Freedoms:
         return replace(self, geometry="none")
 
 
-def nominal(session: Session, *, priors: bool = True) -> Freedoms:
-    """The arm as drawn and the lenses as given; only cameras of unknown pose are free."""
-    known = session.rig.T_cam_world if session.rig is not None and session.detections is not None else ()
+def nominal(session: Session, state: State, *, priors: bool = True) -> Freedoms:
+    """The arm as drawn and the lenses as given; only cameras of unknown pose are free.
+
+    Args:
+        session: what is known of the cameras.
+        state: whose cameras take part: none where points are estimated from.
+        priors: whether manufacturing tolerances act as priors.
+    """
+    known = session.rig.T_cam_world if session.rig is not None and state.cameras else ()
     intrinsics: tuple[Freedom, ...] = (_FIXED,) * len(known)
     extrinsics: tuple[Freedom, ...] = tuple("fixed" if not c or T is not None else "free" for c, T in enumerate(known))
     return Freedoms("none", intrinsics, extrinsics, priors)
 
 
-def candidates(session: Session, *, priors: bool = True) -> tuple[Freedoms, ...]:
+def candidates(session: Session, state: State, *, priors: bool = True) -> tuple[Freedoms, ...]:
     """The models to compare, from simple to rich: every geometry with the lenses as given, and with free ones.
 
     What the session names is left as it says in every candidate but for the lenses: whether fixed lenses are refuted by
     the sightings must be known before an arm is bent to fit them.
     """
-    base, estimate = nominal(session, priors=priors), session.estimate
+    base, estimate = nominal(session, state, priors=priors), session.estimate
     names = session.rig.names if base.intrinsics and session.rig is not None else ()
     extrinsics = tuple(
         estimate.of("extrinsics", name) or drawn if c else drawn

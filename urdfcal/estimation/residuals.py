@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from urdfcal.estimation.observations import Observations
     from urdfcal.estimation.parameters import Geometry, Parameters
     from urdfcal.estimation.state import State
+    from urdfcal.robot.chain import Chain
+    from urdfcal.robot.kinematics import TipMotion
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,12 +25,19 @@ class Linearisation:
     Attributes:
         residual: (N, m, D) predicted minus measured.
         J: (N, m, D, count) derivative wrt the active parameters.
-        J_q: (N, m, D, n) derivative wrt the joint readings.
+        tip_to_value: (N, m D, 6) derivative wrt a motion of the tip.
+        motion: of the tip.
     """
 
     residual: Floats
     J: Floats
-    J_q: Floats
+    tip_to_value: Floats
+    motion: TipMotion
+
+    def by_joints(self, chain: Chain) -> Floats:
+        """Derivative wrt the joint readings, (N, m, D, n)."""
+        J_q = self.tip_to_value @ _carry(self.motion.regressor, joint_axes(chain))
+        return J_q.reshape(*self.residual.shape, -1)
 
 
 def led_positions(table: Geometry, observations: Observations, state: State) -> Floats:
@@ -114,11 +123,17 @@ def linearise(
 
     tip_to_value = np.concatenate([E, -E @ skew(lever)], axis=-1).reshape(N, m * D, 6)
     G = table.twists(state.offsets, parameters.rows)
-    geometry = tip_to_value @ (motion.regressor @ G)
+    geometry = tip_to_value @ _carry(motion.regressor, G)
     J[..., : len(parameters.rows)] = geometry.reshape(N, m, D, -1)
     J[..., parameters.base] = np.concatenate([E, -E @ skew(p_base)], axis=-1)
     d_led = E @ motion.R[:, None]
     for index in range(parameters.leds):
         J[..., parameters.led(index)] = d_led * (led == index)[..., None, None]
-    J_q = (tip_to_value @ (motion.regressor @ joint_axes(chain))).reshape(N, m, D, -1)
-    return Linearisation(residual, J[..., parameters.active], J_q)
+    return Linearisation(residual, J[..., parameters.active], tip_to_value, motion)
+
+
+def _carry(regressor: Floats, G: Floats) -> Floats:
+    """``regressor @ G`` as one product: many small ones cost several times as much."""
+    N, rows, columns = regressor.shape
+    result: Floats = (regressor.reshape(N * rows, columns) @ G).reshape(N, rows, -1)
+    return result

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from urdfcal.estimation.freedoms import allowed, candidates, nominal
 from urdfcal.estimation.identifiability import identify
 from urdfcal.estimation.parameters import choose_parameters
 from urdfcal.estimation.solver import solve
-from urdfcal.estimation.validation import hold_out
+from urdfcal.estimation.validation import hold_out, loss
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -38,26 +38,37 @@ _STRANGE = 20.0
 
 
 @dataclass(frozen=True, eq=False)
-class Trial:
-    """One model, estimated and cross-validated.
+class Attempt:
+    """One model, estimated from all poses.
 
     Attributes:
         freedoms: the model.
         identifiability: what the sightings tell of its parameters.
-        fit: its estimate from all poses.
-        held_out: its predictions of poses it has not seen.
-        loss: of those predictions, the lower the better.
+        fit: its estimate.
+        seen_loss: of the poses it has seen; of unseen ones it cannot be lower.
     """
 
     freedoms: Freedoms
     identifiability: Identifiability
     fit: Solution
+    seen_loss: float
+
+
+@dataclass(frozen=True, eq=False)
+class Trial(Attempt):
+    """One model, estimated and cross-validated.
+
+    Attributes:
+        held_out: its predictions of poses it has not seen.
+        loss: of those, the lower the better.
+    """
+
     held_out: HeldOut
     loss: float
 
-    def residuals(self, what: str) -> Floats:
-        """(S,) held-out ``residual`` or ``distance`` of all sightings that are no outliers. [px or m]."""
-        parts = getattr(self.held_out, what)
+    def residuals(self, what: Literal["residual", "distance"]) -> Floats:
+        """Held-out residuals or distances of all sightings that are no outliers, (S,), in px or m."""
+        parts: tuple[Floats, ...] = getattr(self.held_out, what)
         return np.concatenate([part[keep] for part, keep in zip(parts, self.fit.kept, strict=True)])
 
 
@@ -67,27 +78,17 @@ class Comparison:
 
     Attributes:
         nominal: the arm and the lenses as given; only base, LEDs and unknown camera poses fitted.
-        trials: from simple to rich.
+        attempts: every model, from simple to rich; those that could be the best are trials.
         chosen: of those that the session allows, the one that predicts unseen poses best.
         drawn: the chosen one's cameras with the arm as drawn.
         failures: why the chosen one should not be used.
     """
 
     nominal: Solution
-    trials: tuple[Trial, ...]
+    attempts: tuple[Attempt, ...]
     chosen: Trial
     drawn: Trial
     failures: tuple[str, ...]
-
-    def with_fit(
-        self, table: Geometry, blocks: Sequence[Observations], fit: Solution, session: Session, seed: int
-    ) -> Comparison:
-        """The same comparison with a better estimate of the chosen model."""
-        held_out = hold_out(table, blocks, fit, session.noise.joint, seed)
-        better = replace(self.chosen, fit=fit, held_out=held_out, loss=held_out.loss(blocks))
-        trials = tuple(better if trial is self.chosen else trial for trial in self.trials)
-        failures = tuple(_failures(session, trials, better, self.drawn))
-        return replace(self, trials=trials, chosen=better, failures=failures)
 
 
 def compare_models(
@@ -100,7 +101,7 @@ def compare_models(
     seed: int,
     progress: Progress | None = None,
 ) -> Comparison:
-    """Estimate and cross-validate every model in question, and choose.
+    """Estimate every model in question, cross-validate those that could be the best, and choose.
 
     Args:
         session: what was measured, and what it wants estimated.
@@ -112,27 +113,75 @@ def compare_models(
         progress: called after every solver step.
     """
     joint_sigma = session.noise.joint
-    base = nominal(session, priors=priors)
+    base = nominal(session, start, priors=priors)
     as_given = solve(table, blocks, start, choose_parameters(session, table, start, base), joint_sigma, progress)
-    trials: dict[Freedoms, Trial] = {}
+    models = candidates(session, start, priors=priors)
+    attempts: dict[Freedoms, Attempt] = {}
 
-    def attempt(freedoms: Freedoms) -> Trial:
-        if freedoms not in trials:
+    def attempt(freedoms: Freedoms) -> Attempt:
+        if freedoms not in attempts:
             # Lenses first, the arm after: freed together they start in a bent valley.
             state = as_given.state if freedoms.geometry == "none" else attempt(freedoms.frozen_arm).fit.state
             found = identify(table, blocks, state, choose_parameters(session, table, state, freedoms))
             fit = solve(table, blocks, state, found.parameters, joint_sigma, progress)
-            held_out = hold_out(table, blocks, fit, joint_sigma, seed)
-            trials[freedoms] = Trial(freedoms, found, fit, held_out, held_out.loss(blocks))
-        return trials[freedoms]
+            attempts[freedoms] = Attempt(freedoms, found, fit, loss(fit.deviation, blocks))
+        return attempts[freedoms]
 
-    tried = [attempt(freedoms) for freedoms in candidates(session, priors=priors)]
-    chosen = min((trial for trial in tried if allowed(session, trial.freedoms)), key=lambda trial: trial.loss)
-    drawn = attempt(chosen.freedoms.frozen_arm)
-    return Comparison(as_given, tuple(trials.values()), chosen, drawn, tuple(_failures(session, tried, chosen, drawn)))
+    def validated(freedoms: Freedoms) -> Trial:
+        tried = attempt(freedoms)
+        if not isinstance(tried, Trial):
+            attempts[freedoms] = tried = validate(tried, table, blocks, joint_sigma, seed)
+        return tried
+
+    chosen: Trial | None = None
+    best: Trial | None = None
+    for freedoms in sorted(models, key=lambda model: attempt(model).seen_loss):
+        permitted = allowed(session, freedoms)
+        rival = chosen if permitted else best
+        if rival is not None and attempt(freedoms).seen_loss >= rival.loss:
+            continue  # it explains what it has seen worse than the rival predicts what that has not
+        trial = validated(freedoms)
+        best = trial if best is None or trial.loss < best.loss else best
+        if permitted and (chosen is None or trial.loss < chosen.loss):
+            chosen = trial
+    if chosen is None or best is None:
+        raise CalibrationError("the session allows no model", remedy="Look at its estimate.")
+    drawn = validated(chosen.freedoms.frozen_arm)
+    ordered = tuple(attempts[freedoms] for freedoms in dict.fromkeys((*models, *attempts)))
+    return Comparison(as_given, ordered, chosen, drawn, tuple(_failures(session, best, chosen, drawn)))
 
 
-def _failures(session: Session, tried: Sequence[Trial], chosen: Trial, drawn: Trial) -> list[str]:
+def validate(attempt: Attempt, table: Geometry, blocks: Sequence[Observations], joint_sigma: float, seed: int) -> Trial:
+    """Cross-validate an estimated model."""
+    held_out = hold_out(table, blocks, attempt.fit, joint_sigma, seed)
+    return Trial(
+        attempt.freedoms,
+        attempt.identifiability,
+        attempt.fit,
+        attempt.seen_loss,
+        held_out,
+        loss(held_out.deviation, blocks),
+    )
+
+
+def with_fit(
+    comparison: Comparison,
+    fit: Solution,
+    session: Session,
+    table: Geometry,
+    blocks: Sequence[Observations],
+    seed: int,
+) -> Comparison:
+    """The same comparison with another estimate of the chosen model."""
+    old = comparison.chosen
+    attempt = Attempt(old.freedoms, old.identifiability, fit, loss(fit.deviation, blocks))
+    chosen = validate(attempt, table, blocks, session.noise.joint, seed)
+    attempts = tuple(chosen if attempt is old else attempt for attempt in comparison.attempts)
+    failures = tuple(_failures(session, chosen, chosen, comparison.drawn))
+    return replace(comparison, attempts=attempts, chosen=chosen, failures=failures)
+
+
+def _failures(session: Session, best: Trial, chosen: Trial, drawn: Trial) -> list[str]:
     failures = []
     fit = chosen.fit
     noise = float(np.sqrt(fit.reduced_chi2))
@@ -162,7 +211,6 @@ def _failures(session: Session, tried: Sequence[Trial], chosen: Trial, drawn: Tr
             "noise are needed, or there is nothing to correct"
         )
     if chosen.freedoms.intrinsics:
-        best = min(tried, key=lambda trial: trial.loss)
         with_given, with_free = (_rms(trial.residuals("residual")) for trial in (chosen, best))
         if with_given > _REFUTED * with_free:
             failures.append(

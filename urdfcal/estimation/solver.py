@@ -16,7 +16,7 @@ from urdfcal.errors import CalibrationError, CameraError
 from urdfcal.estimation.residuals import linearise
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from urdfcal.arrays import Bools, Floats
     from urdfcal.estimation.observations import Observations
@@ -32,11 +32,17 @@ _MAX_CUTS = 5
 _FIRST_DAMPING, _MOST_DAMPING = 1e-3, 1e16
 # A step of this many standard deviations of the estimate is no step; the coarse one is for weights that still move.
 _CONVERGED, _CONVERGED_COARSE = 1e-6, 1e-2
+# Weights are worth renewing, which costs an evaluation, once steps are shorter than this.
+_SHORT = 1.0
 # Rounding of a cost that no longer falls.
 _COST_ROUNDING = 1e-10
-# Upper tails of the noise: beyond the first a sighting's pull stops growing (which costs clean data less than
-# 5 % efficiency), beyond the second it is an outlier (one clean sighting in 100,000).
-_HUBER_TAIL, _OUTLIER_TAIL = 0.05, 1e-9
+# Lengths of a whitened residual, pixels (2) and points (3): the median, what 5 % exceed, and one in a billion. Beyond
+# the second a sighting's pull stops growing, which costs clean data less than 5 % efficiency; beyond the third it is
+# an outlier: wrong LEDs are tens of sigmas away, and measured data (irb120_liaowu) have honest tails to six. Square
+# roots of chi-square quantiles, as numbers because scipy.special costs every command a fifth of a second.
+_MEDIAN = {2: 1.1774100225154749, 3: 1.5381722544550522}
+_HUBER = {2: 2.447746830680816, 3: 2.795483482915107}
+_OUTLIER = {2: 6.4378980788680416, 3: 6.696362843407039}
 _REJECTED = 1e-12
 
 Weights: TypeAlias = "Sequence[Floats]"
@@ -139,12 +145,16 @@ def solve(
     """
     with threadpoolctl.threadpool_limits(1, user_api="blas"):  # two threads are slower at these sizes
         problem = _Problem(table, tuple(blocks), parameters, joint_sigma)
-        descent = _descend(problem, start, _huber_weights, _CONVERGED_COARSE, progress)
+        joint_noise = problem.joint_noise(start)
+        descent = _descend(
+            problem, start, joint_noise, _ones(problem.blocks), _huber_weights, _CONVERGED_COARSE, progress
+        )
         history = list(descent.history)
+        joint_noise = problem.joint_noise(descent.state)  # a start may be another arm; from here it hardly moves
         for _ in range(_MAX_CUTS):
             outlier = _outliers(problem.blocks, descent.at)
             kept = [np.where(cut, _REJECTED, 1.0) for cut in outlier]
-            descent = _descend(problem, descent.state, lambda *_, kept=kept: kept, _CONVERGED, progress)
+            descent = _descend(problem, descent.state, joint_noise, kept, _same_weights, _CONVERGED, progress)
             history += descent.history
             again = _outliers(problem.blocks, descent.at)
             if all(np.array_equal(a, b) for a, b in zip(outlier, again, strict=True)):
@@ -186,7 +196,8 @@ def refit(
     weights = [np.where(keep, 1.0, _REJECTED) for keep in kept]
     with threadpoolctl.threadpool_limits(1, user_api="blas"):
         problem = _Problem(table, tuple(blocks), parameters, joint_sigma)
-        return _descend(problem, start, lambda *_: weights, _CONVERGED_COARSE, None).state
+        joint_noise = problem.joint_noise(start)
+        return _descend(problem, start, joint_noise, weights, _same_weights, _CONVERGED_COARSE, None).state
 
 
 def deviations(
@@ -194,7 +205,7 @@ def deviations(
 ) -> Floats:
     """Whitened length (N, m) of every sighting's residual at a state: its noise and its joint readings' count."""
     problem = _Problem(table, (block,), parameters, joint_sigma)
-    noise = problem.noise(problem.joint_noise(state), [np.ones(block.row.shape)])
+    noise = problem.noise(problem.joint_noise(state), _ones((block,)))
     return problem.evaluate(state, noise).deviation[0]
 
 
@@ -233,7 +244,7 @@ class _Problem:
             N, m, D = block.value.shape
             covariance = np.zeros((N, m * D, m * D))
             for poses in _chunks(N) if self.joint_sigma > 0.0 else ():
-                J_q = linearise(self.table, block, state, self.parameters, poses).J_q
+                J_q = linearise(self.table, block, state, self.parameters, poses).by_joints(self.table.chain)
                 J_q = self.joint_sigma * J_q.reshape(-1, m * D, J_q.shape[-1])
                 covariance[poses] = J_q @ np.swapaxes(J_q, -1, -2)
             result.append(covariance.reshape(N, m, D, m, D))
@@ -283,16 +294,16 @@ class _Descent:
 def _descend(
     problem: _Problem,
     state: State,
-    weigh: Callable[[Sequence[Observations], _Evaluation], Weights],
+    joint_noise: Sequence[Floats],
+    weights: Weights,
+    renew: Callable[[Sequence[Observations], _Evaluation, Weights], Weights],
     tolerance: float,
     progress: Progress | None,
 ) -> _Descent:
-    """Levenberg-Marquardt until a step is shorter than ``tolerance``; weights are renewed after every step.
+    """Levenberg-Marquardt until a step is shorter than ``tolerance``; weights are renewed after short steps.
 
     Damping follows the gain, the cost's fall over what the linear model promised (Nielsen, IMM-REP-1999-05).
     """
-    joint_noise = problem.joint_noise(state)
-    weights: Weights = [np.ones(block.row.shape) for block in problem.blocks]
     noise = problem.noise(joint_noise, weights)
     at = problem.evaluate(state, noise)
     if not np.isfinite(at.cost):
@@ -302,13 +313,12 @@ def _descend(
         )
     history: list[Iteration] = []
     damping, growth, length = _FIRST_DAMPING, 2.0, np.inf
-    while damping < _MOST_DAMPING and len(history) < _MAX_ITERATIONS:
-        renewed = weigh(problem.blocks, at)
-        if any(not np.array_equal(a, b) for a, b in zip(renewed, weights, strict=True)):
-            weights, noise = renewed, problem.noise(joint_noise, renewed)
-            at = problem.evaluate(state, noise)
-        if length < tolerance:
-            break
+    while length >= tolerance and damping < _MOST_DAMPING and len(history) < _MAX_ITERATIONS:
+        if not history or length < _SHORT:
+            renewed = renew(problem.blocks, at, weights)
+            if any(not np.array_equal(a, b) for a, b in zip(renewed, weights, strict=True)):
+                weights, noise = renewed, problem.noise(joint_noise, renewed)
+                at = problem.evaluate(state, noise)
         step = _damped_step(at, damping)
         promised = -float(step @ (2.0 * at.g + at.H @ step))
         try:
@@ -339,28 +349,35 @@ def _damped_step(at: _Evaluation, damping: float) -> Floats:
     return step
 
 
-def _huber_weights(blocks: Sequence[Observations], at: _Evaluation) -> Weights:
-    limits = _limits(blocks, at, _HUBER_TAIL)
+def _ones(blocks: Sequence[Observations]) -> Weights:
+    return [np.ones(block.row.shape) for block in blocks]
+
+
+def _same_weights(blocks: Sequence[Observations], at: _Evaluation, weights: Weights) -> Weights:
+    del blocks, at
+    return weights
+
+
+def _huber_weights(blocks: Sequence[Observations], at: _Evaluation, weights: Weights) -> Weights:
+    del weights
+    limits = _limits(blocks, at, _HUBER)
     return [limit / np.maximum(deviation, limit) for limit, deviation in zip(limits, at.deviation, strict=True)]
 
 
 def _outliers(blocks: Sequence[Observations], at: _Evaluation) -> list[Bools]:
-    limits = _limits(blocks, at, _OUTLIER_TAIL)
+    limits = _limits(blocks, at, _OUTLIER)
     return [(d > limit) & block.valid for limit, d, block in zip(limits, at.deviation, blocks, strict=True)]
 
 
-def _limits(blocks: Sequence[Observations], at: _Evaluation, tail: float) -> list[float]:
-    """The deviation beyond which ``tail`` of the noise lies, in units of the residuals' robust scale.
+def _limits(blocks: Sequence[Observations], at: _Evaluation, chi: Mapping[int, float]) -> list[float]:
+    """A quantile of the noise's length for pixels and points, in units of the residuals' robust scale.
 
     The scale is the median's, at least that of the declared noise.
     """
-    from scipy.special import chdtri  # a fifth of a second that no import of urdfcal should cost
-
     limits = []
     for block, deviation in zip(blocks, at.deviation, strict=True):
         median = float(np.median(deviation[block.valid]))
-        scale = max(1.0, median / np.sqrt(chdtri(block.dimension, 0.5)))
-        limits.append(float(np.sqrt(chdtri(block.dimension, tail))) * scale)
+        limits.append(chi[block.dimension] * max(1.0, median / _MEDIAN[block.dimension]))
     return limits
 
 

@@ -37,10 +37,11 @@ class HeldOut:
     residual: tuple[Floats, ...]
     distance: tuple[Floats, ...]
 
-    def loss(self, blocks: Sequence[Observations]) -> float:
-        """Mean of log(1 + deviation^2): a score that outliers cannot spoil, the lower the better."""
-        parts = [np.log1p(d[block.valid] ** 2) for d, block in zip(self.deviation, blocks, strict=True)]
-        return float(np.mean(np.concatenate(parts)))
+
+def loss(deviation: Sequence[Floats], blocks: Sequence[Observations]) -> float:
+    """Mean of log(1 + deviation^2): a score that outliers cannot spoil, the lower the better."""
+    parts = [np.log1p(d[block.valid] ** 2) for d, block in zip(deviation, blocks, strict=True)]
+    return float(np.mean(np.concatenate(parts)))
 
 
 def hold_out(table: Geometry, blocks: Sequence[Observations], fit: Solution, joint_sigma: float, seed: int) -> HeldOut:
