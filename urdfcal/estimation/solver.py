@@ -43,6 +43,9 @@ _COST_ROUNDING = 1e-10
 _MEDIAN = {2: 1.1774100225154749, 3: 1.5381722544550522}
 _HUBER = {2: 2.447746830680816, 3: 2.795483482915107}
 _OUTLIER = {2: 6.4378980788680416, 3: 6.696362843407039}
+# A chi-square this many of its standard deviations above expectation is a misfit; widening by less makes intervals
+# too wide on clean data (97 instead of 95 % at twenty poses).
+_CERTAIN = 3.0
 _REJECTED = 1e-12
 
 Weights: TypeAlias = "Sequence[Floats]"
@@ -106,17 +109,21 @@ class Solution:
     @property
     def reduced_chi2(self) -> float:
         """Chi-square per degree of freedom, priors counted as measurements; about 1 when the noise is as declared."""
+        return self.cost / self.freedom if self.freedom > 0 else float("nan")
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom: measured numbers and priors less parameters."""
         priors = int(np.count_nonzero(np.isfinite(self.parameters.prior) & self.parameters.active))
-        priors += len(self.parameters.distances)
-        freedom = self.observations + priors - self.parameters.count
-        return self.cost / freedom if freedom > 0 else float("nan")
+        return self.observations + priors + len(self.parameters.distances) - self.parameters.count
 
     @property
     def covariance(self) -> Floats:
-        """(count, count) of the active parameters, widened where the misfit exceeds the declared noise."""
+        """(count, count) of the active parameters, widened where the misfit exceeds the declared noise for certain."""
         scale = 1.0 / np.sqrt(np.diag(self.information))
         inverse: Floats = np.linalg.inv(self.information * np.outer(scale, scale)) * np.outer(scale, scale)
-        return inverse * max(1.0, self.reduced_chi2)
+        chance = 1.0 + _CERTAIN * np.sqrt(2.0 / max(self.freedom, 1))
+        return inverse * (self.reduced_chi2 if self.reduced_chi2 > chance else 1.0)
 
 
 def solve(
