@@ -56,7 +56,9 @@ def _name(table: Geometry, parameters: Parameters, index: int) -> str:
 
 
 def _is_scale(parameters: Parameters, victim: int, partners: Sequence[int]) -> bool:
-    """Whether lengths of the arm, of the base and of the LEDs or cameras all move together."""
-    lengths = [k for k in (victim, *partners) if parameters.names[k].rpartition(".")[2] in _LENGTHS]
-    on_arm = [k for k in lengths if k < len(parameters.rows)]
-    return len(lengths) == len(partners) + 1 and len(on_arm) >= 2 and len(lengths) - len(on_arm) >= 3
+    """Whether lengths of the arm, of the base and of the LEDs all move together, and not just along one axis."""
+    moving = (victim, *partners)
+    lengths = all(parameters.names[k].rpartition(".")[2] in _LENGTHS for k in moving)
+    on_base = sum(parameters.base.start <= k < parameters.base.stop for k in moving) > 1
+    on_leds = any(parameters.base.stop <= k < parameters.base.stop + 3 * parameters.leds for k in moving)
+    return lengths and on_base and on_leds and any(k < len(parameters.rows) for k in moving)
