@@ -1,6 +1,6 @@
 """How near the calibrated arm comes to the best that the data allow.
 
-    python tests/benchmarks/accuracy.py [--seeds 20] [--poses 50] [--rigs elbow3r ur5 ...] [--no-priors]
+    python tests/benchmarks/accuracy.py [--seeds 20] [--poses 50] [--rigs ur5 ...] [--no-priors] [--outliers 0.1]
 
 For every rig and seed: simulate, calibrate, and compare the tip with the true robot over the workspace, after base
 alignment. The bound is Cramer and Rao's: the inverse of the information of the true Jacobian (pixels and joint
@@ -10,6 +10,7 @@ readings, no priors), propagated to the tip. Printed are medians over the seeds.
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 
 import numpy as np
 
@@ -26,6 +27,7 @@ from urdfcal.robot.chain import Chain
 from urdfcal.robot.dh import DHTable
 from urdfcal.robot.kinematics import tip_motion
 from urdfcal.session.files import read_rig
+from urdfcal.session.model import Estimate
 from urdfcal.session.rigs import find_rig, shipped_rigs
 from urdfcal.session.simulate import Simulated, simulate
 
@@ -77,14 +79,16 @@ def main() -> None:
     parser.add_argument("--poses", type=int, default=50)
     parser.add_argument("--rigs", nargs="*", default=sorted(shipped_rigs()))
     parser.add_argument("--no-priors", action="store_true")
+    parser.add_argument("--outliers", type=float, default=0.0)
     arguments = parser.parse_args()
     print("medians in mm  nominal     error     bound  error/bound  nominal/error")
     for name in arguments.rigs:
         rig = read_rig(find_rig(name))
-        rows = []
+        rows, found, moved = [], 0, 0
         for seed in range(arguments.seeds):
-            simulated = simulate(rig, poses=arguments.poses, seed=seed, pixel=0.1)
-            calibration = calibrate(simulated.session, priors=not arguments.no_priors)
+            simulated = simulate(rig, poses=arguments.poses, seed=seed, pixel=0.1, outliers=arguments.outliers)
+            session = replace(simulated.session, estimate=Estimate("dh", "fixed", "fixed"))
+            calibration = calibrate(session, priors=not arguments.no_priors, force=True)
             nominal = calibration.chain
             q = nominal.random_values(WORKSPACE, np.random.default_rng(seed))
             true, built = (
@@ -93,8 +97,11 @@ def main() -> None:
             )
             errors = [np.sqrt(np.mean(compare(robot, true, q).position ** 2)) for robot in (nominal, built)]
             rows.append([*errors, bound(simulated, q)])
+            found += len(calibration.outliers())
+            moved += len(simulated.truth.outliers)
         before, after, best = 1e3 * np.median(rows, axis=0)
-        print(f"{name:12} {before:9.4f} {after:9.4f} {best:9.4f}  {after / best:11.3f} {before / after:13.2f}")
+        print(f"{name:12} {before:9.4f} {after:9.4f} {best:9.4f}  {after / best:11.3f} {before / after:13.2f}", end="")
+        print(f"   {found} of {moved} moved sightings listed" if moved else "")
 
 
 if __name__ == "__main__":

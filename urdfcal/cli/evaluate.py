@@ -10,11 +10,16 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from urdfcal.cli.options import base_option, seed_option
+from urdfcal.errors import SessionError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from urdfcal.arrays import Floats
+
+
+# Points this many times farther apart than the arm reaches are in another unit.
+_FAR = 20.0
 
 
 @click.command("evaluate")
@@ -43,7 +48,11 @@ def command(
     With a session, base pose and LED places (and camera poses, for pixels) are fitted; the arm is as A draws it.
     """
     if Path(other).is_dir() or other.endswith((".yaml", ".yml")):
-        result = _session(urdf, Path(other), tip, base, points)
+        if tip or base:
+            raise click.UsageError("with a session, base and tip are the session's: leave --tip and --base out")
+        result = _session(urdf, Path(other), points)
+    elif not Path(other).exists() and not other.startswith("package://"):
+        raise SessionError("there is no such file or folder", where=other, remedy="Name a URDF, or a session's folder.")
     elif points is not None:
         raise click.UsageError("--points goes with a session")
     elif tip is None:
@@ -78,7 +87,7 @@ def _robots(a: str, b: str, tip: str, base: str | None, poses: int, seed: int) -
     }
 
 
-def _session(urdf: str, folder: Path, tip: str | None, base: str | None, points: Path | None) -> dict[str, Any]:
+def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
     import numpy as np
 
     from urdfcal.estimation.evaluation import explain
@@ -87,10 +96,19 @@ def _session(urdf: str, folder: Path, tip: str | None, base: str | None, points:
     from urdfcal.session.files import read_points, read_session
 
     session = read_session(folder)
+    for warning in session.warnings:
+        click.echo(f"- {warning}", err=True)
     if points is not None:
         measured, leds = read_points(points, session)
+        extent = float(np.ptp(measured.xyz, axis=0).max())
+        if extent > _FAR * session.chain.reach:
+            raise SessionError(
+                f"the points are spread over {extent:.0f} m, the arm reaches {session.chain.reach:.1f} m",
+                where=str(points),
+                remedy="Coordinates are in metres; these look like millimetres.",
+            )
         session = replace(session, detections=None, points=measured, leds=leds)
-    chain = Chain.from_urdf(Urdf.read(find_urdf(urdf)), tip or session.chain.tip_link, base or session.chain.base_link)
+    chain = Chain.from_urdf(Urdf.read(find_urdf(urdf)), session.chain.tip_link, session.chain.base_link)
     explained = explain(chain, session)
     result: dict[str, Any] = {"a": urdf, "session": str(folder), "points": points and str(points)}
     for residual in explained.residuals:
@@ -109,10 +127,10 @@ def _print(result: Mapping[str, Any]) -> None:
     from urdfcal.cli.console import output, sheet
 
     against = result.get("b") or result.get("points") or result["session"]
-    rows = sheet(f"{result['a']}\nagainst {against}", ["", "rms", "mean", "95 %", "max"])
+    rows = sheet(f"{result['a']}\nagainst {against}", ["", "rms", "mean", "median", "95 %", "max"])
     for name, spread in result.items():
         if isinstance(spread, dict):
             quantity, _, unit = name.rpartition("_")
-            cells = [f"{spread[key]:.4f}" for key in ("rms", "mean", "p95", "max")]
+            cells = [f"{spread[key]:.4f}" for key in ("rms", "mean", "median", "p95", "max")]
             rows.add_row(f"{quantity.replace('_', ' ')} ({unit})", *cells)
     output().print(rows)

@@ -26,17 +26,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Spread:
-    """Distances or angles in four numbers.
+    """Distances or angles in five numbers.
 
     Attributes:
         rms: root mean square. [m, rad or px]
         mean: mean.
+        median: half of the values are at most this.
         p95: 95 % of the values are at most this.
         max: largest.
     """
 
     rms: float
     mean: float
+    median: float
     p95: float
     max: float
 
@@ -44,10 +46,11 @@ class Spread:
     def of(cls, values: Floats) -> Spread:
         """Summarise non-negative values; NaN where there are none."""
         if values.size == 0:
-            return cls(*[float("nan")] * 4)
+            return cls(*[float("nan")] * 5)
         return cls(
             float(np.sqrt(np.mean(values**2))),
             float(np.mean(values)),
+            float(np.median(values)),
             float(np.percentile(values, 95)),
             float(np.max(values)),
         )
