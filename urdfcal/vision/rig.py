@@ -90,6 +90,9 @@ class CameraSigma:
         parameters: (4 + k,) of the camera's parameters, in their order; 0 = exactly known.
         pose: (6,) x y z rx ry rz (m, rad) of a small motion exp6(s) after T_cam_world, in the camera's frame; None for
             the first camera and where it is not known.
+        correlations: (n, m) of this camera's n values (parameters, then pose) with those of all cameras before it and
+            then its own; None where they are not known. From a board, fx and fy agree to 0.97, and the
+            principal point with the camera's rotation to 0.8: the prior is much tighter than its diagonal says.
 
     Raises:
         CameraError: a standard deviation is negative or not finite.
@@ -97,19 +100,24 @@ class CameraSigma:
 
     parameters: Floats
     pose: Floats | None = None
+    correlations: Floats | None = None
 
     def __post_init__(self) -> None:
         for name, values in (("parameters", self.parameters), ("pose", self.pose)):
             if values is None:
                 continue
             values = frozen(values)
-            if (
-                values.ndim != 1
-                or (name == "pose" and len(values) != 6)
-                or not ((values >= 0) & (values < np.inf)).all()
-            ):
+            shaped = values.ndim == 1 and (name != "pose" or len(values) == 6)
+            if not shaped or not ((values >= 0.0) & (values < np.inf)).all():
                 raise CameraError(f"standard deviations {values.tolist()} of the camera's {name} make no sense")
             object.__setattr__(self, name, values)
+        if self.correlations is not None:
+            object.__setattr__(self, "correlations", frozen(self.correlations))
+
+    @property
+    def values(self) -> Floats:
+        """(n,) all standard deviations: the parameters', then the pose's."""
+        return self.parameters if self.pose is None else np.concatenate([self.parameters, self.pose])
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,6 +175,24 @@ class Rig:
             raise CameraError(f"there is no camera '{name}'", remedy=f"There are: {', '.join(self.names)}.")
         return self.names.index(name)
 
+    @property
+    def covariance(self) -> Floats | None:
+        """(P, P) of what is known of all cameras, camera by camera: parameters, then pose if it has one.
+
+        None unless every camera has standard deviations. What has no correlations counts as independent.
+        """
+        known = [sigma for sigma in self.sigmas if sigma is not None]
+        if len(known) < len(self.cameras):
+            return None
+        sigma = np.concatenate([one.values for one in known])
+        correlation, end = np.eye(len(sigma)), 0
+        for one in known:
+            start, end = end, end + len(one.values)
+            if one.correlations is not None:
+                correlation[start:end, :end] = one.correlations
+                correlation[:start, start:end] = one.correlations[:, :start].T
+        return correlation * np.outer(sigma, sigma)
+
     def triangulate(self, uv: Floats, sigma: ArrayLike) -> Triangulation:
         """Find the points whose projections come closest to the pixels, each weighted by its sigma.
 
@@ -190,6 +216,7 @@ class Rig:
     def _check_sigmas(self) -> None:
         if len(self.sigmas) != len(self.cameras):
             raise CameraError(f"{len(self.cameras)} cameras have {len(self.sigmas)} sets of standard deviations")
+        before = 0
         for camera, T, sigma in zip(self.cameras, self.T_cam_world, self.sigmas, strict=True):
             if sigma is None:
                 continue
@@ -200,6 +227,16 @@ class Rig:
             if sigma.pose is not None and (T is None or camera is self.cameras[0]):
                 place = "the world" if camera is self.cameras[0] else "not known"
                 raise CameraError(f"its place is {place}, and has no standard deviations", where=where)
+            before += len(sigma.values)
+            table, count = sigma.correlations, len(sigma.values)
+            if table is None:
+                continue
+            own = table[:, -count:] if table.shape == (count, before) else None
+            if own is None or not (np.abs(table) <= 1.0 + _ROUNDING).all() or not np.array_equal(own, own.T):
+                raise CameraError(
+                    f"its correlations are not {count} x {before} numbers from -1 to 1, its own ones symmetric",
+                    where=where,
+                )
 
     def _checked_sightings(self, uv: Floats, sigma: ArrayLike) -> tuple[Floats, Floats]:
         uv = np.asarray(uv, dtype=np.float64)

@@ -1,0 +1,211 @@
+"""``urdfcal cameras``: cameras calibrated from pictures of a board, and camera files converted."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, get_args
+
+import click
+
+from urdfcal.errors import CameraError
+
+if TYPE_CHECKING:
+    from urdfcal.vision.board import Board
+    from urdfcal.vision.board_calibration import BoardCalibration
+    from urdfcal.vision.formats import Format
+    from urdfcal.vision.rig import Rig
+
+_BOARD_FILE = "board.yaml"
+
+
+def _pair(value: str | tuple[int, int]) -> tuple[int, int]:
+    """Two whole numbers, as 9x6."""
+    if isinstance(value, tuple):
+        return value
+    match = re.fullmatch(r"([1-9]\d{0,5})[xX]([1-9]\d{0,5})", value)
+    if match is None:
+        raise click.BadParameter(f"'{value}' is not two whole numbers such as 9x6")
+    return int(match[1]), int(match[2])
+
+
+class _CalibrateUnlessNamed(click.Group):
+    """A group whose first argument may be left out where it would be ``calibrate``."""
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if args and self.get_command(ctx, args[0]) is None:
+            args = ["calibrate", *args]
+        return super().resolve_command(ctx, args)
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        # Options before the folder belong to calibrate: the group itself has --help alone.
+        if args and args[0].startswith("-") and args[0] not in ctx.help_option_names:
+            args = ["calibrate", *args]
+        return super().parse_args(ctx, args)
+
+
+@click.group("cameras", cls=_CalibrateUnlessNamed, subcommand_metavar="BOARD_FOLDER -o OUT | convert IN... OUT")
+def command() -> None:
+    """Calibrate cameras from pictures of a board, or convert camera files.
+
+    `urdfcal cameras BOARD_FOLDER -o cameras.yaml` is short for `urdfcal cameras calibrate ...`.
+    """
+
+
+@command.command("calibrate")
+@click.argument("folder", metavar="BOARD_FOLDER", type=click.Path(path_type=Path))
+@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="Camera file to write (Kalibr).")
+@click.option(
+    "--board", type=(click.Choice(["chessboard", "charuco"]), _pair), metavar="KIND WxH",
+    help="chessboard 9x6 counts inner corners, charuco 10x7 squares.  [default: BOARD_FOLDER/board.yaml]",
+)  # fmt: skip
+@click.option("--square", type=click.FloatRange(min=0.0, min_open=True), metavar="M", help="Side of a square, m.")
+@click.option(
+    "--marker", type=click.FloatRange(min=0.0, min_open=True), metavar="M", help="ChArUco: side of a marker, m."
+)
+@click.option("--dictionary", metavar="NAME", help="ChArUco: OpenCV's name, such as DICT_4X4_50.")
+@click.option(
+    "--distortion", type=click.Choice(["radtan", "equidistant", "none"]), default="radtan", show_default=True,
+    help="Lens model; equidistant for a fisheye.",
+)  # fmt: skip
+def calibrate(
+    folder: Path,
+    output: Path,
+    board: tuple[str, tuple[int, int]] | None,
+    square: float | None,
+    marker: float | None,
+    dictionary: str | None,
+    distortion: str,
+) -> None:
+    """Calibrate one or several cameras from BOARD_FOLDER/<camera>/<view>.png.
+
+    Pictures of the same name were taken at the same time. The standard deviations are written beside the cameras, for
+    `intrinsics: refine` and `extrinsics: refine` in session.yaml.
+    """
+    from urdfcal.cli.console import progress_bar
+    from urdfcal.vision.board_calibration import calibrate_cameras
+    from urdfcal.vision.board_views import find_pictures, read_views
+    from urdfcal.vision.formats import write_kalibr
+
+    chosen = _board(folder, board, square, marker, dictionary)
+    count = sum(len(views) for views in find_pictures(folder).values())
+    with progress_bar("looking for the board", count) as advance:
+        views = read_views(folder, chosen, advance)
+    calibration = calibrate_cameras(views, chosen, distortion)
+    write_kalibr(output, calibration.rig)
+    _print(calibration, output)
+
+
+@command.command("convert")
+@click.argument("files", metavar="IN...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("output", metavar="OUT", type=click.Path(path_type=Path))
+@click.option(
+    "--to", "format_", type=click.Choice(["kalibr", "ros", "opencv"]),
+    help="Format of OUT.  [default: opencv for .xml and .yml, kalibr for .yaml, ros for a folder]",
+)  # fmt: skip
+@click.option("--size", type=_pair, help="Size of the image, for OpenCV files that do not tell it.")
+def convert(files: tuple[Path, ...], output: Path, format_: Format | None, size: tuple[int, int] | None) -> None:
+    """Convert camera files: Kalibr camchain, ROS camera_info (one a camera, in order), OpenCV FileStorage.
+
+    The format of IN is told by its content. A pair in ROS's format is a folder with one file a camera.
+    """
+    from urdfcal.vision.formats import read_cameras, write_cameras
+
+    chosen = format_ or _format_by_name(output)
+    rig = read_cameras(files, size)
+    for path in write_cameras(output, rig, chosen):
+        click.echo(str(path))
+    _say_what_is_lost(rig, chosen)
+
+
+def _format_by_name(output: Path) -> Format:
+    formats: dict[str, Format] = {".xml": "opencv", ".yml": "opencv", ".yaml": "kalibr", "": "ros"}
+    suffix = "" if output.is_dir() else output.suffix.lower()
+    if suffix not in formats:
+        raise click.UsageError(f"'{output.name}' does not tell a format; name it with --to")
+    return formats[suffix]
+
+
+def _say_what_is_lost(rig: Rig, format_: Format) -> None:
+    unplaced = [name for name, T in zip(rig.names, rig.T_cam_world, strict=True) if T is None]
+    if unplaced:
+        click.echo(f"not known: where {', '.join(unplaced)} stands", err=True)
+    if format_ != "kalibr" and any(rig.sigmas):
+        click.echo("not kept: the standard deviations, which only Kalibr's format as urdfcal writes it has", err=True)
+
+
+def _board(
+    folder: Path,
+    board: tuple[str, tuple[int, int]] | None,
+    square: float | None,
+    marker: float | None,
+    dictionary: str | None,
+) -> Board:
+    from urdfcal.vision.board import Board, BoardKind, read_board
+
+    if board is None:
+        if any(option is not None for option in (square, marker, dictionary)):
+            raise click.UsageError("--square, --marker and --dictionary go with --board")
+        if not (folder / _BOARD_FILE).exists() and folder.is_dir():
+            raise CameraError(
+                f"there is no {_BOARD_FILE} that describes the board",
+                where=str(folder),
+                remedy="Write one (type, columns, rows, square), or use --board chessboard 9x6 --square 0.025.",
+            )
+        return read_board(folder / _BOARD_FILE)
+    if square is None:
+        raise click.UsageError("--board needs --square, the side of a square in metres")
+    kind, (columns, rows) = board
+    names: tuple[BoardKind, ...] = get_args(BoardKind)
+    return Board(names[names.index(kind)], columns, rows, square, marker, dictionary)
+
+
+def _print(calibration: BoardCalibration, output: Path) -> None:
+    import numpy as np
+
+    from urdfcal.cli.console import output as terminal
+    from urdfcal.cli.console import sheet
+
+    console = terminal()
+    console.print(calibration.board.title, markup=False)
+    rig = calibration.rig
+
+    quality = sheet("pictures", ["camera", "used", "corners", "residual (px)", "coverage", "tilt (deg)", "worst view"])
+    for q in calibration.qualities:
+        worst = int(np.argmax(q.rms))
+        quality.add_row(
+            q.name,
+            f"{len(q.views)}",
+            f"{q.corners}",
+            f"{q.sigma:.3f}",
+            f"{100 * q.coverage:.0f} %",
+            f"{q.tilts.min():.0f} to {q.tilts.max():.0f}",
+            f"{q.views[worst]}, {q.rms[worst]:.3f} px",
+        )
+    console.print(quality)
+
+    lenses = sheet("cameras ± standard deviation", ["camera", "parameter", "value", "±"], texts=2)
+    for camera, T, sigma in zip(rig.cameras, rig.T_cam_world, rig.sigmas, strict=True):
+        if sigma is None:
+            continue
+        for name, value, s in zip(camera.parameter_names, camera.parameters, sigma.parameters, strict=True):
+            digits = 3 if name in ("fx", "fy", "cx", "cy") else 6
+            lenses.add_row(camera.name, name, f"{value:.{digits}f}", f"{s:.{digits}f}")
+        if T is not None and sigma.pose is not None:
+            # A small motion (v, w) after T moves the first camera's centre t by v + w x t, its distance by t·v / |t|.
+            t, x = T[:3, 3], calibration.names.index(f"{camera.name}.x")
+            away = t @ calibration.covariance[x : x + 3, x : x + 3] @ t
+            distance = float(np.linalg.norm(t))
+            lenses.add_row(
+                camera.name, f"to {rig.names[0]} (mm)", f"{1e3 * distance:.3f}", f"{1e3 * np.sqrt(away) / distance:.3f}"
+            )
+            lenses.add_row(camera.name, "rotation (mrad)", "", f"{1e3 * np.linalg.norm(sigma.pose[3:]):.3f}")
+    console.print(lenses)
+
+    for rejection in calibration.rejected:
+        console.print(f"- {rejection.camera}/{rejection.view} not used: {rejection.reason}", markup=False)
+    for text in calibration.warnings:
+        console.print(f"- {text}", markup=False)
+    console.print(str(output), markup=False)

@@ -1,0 +1,168 @@
+"""Calibration boards: chessboards and ChArUco boards, and the file that describes one."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import numpy as np
+
+from urdfcal.arrays import Floats, Ints, frozen
+from urdfcal.errors import CameraError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+BoardKind = Literal["chessboard", "charuco"]
+
+# OpenCV finds no smaller board, and fewer corners do not tell a homography from noise.
+_FEWEST = 3
+# A printed square is between a few millimetres and half a metre; 25 is millimetres.
+_LARGEST_SQUARE = 1.0
+_KEYS = ("type", "columns", "rows", "square", "marker", "dictionary")
+
+
+@dataclass(frozen=True)
+class Board:
+    """A flat board with black and white squares.
+
+    The board's frame has its origin at the first inner corner, x along the columns, y along the rows and z
+    into the board, so a camera that looks straight at it has nearly its orientation. The square up and left
+    of the origin is black.
+
+    Attributes:
+        kind: "chessboard" or "charuco".
+        columns: as OpenCV counts: inner corners along x of a chessboard, squares along x of a ChArUco board.
+        rows: the same along y.
+        square: side of a square, m.
+        marker: side of the markers, black border included, m; ChArUco only.
+        dictionary: OpenCV's name of the markers' dictionary, such as DICT_4X4_50; ChArUco only.
+
+    Raises:
+        CameraError: there is no such board.
+    """
+
+    kind: BoardKind
+    columns: int
+    rows: int
+    square: float
+    marker: float | None = None
+    dictionary: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.kind not in get_args(BoardKind):
+            raise CameraError(f"board type '{self.kind}' is not known", remedy="Use chessboard or charuco.")
+        if min(self.shape) < _FEWEST:
+            raise CameraError(
+                f"a {self.columns} x {self.rows} {self.kind} has {self.shape[0]} x {self.shape[1]} inner corners",
+                remedy=f"It needs at least {_FEWEST} x {_FEWEST}.",
+            )
+        if not 0.0 < self.square < _LARGEST_SQUARE:
+            raise CameraError(f"a square of {self.square:g} m is no board's", remedy="Give its side in metres.")
+        if self.kind == "charuco":
+            self._check_markers()
+        elif self.marker is not None or self.dictionary is not None:
+            raise CameraError("a chessboard has no markers", remedy="Leave marker and dictionary out.")
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Inner corners along x and along y."""
+        inside = 0 if self.kind == "chessboard" else 1
+        return self.columns - inside, self.rows - inside
+
+    @cached_property
+    def corners(self) -> Floats:
+        """(N, 3) inner corners in the board's frame, row by row, m."""
+        across, down = self.shape
+        x, y = np.meshgrid(np.arange(across), np.arange(down))
+        return frozen(self.square * np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1))
+
+    @cached_property
+    def symmetries(self) -> tuple[Ints, ...]:
+        """Orders (N,) of the corners in which the board looks the same, the first being 0 ... N - 1.
+
+        Turning a chessboard half around changes its colours only if one side has an even number of inner
+        corners and the other an odd one.
+        """
+        across, down = self.shape
+        grid = np.arange(across * down).reshape(down, across)
+        if self.kind == "charuco" or (across + down) % 2:
+            turns: tuple[int, ...] = (0,)
+        elif across == down and across % 2 == 0:
+            turns = (0, 1, 2, 3)
+        else:
+            turns = (0, 2)
+        return tuple(frozen(np.rot90(grid, k).ravel(), np.intp) for k in turns)
+
+    @property
+    def title(self) -> str:
+        """The board in a few words."""
+        markers = f", {1e3 * self.marker:g} mm markers of {self.dictionary}" if self.marker is not None else ""
+        return f"{self.kind} {self.columns} x {self.rows}, {1e3 * self.square:g} mm squares{markers}"
+
+    def to_opencv(self) -> Any:
+        """The ``cv2.aruco.CharucoBoard``; the squares with odd column + row hold its markers."""
+        import cv2
+
+        dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, str(self.dictionary)))
+        return cv2.aruco.CharucoBoard((self.columns, self.rows), self.square, self.marker or 0.0, dictionary)
+
+    def _check_markers(self) -> None:
+        import cv2
+
+        if self.marker is None or self.dictionary is None:
+            raise CameraError(
+                "a ChArUco board needs the side of its markers and their dictionary",
+                remedy="For example marker 0.018 (m) and dictionary DICT_4X4_50.",
+            )
+        if not 0.0 < self.marker < self.square:
+            raise CameraError(
+                f"markers of {self.marker:g} m do not fit into squares of {self.square:g} m",
+                remedy="Give both in metres.",
+            )
+        names = sorted(name for name in dir(cv2.aruco) if re.fullmatch(r"DICT_[A-Z0-9_]+", name))
+        if self.dictionary not in names:
+            raise CameraError(f"dictionary '{self.dictionary}' is not known", remedy=f"OpenCV has: {', '.join(names)}.")
+        # Compared with what the dictionary holds, since OpenCV reads past its end.
+        held = len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary)).bytesList)
+        if self.columns * self.rows // 2 > held:
+            raise CameraError(
+                f"a {self.columns} x {self.rows} board has {self.columns * self.rows // 2} markers, "
+                f"{self.dictionary} holds {held}",
+                remedy="Name the dictionary the board was printed with.",
+            )
+
+
+def read_board(path: Path) -> Board:
+    """Read board.yaml: type, columns, rows, square, and for ChArUco marker and dictionary.
+
+    Raises:
+        CameraError: the file cannot be read or describes no board.
+    """
+    import yaml
+
+    try:
+        data = yaml.safe_load(path.read_bytes())
+    except OSError as error:
+        raise CameraError(f"the board's file cannot be read: {error.strerror}", where=str(path)) from error
+    except (yaml.YAMLError, RecursionError) as error:
+        raise CameraError("this is not a YAML text file", where=str(path)) from error
+    if not isinstance(data, dict):
+        raise CameraError(f"expected are the keys {', '.join(_KEYS)}", where=str(path))
+    unknown = [str(key) for key in data if key not in _KEYS]
+    if unknown:
+        raise CameraError(f"key '{unknown[0]}' is not known", where=str(path), remedy=f"Allowed: {', '.join(_KEYS)}.")
+    kinds: dict[str, tuple[type, ...]] = {
+        "type": (str,), "columns": (int,), "rows": (int,), "square": (float, int),
+        "marker": (float, int, type(None)), "dictionary": (str, type(None)),
+    }  # fmt: skip
+    for key, allowed in kinds.items():
+        if not isinstance(data.get(key), allowed) or isinstance(data.get(key), bool):
+            found = f"{key} {data[key]!r} is not a {allowed[0].__name__}" if key in data else f"{key} is missing"
+            raise CameraError(found, where=str(path), remedy="Lengths are in metres: 0.025, or 2.5e-2.")
+    try:
+        return Board(*(data.get(key) for key in _KEYS))  # type: ignore[arg-type]
+    except CameraError as error:
+        raise CameraError(error.what, where=str(path), remedy=error.remedy) from error
