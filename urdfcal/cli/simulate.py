@@ -29,8 +29,28 @@ from urdfcal.cli.options import seed_option
     show_default=True,
     help="Fraction of sightings moved by 5 to 200 px.",
 )
+@click.option("--images", is_flag=True, help="Write what the cameras saw instead of detections.csv.")
+@click.option(
+    "--distractors", is_flag=True, help="Images with lamps, reflections, hot pixels, streaks and a hidden LED."
+)
+@click.option(
+    "--peak",
+    type=click.FloatRange(min=1.0),
+    default=1500.0,
+    show_default=True,
+    help="Electrons of the LED's brightest pixel, 1.5 m away; images saturate at 2500.",
+)
 def command(
-    rig: str, session: Path, poses: int, seed: int, pixel: float | None, error_scale: float, outliers: float
+    rig: str,
+    session: Path,
+    poses: int,
+    seed: int,
+    pixel: float | None,
+    error_scale: float,
+    outliers: float,
+    images: bool,
+    distractors: bool,
+    peak: float,
 ) -> None:
     """Simulate a session of RIG (a shipped rig's name or a folder), with the truth beside it."""
     from urdfcal.cli.console import progress_bar
@@ -38,6 +58,10 @@ def command(
     from urdfcal.session.rigs import find_rig
     from urdfcal.session.simulate import simulate, write_simulated
 
+    if distractors and not images:
+        raise click.UsageError("--distractors goes with --images")
+    if images and (outliers or pixel is not None):
+        raise click.UsageError("--pixel and --outliers do not go with --images: the images decide")
     description = read_rig(find_rig(rig))
     with progress_bar("posing", poses) as advance:
         simulated = simulate(
@@ -49,7 +73,13 @@ def command(
             outliers=outliers,
             progress=advance,
         )
-    write_simulated(session, simulated)
+    if images:
+        from urdfcal.session.simulate_images import Exposure, write_simulated_images
+
+        with progress_bar("rendering", None) as advance:
+            write_simulated_images(session, simulated, Exposure(peak=peak, distractors=distractors), advance)
+    else:
+        write_simulated(session, simulated)
     for warning in simulated.session.warnings:
         click.echo(f"- {warning}", err=True)
     click.echo(f"{session}: {poses} poses of {description.chain.name}, seed {seed}; the truth is in truth.urdf")

@@ -9,17 +9,27 @@ from urdfcal.errors import SessionError
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.urdf import Urdf, find_urdf
 from urdfcal.session import tables
-from urdfcal.session.model import Detections, Led, Points, RigDescription, Session
+from urdfcal.session.model import Detections, Led, Points, Positions, RigDescription, Session
 from urdfcal.session.names import suggest
-from urdfcal.session.plausibility import Inputs, check
+from urdfcal.session.plausibility import Inputs, check, check_positions
 from urdfcal.session.source import Source
 from urdfcal.session.writing import write_session
 
 if TYPE_CHECKING:
-    from urdfcal.session.schema import Document, SetupFile
+    from urdfcal.session.schema import Document, SessionFile, SetupFile
 
-__all__ = ["read_points", "read_rig", "read_session", "write_session"]
+__all__ = [
+    "detections_path",
+    "lacks_detections",
+    "read_points",
+    "read_positions",
+    "read_rig",
+    "read_session",
+    "write_session",
+]
 
+# What `urdfcal detect` reads and writes.
+IMAGES, DETECTIONS = "images", "detections.csv"
 _SESSION, _RIG = "session.yaml", "rig.yaml"
 
 
@@ -37,25 +47,27 @@ def read_session(path: str | Path) -> Session:
         RobotError: the URDF is not one, or has no such chain.
         CameraError: the camera file is not one.
     """
-    from urdfcal.session.schema import Document, SessionFile
-
-    document = Document.read(_yaml_file(Path(path), _SESSION))
-    keys = document.validate(SessionFile)
+    document, keys = _read_document(Path(path))
     setup = _read_setup(document, keys)
-    chain, urdf, rig, noise = setup["chain"], setup["urdf"], setup["rig"], setup["noise"]
+    chain, rig, noise = setup["chain"], setup["rig"], setup["noise"]
     led_names = [led.name for led in setup["leds"]]
 
-    joints = tables.read_joints(_file(document, "joints"), chain, urdf.joints)
+    joints = tables.read_joints(_file(document, "joints"), chain, setup["urdf"].joints)
     detections = points = None
-    if keys.detections is not None:
-        detections = tables.read_detections(
-            _file(document, "detections"), joints.poses, rig.names, led_names, noise.pixel
+    detected = _detections_file(document, keys)
+    if detected is None and keys.points is None:
+        raise SessionError(
+            "neither detections nor points are named: there is nothing to calibrate from",
+            where=document.place(),
+            remedy="Run `urdfcal detect` on its images first." if _has_images(document) else "",
         )
+    if detected is not None:
+        detections = tables.read_detections(detected, joints.poses, rig.names, led_names, noise.pixel)
     if keys.points is not None:
         points = tables.read_points(_file(document, "points"), joints.poses, led_names, noise.point)
 
     warnings = check(Inputs(document, chain, setup["leds"], rig, noise, joints, detections, points))
-    named = {keys.joints: joints, keys.detections: detections, keys.points: points}
+    named = {keys.joints: joints, keys.detections or DETECTIONS: detections, keys.points: points}
     hashes = {name: table.table.source.sha256 for name, table in named.items() if name and table}
     return Session(
         **{**setup, "sha256": {**setup["sha256"], **hashes}},
@@ -66,6 +78,53 @@ def read_session(path: str | Path) -> Session:
         points=_points(points) if points else None,
         warnings=joints.warnings + warnings,
     )
+
+
+def read_positions(path: str | Path) -> Positions:
+    """Read a session without its sightings, as `urdfcal detect` needs it: they are still in its images.
+
+    Args:
+        path: the session's folder, or the YAML file in it.
+
+    Raises:
+        SessionError: a file is missing, malformed or implausible, with file, line and column.
+        RobotError: the URDF is not one, or has no such chain.
+        CameraError: the camera file is not one.
+    """
+    document, keys = _read_document(Path(path))
+    setup = _read_setup(document, keys)
+    if setup["rig"] is None:
+        raise SessionError("no cameras are named", where=document.place(), remedy="Images need a camera file.")
+    chain = setup["chain"]
+    joints = tables.read_joints(_file(document, "joints"), chain, setup["urdf"].joints)
+    warnings = check_positions(Inputs(document, chain, setup["leds"], setup["rig"], setup["noise"], joints, None, None))
+    return Positions(
+        **setup,
+        poses=joints.poses,
+        q=chain.joint_values(joints.readings),
+        time=joints.time,
+        warnings=joints.warnings + warnings,
+    )
+
+
+def lacks_detections(path: str | Path) -> bool:
+    """Whether a session has images, but nobody has looked for LEDs in them yet.
+
+    Raises:
+        SessionError: session.yaml is missing or malformed.
+    """
+    document, keys = _read_document(Path(path))
+    return keys.points is None and _has_images(document) and _detections_file(document, keys) is None
+
+
+def detections_path(path: str | Path) -> Path:
+    """Where a session's detections are, or will be.
+
+    Raises:
+        SessionError: session.yaml is missing or malformed.
+    """
+    document, keys = _read_document(Path(path))
+    return document.source.path.parent / (keys.detections or DETECTIONS)
 
 
 def read_rig(path: str | Path) -> RigDescription:
@@ -105,6 +164,26 @@ def read_points(path: str | Path, session: Session) -> tuple[Points, tuple[Led, 
     """
     table = tables.read_points(Path(path), session.poses, None, session.noise.point)
     return _points(table), tuple(Led(name) for name in table.names["led"])
+
+
+def _read_document(path: Path) -> tuple[Document, SessionFile]:
+    from urdfcal.session.schema import Document, SessionFile
+
+    document = Document.read(_yaml_file(path, _SESSION))
+    return document, document.validate(SessionFile)
+
+
+def _detections_file(document: Document, keys: SessionFile) -> Path | None:
+    """The table of detections: as named, or, of a session with images and nothing named, as detected in them."""
+    if keys.detections is not None:
+        return _file(document, "detections")
+    default = document.source.path.parent / DETECTIONS
+    images = keys.points is None and keys.cameras is not None and _has_images(document)
+    return default if images and default.is_file() else None
+
+
+def _has_images(document: Document) -> bool:
+    return (document.source.path.parent / IMAGES).is_dir()
 
 
 def _yaml_file(path: Path, name: str) -> Path:

@@ -294,22 +294,18 @@ class RigDescription(Setup):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Session(Setup):
-    """A rig and what was measured with it: pixels, points, or both.
+class Positions(Setup):
+    """A rig in the positions at which something is measured, or will be: a session whose images are not read yet.
 
     Attributes:
         poses: (N) labels.
         q: (N, n) value of every joint of the chain in every pose, mimic joints included. [rad or m]
-        detections: LEDs in the cameras' images.
-        points: LEDs in 3-D.
         time: (N,) of each pose, where recorded. [s]
         warnings: what looked odd when it was read.
     """
 
     poses: tuple[str, ...]
     q: Floats
-    detections: Detections | None = None
-    points: Points | None = None
     time: Floats | None = None
     warnings: tuple[str, ...] = ()
 
@@ -326,7 +322,6 @@ class Session(Setup):
             raise SessionError("a mimic joint's value in q is not what it follows from", where="session")
         if self.time is not None:
             object.__setattr__(self, "time", _finite(self.time, (count,), "time", "session"))
-        self._check_measurements()
 
     @property
     def readings(self) -> Floats:
@@ -334,6 +329,27 @@ class Session(Setup):
         actuated = set(self.chain.actuated)
         result: Floats = self.q[:, [name in actuated for name in self.chain.names]]
         return result
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Session(Positions):
+    """A rig and what was measured with it: pixels, points, or both.
+
+    Attributes:
+        detections: LEDs in the cameras' images.
+        points: LEDs in 3-D.
+    """
+
+    detections: Detections | None = None
+    points: Points | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._check_measurements()
+
+    def unmeasured(self) -> Positions:
+        """The same without its sightings."""
+        return Positions(**{f.name: getattr(self, f.name) for f in fields(Positions)})
 
     def _check_measurements(self) -> None:
         if self.detections is None and self.points is None:

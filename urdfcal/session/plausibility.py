@@ -77,8 +77,8 @@ class Inputs:
         return (table for table in (self.detections, self.points) if table is not None)
 
 
-def check(inputs: Inputs) -> tuple[str, ...]:
-    """Look for what can go wrong between the robot and the files.
+def check_positions(inputs: Inputs) -> tuple[str, ...]:
+    """Look for what can go wrong before anything is seen: in the readings, and in what is declared.
 
     Returns:
         What looks odd but may be right.
@@ -90,8 +90,20 @@ def check(inputs: Inputs) -> tuple[str, ...]:
     _check_limits(inputs)
     _check_led_units(inputs)
     _check_noise_units(inputs)
+    return (*_still_joints(inputs), *_same_readings(inputs))
+
+
+def check(inputs: Inputs) -> tuple[str, ...]:
+    """Look for what can go wrong between the robot and the files.
+
+    Returns:
+        What looks odd but may be right.
+
+    Raises:
+        SessionError: what cannot be right, with file, line and column.
+    """
+    warnings = list(check_positions(inputs))
     _check_point_units(inputs)
-    warnings = [*_still_joints(inputs), *_same_readings(inputs)]
     for table in inputs.sightings:
         _check_frozen(inputs, table)
     if inputs.detections is not None and inputs.rig is not None:

@@ -40,13 +40,28 @@ class Scene:
         """The cameras' centres (C, 3) in the base link's frame, m."""
         return inverse(self.T_cam_world @ self.T_world_base)[:, :3, 3]
 
-    def images(self, q: Floats) -> Floats:
-        """Project the LEDs: joint values ``q`` (N, n) -> (N, C, L, 2) px, NaN where a camera cannot see."""
-        T_world_tip = self.T_world_base @ tip_poses(self.chain, q, self.placements)
+    def images(self, q: Floats, *, mirrored: bool = False) -> Floats:
+        """Project the LEDs: joint values ``q`` (N, n) -> (N, C, L, 2) px, NaN where a camera cannot see.
+
+        ``mirrored``, their reflections in the plane on which the arm stands.
+        """
+        points = self._points(q, mirrored=mirrored)
+        return np.stack([camera.project(points[:, c]) for c, camera in enumerate(self.cameras)], axis=1)
+
+    def distances(self, q: Floats) -> Floats:
+        """From each camera to each LED: (N, C, L) m."""
+        return np.asarray(np.linalg.norm(self._points(q), axis=-1))
+
+    def _points(self, q: Floats, *, mirrored: bool = False) -> Floats:
+        """(N, C, L, 3) the LEDs in the cameras' frames, m."""
+        T_base_tip = tip_poses(self.chain, q, self.placements)
+        if mirrored:
+            T_base_tip = np.diag([1.0, 1.0, -1.0, 1.0]) @ T_base_tip
         leds = np.concatenate([self.leds, np.ones((len(self.leds), 1))], axis=1)
+        T_world_tip = self.T_world_base @ T_base_tip
         # (N, 1, 1, 4, 4) @ (L, 4, 1), and (C, 1, 4, 4) in between
         points = self.T_cam_world[:, None] @ T_world_tip[:, None, None] @ leds[..., None]
-        return np.stack([camera.project(points[:, c, :, :3, 0]) for c, camera in enumerate(self.cameras)], axis=1)
+        return np.asarray(points[..., :3, 0])
 
 
 def look_at(position: Floats, target: Floats) -> Floats:

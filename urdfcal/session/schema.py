@@ -180,8 +180,6 @@ class SessionFile(SetupFile):
 
     @model_validator(mode="after")
     def _measured(self) -> SessionFile:
-        if self.detections is None and self.points is None:
-            raise ValueError("neither detections nor points are named: there is nothing to calibrate from")
         if self.detections is not None and self.cameras is None:
             raise ValueError("detections are named, but no cameras")
         return self

@@ -63,12 +63,13 @@ class Simulated:
     truth: Truth
 
 
-def write_simulated(folder: str | Path, simulated: Simulated) -> None:
+def write_simulated(folder: str | Path, simulated: Simulated, *, sightings: bool = True) -> None:
     """Write a session, and beside it what no calibration reads: truth.urdf and truth.json.
 
     Args:
         folder: where to; made if need be, in a folder that exists.
         simulated: what to write.
+        sightings: whether to write them too; without, the session waits for images.
 
     Raises:
         OutputError: the folder holds a session or a truth already, or cannot be written.
@@ -79,7 +80,7 @@ def write_simulated(folder: str | Path, simulated: Simulated) -> None:
             raise OutputError(f"there is a {name} already", where=str(folder), remedy="Name a new folder.")
     if Path(session.urdf_reference).name == _URDF:
         raise OutputError(f"the drawn robot's file is itself called {_URDF}", where=str(folder), remedy="Rename it.")
-    write_session(folder, session)
+    write_session(folder, session if sightings else session.unmeasured())
     write_bytes(folder / _URDF, simulated.truth.urdf)
     write_text(folder / _JSON, json.dumps(_truth_to_dict(simulated), indent=1) + "\n")
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from urdfcal.errors import OutputError
+from urdfcal.session.model import Session
 from urdfcal.session.names import check_names
 
 if TYPE_CHECKING:
@@ -18,14 +19,16 @@ if TYPE_CHECKING:
 
     from urdfcal.arrays import Floats, Ints
     from urdfcal.robot.urdf import Urdf
-    from urdfcal.session.model import Led, Session, Setup
+    from urdfcal.session.model import Detections, Led, Positions, Setup
 
 _SESSION = "session.yaml"
 _CAMERAS, _JOINTS, _DETECTIONS, _POINTS = "cameras.yaml", "joints.csv", "detections.csv", "points.csv"
 
 
-def write_session(folder: str | Path, session: Session) -> None:
+def write_session(folder: str | Path, session: Positions) -> None:
     """Write a session so that reading it gives the same one; all of it or nothing.
+
+    One without sightings is for images to be put beside it.
 
     A URDF named as ``package://`` stays in its package; any other is copied beside the tables.
 
@@ -57,6 +60,20 @@ def write_session(folder: str | Path, session: Session) -> None:
         ) from error
 
 
+def write_detections(path: Path, positions: Positions, seen: Detections) -> None:
+    """Write detections.csv.
+
+    Args:
+        path: the file.
+        positions: whose poses, cameras and LEDs were seen.
+        seen: where.
+    """
+    cameras = positions.rig.names if positions.rig is not None else ()
+    keys = {"pose": (positions.poses, seen.pose), "camera": (cameras, seen.camera)}
+    keys["led"] = (positions.led_names, seen.led)
+    _write_sightings(path, keys, "uv", seen.uv, seen.sigma, positions.noise.pixel)
+
+
 def _already_there(path: Path) -> OutputError:
     return OutputError("it is already there", where=str(path), remedy="Name another folder, or remove it first.")
 
@@ -80,7 +97,7 @@ def _move(partial: Path, folder: Path) -> None:
         raise
 
 
-def _write_files(folder: Path, session: Session, urdf: Urdf) -> None:
+def _write_files(folder: Path, session: Positions, urdf: Urdf) -> None:
     import yaml
 
     from urdfcal.vision.formats import write_kalibr
@@ -103,17 +120,14 @@ def _write_files(folder: Path, session: Session, urdf: Urdf) -> None:
     content["joints"] = _JOINTS
     time = [] if session.time is None else [session.time.tolist()]
     header = ["pose", *chain.actuated, *(["time"] if time else [])]
-    _write_table(folder / _JOINTS, header, [session.poses, *session.readings.T.tolist(), *time])
-    poses, leds = session.poses, session.led_names
-    if session.detections is not None and session.rig is not None:
+    write_table(folder / _JOINTS, header, [session.poses, *session.readings.T.tolist(), *time])
+    if isinstance(session, Session) and session.detections is not None:
         content["detections"] = _DETECTIONS
-        seen = session.detections
-        keys = {"pose": (poses, seen.pose), "camera": (session.rig.names, seen.camera), "led": (leds, seen.led)}
-        _write_sightings(folder / _DETECTIONS, keys, "uv", seen.uv, seen.sigma, session.noise.pixel)
-    if session.points is not None:
+        write_detections(folder / _DETECTIONS, session, session.detections)
+    if isinstance(session, Session) and session.points is not None:
         content["points"] = _POINTS
         measured = session.points
-        keys = {"pose": (poses, measured.pose), "led": (leds, measured.led)}
+        keys = {"pose": (session.poses, measured.pose), "led": (session.led_names, measured.led)}
         _write_sightings(folder / _POINTS, keys, "xyz", measured.xyz, measured.sigma, session.noise.point)
     content.update(_expectations(session))
     text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None, width=110)
@@ -155,10 +169,11 @@ def _write_sightings(
     own = [sigma.tolist()] if np.any(sigma != usual) else []
     columns = [[labels[i] for i in index] for labels, index in keys.values()]
     header = [*keys, *names, *(["sigma"] if own else [])]
-    _write_table(path, header, [*columns, *values.T.tolist(), *own])
+    write_table(path, header, [*columns, *values.T.tolist(), *own])
 
 
-def _write_table(path: Path, header: Sequence[str], columns: Iterable[Sequence[object]]) -> None:
+def write_table(path: Path, header: Sequence[str], columns: Iterable[Sequence[object]]) -> None:
+    """Write a CSV file from the names and the cells of its columns."""
     # The csv module writes numbers in the shortest form that reads back as themselves.
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")

@@ -1,0 +1,210 @@
+"""How well LEDs are found in images: accuracy against the Cramer-Rao bound, wrong and missed sightings, speed.
+
+    python tests/benchmarks/detection.py [accuracy] [bias] [sightings] [speed] [whole] [--count 400] [--poses 250]
+
+- accuracy: rms error of rendered spots over width, peak, depth of the pixels and saturation, with the bound (all of
+  peak, width, background and its slope unknown), and what share of them was not found at all;
+- bias: mean error over the pixel grid, 9 x 9 places;
+- sightings: a simulated UR5 before two cameras, with lamps, reflections, hot pixels, streaks and a hidden LED; a
+  sighting is wrong if it is off by more than 0.5 px and 6 sigma, or the LED was not to be seen;
+- speed: 200 images, against a loop that reads each with OpenCV, thresholds it and labels connected components;
+- whole: tip error of a calibration from images, against one from ideal centroids with the same sigmas.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from urdfcal.calibration import calibrate
+from urdfcal.estimation.evaluation import compare
+from urdfcal.robot.chain import Chain
+from urdfcal.session.detect import detect
+from urdfcal.session.files import read_rig
+from urdfcal.session.rigs import find_rig
+from urdfcal.session.simulate import simulate
+from urdfcal.session.simulate_images import TRUTH, Exposure, write_simulated_images
+from urdfcal.vision.centroid import HALF, Crops, fit_spots
+from urdfcal.vision.render import Light, Scenery, Sensor, centroid_bound
+
+SIDE = 2 * HALF + 1
+BACKGROUND = 15.0
+
+
+def crops_of(sensor: Sensor, peak: float, sigma: float, places: np.ndarray, rng: np.random.Generator) -> Crops:
+    """One rendered crop for each place (n, 2), relative to its middle pixel."""
+    scenery = Scenery.flat((SIDE, SIDE), BACKGROUND, (0.1, -0.05))
+    values = np.array([sensor.expose(scenery.expected([Light(HALF + p, peak, sigma)]), rng) for p in places])
+    return Crops(
+        np.zeros((len(places), 2), dtype=np.intp),
+        values.astype(np.float32),
+        np.ones(values.shape, dtype=bool),
+        values >= sensor.white,
+    )
+
+
+def sensor_for(peak: float, bits: int, saturated: float) -> Sensor:
+    """A sensor whose range ends 1.3 times above the peak, or ``saturated`` times below it."""
+    full = (peak + BACKGROUND) * 1.3 if not saturated else peak / saturated
+    return Sensor((SIDE, SIDE), bits, full / (2**bits - 5.0), black=4.0)
+
+
+def accuracy(count: int) -> None:
+    print("bits  sigma  peak  saturated     rms    bound  rms/bound  error/claimed  not found")
+    rng = np.random.default_rng(0)
+    worst = 0.0
+    for bits in (8, 16):
+        for sigma in (1.0, 1.5, 2.0, 3.0):
+            for peak, saturated in ((40, 0), (100, 0), (400, 0), (4000, 0), (4000, 2), (4000, 4)):
+                sensor = sensor_for(peak, bits, saturated)
+                places = rng.uniform(-0.5, 0.5, (count, 2))
+                fits = fit_spots(crops_of(sensor, peak, sigma, places, rng))
+                found = fits.found & (fits.significance > 5.0)
+                error = (fits.uv - places)[found]
+                rms = np.sqrt(np.mean(error**2))
+                bounds = [centroid_bound(sensor, Light(p, peak, sigma), BACKGROUND) for p in places[:8]]
+                bound = np.sqrt(np.mean(np.square(bounds)))
+                claimed = np.sqrt(np.mean((error / fits.sigma[found, None]) ** 2))
+                worst = max(worst, rms / bound if not saturated else 0.0)
+                print(
+                    f"{bits:4}  {sigma:5.1f} {peak:5}  {saturated or '':>9}  {rms:.4f}   {bound:.4f}"
+                    f"  {rms / bound:9.2f}  {claimed:13.2f}  {1.0 - found.mean():9.1%}"
+                )
+    print(f"worst rms/bound where unsaturated: {worst:.3f}")
+
+
+def bias(count: int) -> None:
+    print("sigma  saturated  largest mean error (px) of 9 x 9 places in the pixel  its standard error")
+    rng = np.random.default_rng(1)
+    grid = np.linspace(-0.5, 0.5, 9)
+    places = np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2)
+    for sigma in (0.7, 1.0, 1.5, 2.0, 3.0):
+        for saturated in (0, 4):
+            sensor = sensor_for(4000.0, 8, saturated)
+            many = np.repeat(places, count // 8, axis=0)
+            fits = fit_spots(crops_of(sensor, 4000.0, sigma, many, rng))
+            error = (fits.uv - many).reshape(len(places), -1, 2)
+            spread = np.max(error.std(axis=1)) / np.sqrt(error.shape[1])
+            print(f"{sigma:5.1f}  {saturated or '':>9}  {np.abs(error.mean(axis=1)).max():.4f}  {spread:.4f}")
+
+
+def sightings(folder: Path, poses: int, rigs: list[str]) -> None:
+    for rig in rigs:
+        session = folder / rig
+        simulated = simulate(read_rig(find_rig(rig)), poses=poses, seed=1)
+        write_simulated_images(session, simulated, Exposure(distractors=True))
+        detected = detect(session)
+        with (session / TRUTH).open() as file:
+            truth = {
+                (row["pose"], row["camera"], row["led"]): np.array([float(row["u"]), float(row["v"])])
+                for row in csv.DictReader(file)
+            }
+        found, positions = detected.detections, detected.positions
+        wrong, errors, right = 0, [], set()
+        for pose, camera, led, uv, sigma in zip(
+            found.pose, found.camera, found.led, found.uv, found.sigma, strict=True
+        ):
+            key = positions.poses[pose], positions.rig.names[camera], positions.led_names[led]
+            off = np.linalg.norm(uv - truth[key]) if key in truth else np.inf
+            if off > max(0.5, 6.0 * sigma):
+                wrong += 1
+            else:
+                right.add(key)
+                errors.append((uv - truth[key]) / sigma)
+        missed = len(truth) - len(right)
+        print(
+            f"{rig}: {detected.album.count} images, LED to be found in {len(truth)}: {len(found)} sightings, "
+            f"{wrong} wrong, {missed} missed ({missed / len(truth):.2%}), "
+            f"error/claimed {np.sqrt(np.mean(np.square(errors))):.2f}"
+        )
+        print(f"  rejected: {detected.summary()}")
+        for warning in detected.warnings:
+            print(f"  {warning}")
+
+
+def whole(folder: Path, poses: int, seeds: int) -> None:
+    """Tip error of a calibration from images, against one from ideal centroids of the sigmas that were claimed."""
+    rows = []
+    for seed in range(seeds):
+        simulated = simulate(read_rig(find_rig("ur5")), poses=poses, seed=seed)
+        session = folder / f"whole{seed}"
+        write_simulated_images(session, simulated, Exposure())
+        seen = detect(session).detections
+        with (session / TRUTH).open() as file:
+            truth = {(r["pose"], r["camera"]): (float(r["u"]), float(r["v"])) for r in csv.DictReader(file)}
+        of = simulated.session
+        places = [truth[of.poses[p], of.rig.names[c]] for p, c in zip(seen.pose, seen.camera, strict=True)]
+        noise = seen.sigma[:, None] * np.random.default_rng(seed + 1000).standard_normal(seen.uv.shape)
+        errors = []
+        for detections in (seen, replace(seen, uv=np.array(places) + noise)):
+            calibration = calibrate(replace(of, detections=detections))
+            nominal = calibration.chain
+            q = nominal.random_values(500, np.random.default_rng(seed))
+            true, built = (
+                Chain(nominal.name, nominal.base_link, nominal.tip_link, nominal.joints, M, nominal.T_last_tip)
+                for M in (simulated.truth.placements, calibration.placements)
+            )
+            errors.append(1e3 * np.sqrt(np.mean(compare(built, true, q).position ** 2)))
+        rows.append(errors)
+        print(f"seed {seed}: {errors[0]:.4f} mm from images, {errors[1]:.4f} mm from ideal centroids", flush=True)
+    images, ideal = np.sqrt(np.mean(np.square(rows), axis=0))
+    print(f"rms over {seeds} seeds: {images:.4f} and {ideal:.4f} mm, ratio {images / ideal:.3f}")
+
+
+def speed(folder: Path, distractors: bool) -> None:
+    import cv2
+
+    session = folder / f"speed{distractors}"
+    simulated = simulate(read_rig(find_rig("ur5")), poses=100, seed=2)
+    write_simulated_images(session, simulated, Exposure(distractors=distractors))
+    paths = sorted((session / "images").glob("*/*.png"))
+    for path in paths:  # into the system's cache, for both
+        path.read_bytes()
+    ratios = []
+    for _ in range(3):
+        start = time.perf_counter()
+        for path in paths:
+            image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+            _, above = cv2.threshold(image, 60, 255, cv2.THRESH_BINARY)
+            cv2.connectedComponentsWithStats(above)
+        plain = time.perf_counter() - start
+        start = time.perf_counter()
+        detect(session)
+        ours = time.perf_counter() - start
+        ratios.append(ours / plain)
+        print(f"{len(paths)} images: OpenCV {plain:.2f} s, urdfcal {ours:.2f} s, ratio {ours / plain:.2f}")
+    print(f"{'with' if distractors else 'without'} distractors: median ratio {np.median(ratios):.2f}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("what", nargs="*", default=["accuracy", "bias", "sightings", "speed", "whole"])
+    parser.add_argument("--count", type=int, default=400)
+    parser.add_argument("--poses", type=int, default=250)
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--rigs", nargs="*", default=["ur5"])
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        for what in arguments.what:
+            print(f"== {what}")
+            if what == "accuracy":
+                accuracy(arguments.count)
+            elif what == "bias":
+                bias(arguments.count)
+            elif what == "sightings":
+                sightings(Path(folder), arguments.poses, arguments.rigs)
+            elif what == "whole":
+                whole(Path(folder), 50, arguments.seeds)
+            elif what == "speed":
+                speed(Path(folder), distractors=False)
+                speed(Path(folder), distractors=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,124 @@
+"""Image files to numbers: any depth, any number of channels, several at a time and never all at once."""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, get_args
+
+import numpy as np
+
+from urdfcal.errors import CameraError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    Image: TypeAlias = NDArray[Any]
+
+Colour: TypeAlias = Literal["any", "red", "green", "blue"]
+COLOURS: tuple[Colour, ...] = get_args(Colour)
+SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
+
+# Depths of sensors whose values are stored in 16 bits as they are.
+_DEPTHS = (10, 12, 14, 16)
+# Cameras that shift their values or clip early end at 65,520 or 250: several pixels share that value.
+_ALMOST, _SHARED = 0.9, 3
+# Compression moves clipped values by a count or two.
+_CLIPPED = 0.99
+
+_T = TypeVar("_T")
+_R = TypeVar("_R")
+
+
+def read_image(path: Path) -> Image:
+    """Read an image file as it is: (h, w) or, red first, (h, w, 3); 8 or 16 bit. No rotation by EXIF.
+
+    Raises:
+        CameraError: it cannot be read, or its pixels are of another kind.
+    """
+    import cv2
+
+    try:
+        data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
+    except OSError as error:
+        raise CameraError(f"cannot be read: {error.strerror}", where=str(path)) from error
+    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
+    if image is None:
+        raise CameraError("this is no image, or a damaged one", where=str(path), remedy="PNG, JPEG and TIFF are read.")
+    if image.dtype not in (np.uint8, np.uint16):
+        raise CameraError(f"its pixels are {image.dtype}", where=str(path), remedy="8 and 16 bit images are read.")
+    if image.ndim == 2:
+        return np.asarray(image)
+    if image.shape[2] < 3:
+        return np.asarray(image[..., 0])
+    # OpenCV puts blue first, and a mask last.
+    return np.ascontiguousarray(image[..., 2::-1])
+
+
+def write_image(path: Path, image: Image) -> None:
+    """Write an 8 or 16 bit image, (h, w) or red first (h, w, 3), as PNG.
+
+    Raises:
+        CameraError: it cannot be encoded.
+        OSError: it cannot be written.
+    """
+    import cv2
+
+    # The fastest setting: noise does not compress, whatever is tried.
+    data = image if image.ndim == 2 else np.ascontiguousarray(image[..., ::-1])
+    done, encoded = cv2.imencode(".png", data, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    if not done:
+        raise CameraError("this image cannot be encoded", where=str(path))
+    path.write_bytes(encoded.tobytes())
+
+
+def channel(image: Image, colour: Colour) -> NDArray[np.float32]:
+    """One number a pixel, (h, w): the named colour's, or of any colour the mean of all."""
+    import cv2
+
+    if image.ndim == 2:
+        return image.astype(np.float32)
+    if colour == "any":
+        return np.asarray(cv2.transform(image, np.full((1, 3), 1.0 / 3.0)).astype(np.float32))
+    return image[..., ("red", "green", "blue").index(colour)].astype(np.float32)
+
+
+def saturation(image: Image) -> float:
+    """The value from which on a pixel may be clipped."""
+    top = int(image.max())
+    depths = (8,) if image.dtype == np.uint8 else _DEPTHS
+    full = next(2**depth - 1 for depth in depths if top < 2**depth)
+    if top >= _ALMOST * full and top < full and np.count_nonzero(image == top) >= _SHARED:
+        full = top
+    return float(_CLIPPED * full)
+
+
+def workers() -> int:
+    """Threads that are worth starting: one a core, of those this process may use."""
+    affinity = getattr(os, "sched_getaffinity", None)
+    return max(1, len(affinity(0)) if affinity else os.cpu_count() or 1)
+
+
+def in_parallel(function: Callable[[_T], _R], items: Iterable[_T], threads: int | None = None) -> Iterator[_R]:
+    """``map`` with threads, in order, that never runs more than two items a thread ahead of its reader.
+
+    Decoding and filtering happen outside Python's lock, so threads are enough; memory is bounded by what
+    2 x threads results take.
+    """
+    threads = threads or workers()
+    with ThreadPoolExecutor(threads) as pool:
+        waiting: deque[Any] = deque()
+        try:
+            for item in items:
+                waiting.append(pool.submit(function, item))
+                if len(waiting) >= 2 * threads:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+        finally:
+            for future in waiting:
+                future.cancel()
