@@ -398,7 +398,7 @@ def calibrate(
     Args:
         session: what was measured.
         method: whether the cameras' pixels count, or the points triangulated from them with their covariances.
-        priors: whether manufacturing tolerances act as priors; without, plain least squares (the seed's eq. 8).
+        priors: whether manufacturing and LED tolerances act as priors; without, plain least squares (the seed's eq. 8).
         starts: how many other arms to start from, near the drawing and far from it; what they lead to is screened.
         seed: of the division into folds, of other starts, and of the configurations at which the result is checked.
         force: give the result even where it fails its own checks; ``Calibration.failures`` says which.

@@ -60,8 +60,7 @@ def bound(simulated: Simulated, q: np.ndarray) -> float:
     each = np.arange(m)
     noise[:, each, :, each, :] = np.moveaxis(block.covariance, 1, 0)
     noise = noise.reshape(N, m * D, m * D) + session.noise.joint**2 * J_q @ np.swapaxes(J_q, 1, 2)
-    _, prior = parameters.prior_residuals(truth)  # how well the LED was placed is a measurement
-    information = np.einsum("nip,nij,njs->ps", J, np.linalg.inv(noise), J) + prior.T @ prior
+    information = np.einsum("nip,nij,njs->ps", J, np.linalg.inv(noise), J)
     covariance = np.linalg.inv(information)
 
     motion = tip_motion(table.chain, q, table.placements(truth.offsets))

@@ -27,7 +27,7 @@ class Freedoms:
         geometry: of the arm.
         intrinsics: of each camera.
         extrinsics: of each camera; the first one's is the world and fixed.
-        priors: whether manufacturing tolerances hold the arm near its drawing.
+        priors: whether tolerances hold the arm near its drawing and the LEDs near their given places.
     """
 
     geometry: Geometry

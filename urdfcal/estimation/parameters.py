@@ -233,7 +233,7 @@ def choose_parameters(session: Session, table: Geometry, centre: State, freedoms
             if sigma == 0.0:
                 held[len(names)] = "its position is given as exact"
             names.append(f"{led.name}.{axis}")
-            prior.append(sigma if sigma > 0.0 else np.inf)
+            prior.append(sigma if freedoms.priors and sigma > 0.0 else np.inf)
     moving = [c for c, freedom in enumerate(freedoms.extrinsics) if c and freedom != "fixed"]
     for c in moving:
         names += [f"{centre.cameras[c].name}.{axis}" for axis in _POSE_AXES]
