@@ -13,7 +13,7 @@ import pinocchio as pin
 
 from urdfcal import files
 from urdfcal.arrays import Bools, Floats, frozen, inverse
-from urdfcal.errors import CalibrationError, OutputError, RobotError
+from urdfcal.errors import CalibrationError, OutputError, RobotError, SessionError
 from urdfcal.estimation.observations import Observations, observe
 from urdfcal.estimation.residuals import predict
 from urdfcal.estimation.selection import Comparison, Trial, compare_models, with_fit
@@ -243,17 +243,17 @@ class Calibration:
             "rank": self.identifiability.rank,
             "iterations": len(self.fit.history),
             "converged": self.fit.converged,
-            "reduced_chi2": self.fit.reduced_chi2,
+            "reduced_chi2": self.fit.reduced_chi2 if self.fit.freedom > 0 else None,
         }
         points = triangulated(self.session) if self.estimate.cameras else None
         for prefix, fit in (("nominal_", self.nominal_fit), ("", self.fit)):
-            for block, cut in zip(self.observations, fit.outlier, strict=True):
+            for block, kept in zip(self.observations, self.fit.kept, strict=True):
                 unit, scale = ("px", 1.0) if block.dimension == 2 else ("mm", 1e3)
                 residual = predict(self.geometry, block, fit.state) - block.value
-                summary[f"rms_{prefix}{unit}"] = scale * _rms(residual[block.valid & ~cut])
+                summary[f"rms_{prefix}{unit}"] = scale * _rms(residual[kept])
             if points is not None:
                 residual = predict(self.geometry, points, fit.state) - points.value
-                summary[f"rms_{prefix}mm"] = 1e3 * _rms(residual[points.valid & ~self._suspect(points, fit)])
+                summary[f"rms_{prefix}mm"] = 1e3 * _rms(residual[points.valid & ~self._suspect(points)])
         return summary
 
     def validation(self) -> dict[str, Any]:
@@ -346,14 +346,14 @@ class Calibration:
             sigma = self._sigma[self.fit.parameters.led(i)]
             result[led.name] = {
                 "position": self.estimate.leds[i].tolist(),
-                "sigma": [float(s) if np.isfinite(s) else 0.0 for s in sigma],
+                "sigma": [float(s) if np.isfinite(s) else 0.0 if led.sigma == 0.0 else None for s in sigma],
             }
         return result
 
-    def _suspect(self, points: Observations, fit: Solution) -> Bools:
+    def _suspect(self, points: Observations) -> Bools:
         """Which triangulated points rest on a sighting that is an outlier."""
         suspect = np.zeros((len(self.session.poses), len(self.session.leds)), dtype=bool)
-        for block, cut in zip(self.observations, fit.outlier, strict=True):
+        for block, cut in zip(self.observations, self.fit.outlier, strict=True):
             group, slot = np.nonzero(cut)
             suspect[block.pose[group], block.led[group, slot]] = True
         return suspect[points.pose[:, None], points.led]
@@ -373,7 +373,7 @@ class Calibration:
             if not error <= _AGREEMENT:
                 raise OutputError(
                     f"the corrected URDF moves differently when read by {reader}: {error:.1e} m or in the rotation",
-                    where=str(self.session.urdf and self.session.urdf.path),
+                    where=self.session.urdf_reference,
                     remedy="This is a defect of urdfcal; please report it with the URDF.",
                 )
 
@@ -408,6 +408,11 @@ def calibrate(
         CalibrationError: there is no start, or the result fails its checks: no convergence, no better than the drawn
             arm on poses not seen, or lenses that the sightings refute.
     """
+    if session.points is not None and session.detections is not None:
+        raise SessionError(
+            "detections and points are both named: the tracker's frame is not the first camera's",
+            remedy="Name one of them; evaluate --points checks a result against the other.",
+        )
     table = DHTable.from_chain(session.chain)
     geometry = PlacementTable(session.chain) if session.estimate.geometry == "full" else table
     start = first_state(session, geometry, np.zeros((len(table.rows), len(geometry.columns))))
@@ -471,7 +476,7 @@ def _structural(table: DHTable, index: int, name: str) -> str:
     row = table.rows[index]
     if index == len(table.rows) - 1:
         return "it places the tip on the last link, which is no joint's origin"
-    if row.directed and name in ("theta", "d", "a", "beta"):
+    if row.directed and (name in ("d", "a") or (name == "theta") == row.parallel):
         return "the next joint slides: its axis has a direction but no place"
     if row.parallel and name == "d":
         return "the next axis is parallel: d of the two rows only appears as a sum"
@@ -489,6 +494,9 @@ def _yourdfpy_tips(data: bytes, chain: Chain, q: Floats) -> Floats:
     import yourdfpy
 
     robot = yourdfpy.URDF.load(io.BytesIO(data), load_meshes=False, build_scene_graph=True)
+    for joint in robot.joint_map.values():  # it takes a sliding joint's axis as long as it is written
+        if joint.axis is not None and np.any(joint.axis):
+            joint.axis = np.asarray(joint.axis) / np.linalg.norm(joint.axis)
     names = [joint.name for joint in robot.actuated_joints]
     result = np.empty((len(q), 4, 4))
     for k, q_k in enumerate(q):

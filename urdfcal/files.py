@@ -54,6 +54,9 @@ def staged(folder: Path) -> Iterator[Path]:
             yield stage
             folder.mkdir(exist_ok=True)
             for path in stage.iterdir():
+                if (folder / path.name).is_dir():
+                    raise IsADirectoryError(errno.EISDIR, f"{path.name} is a folder")
+            for path in stage.iterdir():
                 path.replace(folder / path.name)
         finally:
             shutil.rmtree(stage, ignore_errors=True)

@@ -167,3 +167,47 @@ def test_whole_placements_can_be_estimated(simulated: Callable, true_state: Call
     T = kabsch(found, true)
     assert np.sqrt(np.mean(np.sum((found @ T[:3, :3].T + T[:3, 3] - true) ** 2, axis=1))) < 3e-4
     assert calibration.identifiability.rank == 15
+
+
+def test_an_exact_led_stays_where_it_is(simulated: Callable) -> None:
+    data = simulated("elbow3r")
+    exact = replace(
+        data.session, leds=(Led("led", data.truth.leds[0], 0.0),), estimate=Estimate("dh", "fixed", "fixed")
+    )
+    calibration = calibrate(exact)
+    np.testing.assert_array_equal(calibration.estimate.leds, data.truth.leds)
+    assert 0.5 < calibration.fit.reduced_chi2 < 1.6
+    assert calibration.to_dict()["leds"]["led"]["sigma"] == [0.0, 0.0, 0.0]
+
+
+def test_an_led_is_held_by_its_measured_place(simulated: Callable) -> None:
+    # The LED's prior is centred where the session says, not where the start found it.
+    data = simulated("elbow3r", poses=10)
+    tight = Led("led", data.truth.leds[0] + [1e-4, 0.0, 0.0], 1e-6)
+    calibration = calibrate(replace(data.session, leds=(tight,), estimate=Estimate("dh", "fixed", "fixed")), force=True)
+    np.testing.assert_allclose(calibration.estimate.leds[0], tight.position, atol=1e-5)
+
+
+def test_joint_noise_counts(simulated: Callable) -> None:
+    # Readings a hundred times noisier than the rig's: declared, they explain the residuals; undeclared, they do not.
+    data = simulated("ur5", poses=50)
+    rng = np.random.default_rng(0)
+    session = replace(data.session, estimate=Estimate("dh", "fixed", "fixed"))
+    noisy = replace(session, q=data.truth.q + rng.normal(0.0, 1e-3, data.truth.q.shape))
+    declared = calibrate(replace(noisy, noise=Noise(0.1, 1e-4, 1e-3)), force=True).fit.reduced_chi2
+    ignored = calibrate(replace(noisy, noise=Noise(0.1, 1e-4, 0.0)), force=True).fit.reduced_chi2
+    assert 0.6 < declared < 1.5
+    assert ignored > 10.0
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_many_outliers_do_not_run_away(seed: int, simulated: Callable) -> None:
+    # Three tenths of the sightings moved, the second camera unplaced: the robust scale must not follow them.
+    data = simulated("ur5", poses=50, seed=seed, outliers=0.3)
+    rig = data.session.rig
+    unplaced = replace(rig, T_cam_world=(rig.T_cam_world[0], None))
+    calibration = calibrate(replace(data.session, rig=unplaced, estimate=Estimate("dh", "fixed")), force=True)
+    q = data.session.chain.random_values(100, np.random.default_rng(0))
+    true, found = (replace(data.session.chain, placements=p) for p in (data.truth.placements, calibration.placements))
+    assert compare(true, found, q).position.max() < 8e-3
+    assert calibration.summary()["rms_px"] < 0.5

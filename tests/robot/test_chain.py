@@ -139,3 +139,17 @@ def test_what_is_no_chain_of_a_model_is_rejected_by_name() -> None:
     zero = pin.buildModelFromXML(drawn.data.decode())
     with pytest.raises(RobotError, match="axis is zero"):
         Chain.from_model(zero, "b")
+
+
+def test_a_base_beside_the_path_is_as_good_as_what_it_hangs_on() -> None:
+    # Universal Robots' own `base` frame hangs on base_link, turned by half a turn.
+    beside, above = Chain.from_urdf(UR5, "tool0", "base"), Chain.from_urdf(UR5, "tool0", "base_link")
+    assert beside.names == above.names
+    np.testing.assert_allclose(beside.placements[1:], above.placements[1:])
+    turned = np.diag([-1.0, -1.0, 1.0, 1.0])
+    np.testing.assert_allclose(turned @ beside.placements[0], above.placements[0], atol=1e-10)
+
+
+def test_a_mimic_joint_errs_with_its_master() -> None:
+    drawn = urdf(turning("lead", "a b"), turning("follow", "b c", '<mimic joint="lead" multiplier="-2"/>'), links="abc")
+    np.testing.assert_array_equal(Chain.from_urdf(drawn, "c").reading_jacobian, [[1.0], [-2.0]])

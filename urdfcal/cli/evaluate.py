@@ -27,7 +27,7 @@ _FAR = 20.0
 @click.argument("other", metavar="B.urdf|SESSION")
 @click.option("--tip", metavar="LINK", help="Link at the end of the chain.  [default: the session's]")
 @base_option
-@click.option("--poses", type=click.IntRange(min=4), default=1000, show_default=True, help="Configurations compared.")
+@click.option("--poses", type=click.IntRange(min=4), help="Configurations compared.  [default: 1000]")
 @click.option(
     "--points", type=click.Path(path_type=Path), help="With a session: this points.csv instead of its own sightings."
 )
@@ -38,7 +38,7 @@ def command(
     other: str,
     tip: str | None,
     base: str | None,
-    poses: int,
+    poses: int | None,
     points: Path | None,
     seed: int,
     as_json: bool,
@@ -48,8 +48,10 @@ def command(
     With a session, base pose and LED places (and camera poses, for pixels) are fitted; the arm is as A draws it.
     """
     if Path(other).is_dir() or other.endswith((".yaml", ".yml")):
-        if tip or base:
-            raise click.UsageError("with a session, base and tip are the session's: leave --tip and --base out")
+        if tip or base or poses:
+            raise click.UsageError(
+                "with a session, links and poses are the session's: leave --tip, --base, --poses out"
+            )
         result = _session(urdf, Path(other), points)
     elif not Path(other).exists() and not other.startswith("package://"):
         raise SessionError("there is no such file or folder", where=other, remedy="Name a URDF, or a session's folder.")
@@ -58,7 +60,7 @@ def command(
     elif tip is None:
         raise click.UsageError("two URDFs need --tip LINK")
     else:
-        result = _robots(urdf, other, tip, base, poses, seed)
+        result = _robots(urdf, other, tip, base, poses or 1000, seed)
     if as_json:
         click.echo(json.dumps(result, indent=2))
     else:

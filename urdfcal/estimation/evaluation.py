@@ -24,6 +24,10 @@ if TYPE_CHECKING:
     from urdfcal.session.model import Freedom, Session
 
 
+# Tips that spread by less in a second direction do not fix an alignment; their axes then count at this length. [m]
+_SPREAD = 0.01
+
+
 @dataclass(frozen=True)
 class Spread:
     """Distances or angles in five numbers.
@@ -94,7 +98,7 @@ def compare(a: Chain, b: Chain, q: Floats) -> Difference:
             remedy="Compare two versions of the same robot, with the same --base and --tip.",
         )
     tips_a, tips_b = tip_poses(a, q), tip_poses(b, q)
-    T_a_b = kabsch(tips_b[:, :3, 3], tips_a[:, :3, 3])
+    T_a_b = kabsch(_markers(tips_b), _markers(tips_a))
     aligned = T_a_b @ tips_b
     return Difference(
         position=frozen(_distance(tips_a, aligned)),
@@ -142,6 +146,15 @@ def explain(chain: Chain, session: Session, progress: Progress | None = None) ->
     fit = solve(table, blocks, start, parameters, session.noise.joint, progress)
     residuals = [block.by_row(predict(table, block, fit.state) - block.value) for block in blocks]
     return Explanation(tuple(residuals), fit)
+
+
+def _markers(tips: Floats) -> Floats:
+    """The points to align by: the tips' origins, and where those hardly spread out, their axes as well."""
+    origins = tips[:, :3, 3]
+    spread = np.linalg.svd(origins - origins.mean(axis=0), compute_uv=False) / np.sqrt(len(tips))
+    if spread[1] > _SPREAD:
+        return origins
+    return np.concatenate([origins, *(origins + _SPREAD * tips[:, :3, axis] for axis in range(3))])
 
 
 def _distance(a: Floats, b: Floats) -> Floats:

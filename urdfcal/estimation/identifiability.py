@@ -13,7 +13,7 @@ from urdfcal.estimation.words import sentence
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from urdfcal.arrays import Floats
+    from urdfcal.arrays import Bools, Floats, Ints
     from urdfcal.estimation.observations import Observations
     from urdfcal.estimation.parameters import Geometry, Parameters
     from urdfcal.estimation.state import State
@@ -25,6 +25,8 @@ _LOST = 1e-8
 # Normalising a column to 1 would make rounding look like information; smaller ones are divided by this share of
 # the largest column.
 _LEAST_NORM = 1e-3
+# A column that others reproduce to this is theirs.
+_EXPLAINED = 1e-6
 # A parameter takes part in a lost direction when its share of it is above rounding.
 _PART = 1e-5
 # ... and is worth naming when it is more than this share of the largest.
@@ -79,9 +81,7 @@ def identify(table: Geometry, blocks: Sequence[Observations], state: State, para
         share = np.zeros(len(columns))
         share[kept] = np.linalg.norm(null, axis=0)
         victim = next(k for k in order if share[k] > _PART)
-        # The direction that this parameter alone must follow names what it is confused with.
-        direction = np.zeros(len(columns))
-        direction[kept] = null.T @ null[:, np.flatnonzero(np.flatnonzero(kept) == victim)[0]]
+        direction = _direction(R, kept, victim, columns, parameters)
         part = np.abs(direction) > _NAMED_PART * np.abs(direction).max()
         partners = [int(columns[k]) for k in np.argsort(-np.abs(direction), kind="stable") if k != victim and part[k]]
         hold = bool(np.count_nonzero(tolerated & (np.abs(direction) > _PART)) <= 1)
@@ -98,6 +98,25 @@ def identify(table: Geometry, blocks: Sequence[Observations], state: State, para
         observability=_observability(left, sum(block.dimension * block.count for block in blocks)),
         lost=tuple(lost),
     )
+
+
+def _direction(R: Floats, kept: Bools, victim: int, columns: Ints, parameters: Parameters) -> Floats:
+    """A lost direction through one parameter, with as simple a company as there is: base, LEDs, both, ... everything.
+
+    The null space itself mixes directions that have nothing to do with each other.
+    """
+    rows = columns < len(parameters.rows)
+    base = (columns >= parameters.base.start) & (columns < parameters.base.stop)
+    leds = (columns >= parameters.base.stop) & (columns < parameters.base.stop + 3 * parameters.leds)
+    direction = np.zeros(len(columns))
+    for company in (base, leds, base | leds, ~rows, rows, np.ones_like(rows)):
+        others = company & kept & (np.arange(len(columns)) != victim)
+        shares = np.linalg.lstsq(R[:, others], R[:, victim], rcond=_LOST)[0]
+        direction[:] = 0.0
+        direction[victim], direction[others] = 1.0, -shares
+        if np.linalg.norm(R @ direction) < _EXPLAINED:
+            break
+    return direction
 
 
 def _observability(singular: Floats, measurements: int) -> tuple[float, float, float, float, float]:

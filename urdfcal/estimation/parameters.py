@@ -243,10 +243,6 @@ def choose_parameters(session: Session, table: Geometry, centre: State, freedoms
         camera = centre.cameras[c]
         names += [f"{camera.name}.{name}" for name in camera.parameter_names]
         prior += list(_lens_sigma(session.rig, c, freedoms.intrinsics[c]))
-    leds = np.array(
-        [led.position if led.position is not None else at for led, at in zip(session.leds, centre.leds, strict=True)]
-    )
-    rig = session.rig
     return Parameters(
         rows=tuple(rows),
         columns=table.columns,
@@ -257,20 +253,7 @@ def choose_parameters(session: Session, table: Geometry, centre: State, freedoms
         names=tuple(names),
         active=frozen(np.ones(len(names)), bool),
         prior=frozen(prior),
-        centre=State(
-            offsets=np.zeros_like(centre.offsets),
-            T_world_base=centre.T_world_base,
-            leds=leds,
-            cameras=rig.cameras if centre.cameras and rig is not None else (),
-            T_cam_world=np.array(
-                [
-                    given if given is not None else at
-                    for given, at in zip(rig.T_cam_world, centre.T_cam_world, strict=True)
-                ]
-                if centre.cameras and rig is not None
-                else centre.T_cam_world
-            ),
-        ),
+        centre=_as_given(session, centre),
         distances=tuple(
             (session.led_names.index(d.leds[0]), session.led_names.index(d.leds[1]), d.distance, d.sigma)
             for d in session.led_distances

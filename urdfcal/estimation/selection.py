@@ -34,6 +34,8 @@ _REFUTED = 1.5
 # careless declarations end at five or so.
 _ABSURD = 20.0
 _MANY_OUTLIERS = 0.25
+# Lenses that were calibrated are knowledge: freeing them must better the prediction by this many standard errors.
+_CERTAIN = 3.0
 _STRANGE = 20.0
 
 
@@ -142,13 +144,28 @@ def compare_models(
             continue  # it explains what it has seen worse than the rival predicts what that has not
         trial = validated(freedoms)
         best = trial if best is None or trial.loss < best.loss else best
-        if permitted and (chosen is None or trial.loss < chosen.loss):
+        if permitted and (chosen is None or _preferred(trial, chosen, blocks)):
             chosen = trial
     if chosen is None or best is None:
         raise CalibrationError("the session allows no model", remedy="Look at its estimate.")
     drawn = validated(chosen.freedoms.frozen_arm)
     ordered = tuple(attempts[freedoms] for freedoms in dict.fromkeys((*models, *attempts)))
     return Comparison(as_given, ordered, chosen, drawn, tuple(_failures(session, best, chosen, drawn)))
+
+
+def _preferred(trial: Trial, rival: Trial, blocks: Sequence[Observations]) -> bool:
+    """Whether a model predicts unseen poses better; lenses as given are left only for a certain improvement."""
+    if trial.freedoms.intrinsics == rival.freedoms.intrinsics:
+        return trial.loss < rival.loss
+    difference = np.concatenate(
+        [
+            (np.log1p(a**2) - np.log1p(b**2))[block.valid]
+            for a, b, block in zip(trial.held_out.deviation, rival.held_out.deviation, blocks, strict=True)
+        ]
+    )
+    certain = _CERTAIN * float(np.std(difference) / np.sqrt(len(difference)))
+    freer = trial.fit.parameters.count > rival.fit.parameters.count
+    return float(np.mean(difference)) < (-certain if freer else certain)
 
 
 def validate(attempt: Attempt, table: Geometry, blocks: Sequence[Observations], joint_sigma: float, seed: int) -> Trial:

@@ -16,7 +16,7 @@ from urdfcal.errors import CalibrationError, CameraError
 from urdfcal.estimation.residuals import linearise
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from urdfcal.arrays import Bools, Floats
     from urdfcal.estimation.observations import Observations
@@ -153,9 +153,7 @@ def solve(
     with threadpoolctl.threadpool_limits(1, user_api="blas"):  # two threads are slower at these sizes
         problem = _Problem(table, tuple(blocks), parameters, joint_sigma)
         joint_noise = problem.joint_noise(start)
-        descent = _descend(
-            problem, start, joint_noise, _ones(problem.blocks), _huber_weights, _CONVERGED_COARSE, progress
-        )
+        descent = _descend(problem, start, joint_noise, _ones(problem.blocks), _Huber(), _CONVERGED_COARSE, progress)
         history = list(descent.history)
         joint_noise = problem.joint_noise(descent.state)  # a start may be another arm; from here it hardly moves
         for _ in range(_MAX_CUTS):
@@ -252,7 +250,8 @@ class _Problem:
             covariance = np.zeros((N, m * D, m * D))
             for poses in _chunks(N) if self.joint_sigma > 0.0 else ():
                 J_q = linearise(self.table, block, state, self.parameters, poses).by_joints(self.table.chain)
-                J_q = self.joint_sigma * J_q.reshape(-1, m * D, J_q.shape[-1])
+                # A mimic joint has no encoder: it errs with its master.
+                J_q = self.joint_sigma * J_q.reshape(-1, m * D, J_q.shape[-1]) @ self.table.chain.reading_jacobian
                 covariance[poses] = J_q @ np.swapaxes(J_q, -1, -2)
             result.append(covariance.reshape(N, m, D, m, D))
         return tuple(result)
@@ -365,27 +364,36 @@ def _same_weights(blocks: Sequence[Observations], at: _Evaluation, weights: Weig
     return weights
 
 
-def _huber_weights(blocks: Sequence[Observations], at: _Evaluation, weights: Weights) -> Weights:
-    del weights
-    limits = _limits(blocks, at, _HUBER)
-    return [limit / np.maximum(deviation, limit) for limit, deviation in zip(limits, at.deviation, strict=True)]
+class _Huber:
+    """Huber weights in units of the residuals' robust scale.
+
+    Within a descent the scale may only shrink: else one bad step raises it, outliers pull harder, and it rises again.
+    """
+
+    def __init__(self) -> None:
+        self._scales: dict[int, float] = {}
+
+    def __call__(self, blocks: Sequence[Observations], at: _Evaluation, weights: Weights) -> Weights:
+        """Give sightings beyond the limit the weight limit / deviation."""
+        del weights
+        renewed = []
+        for i, (block, deviation) in enumerate(zip(blocks, at.deviation, strict=True)):
+            self._scales[i] = min(_scale(block, deviation), self._scales.get(i, np.inf))
+            limit = _HUBER[block.dimension] * self._scales[i]
+            renewed.append(limit / np.maximum(deviation, limit))
+        return renewed
 
 
 def _outliers(blocks: Sequence[Observations], at: _Evaluation) -> list[Bools]:
-    limits = _limits(blocks, at, _OUTLIER)
-    return [(d > limit) & block.valid for limit, d, block in zip(limits, at.deviation, blocks, strict=True)]
+    return [
+        (deviation > _OUTLIER[block.dimension] * _scale(block, deviation)) & block.valid
+        for block, deviation in zip(blocks, at.deviation, strict=True)
+    ]
 
 
-def _limits(blocks: Sequence[Observations], at: _Evaluation, chi: Mapping[int, float]) -> list[float]:
-    """A quantile of the noise's length for pixels and points, in units of the residuals' robust scale.
-
-    The scale is the median's, at least that of the declared noise.
-    """
-    limits = []
-    for block, deviation in zip(blocks, at.deviation, strict=True):
-        median = float(np.median(deviation[block.valid]))
-        limits.append(chi[block.dimension] * max(1.0, median / _MEDIAN[block.dimension]))
-    return limits
+def _scale(block: Observations, deviation: Floats) -> float:
+    """How many times longer than the declared noise's the median residual is, at least 1."""
+    return max(1.0, float(np.median(deviation[block.valid])) / _MEDIAN[block.dimension])
 
 
 def _chunks(count: int) -> Iterator[slice]:

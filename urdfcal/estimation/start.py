@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 # Alternations of base pose and LED places; the solver refines whatever is left.
 _ALTERNATIONS = 20
+_ENOUGH = 6
 # Points this many times further off than the median are left out of the start.
 _GROSS = 5.0
 # PnP on LED places that are only roughly known (the LED may sit 0.1 m off the tip, 1 m away): outliers are
@@ -47,21 +48,25 @@ def first_state(session: Session, table: Geometry, offsets: Floats) -> State:
     exact = np.array([led.sigma == 0.0 for led in session.leds])
     points = _points(session)
     T_world_base, leds = None, guesses
-    if points is not None:
+    # A few points where the cameras' views overlap are worth less than one camera's many sightings.
+    if points is not None and (session.points is not None or len(points[2]) >= _ENOUGH):
         T_world_base, leds = place_base(T_base_tip, *points, guesses, unknown, exact)
     T_cam_world: list[Floats] = []
     cameras = session.rig.cameras if session.rig is not None and session.detections is not None else ()
-    for c, camera in enumerate(cameras):
-        T = session.rig.T_cam_world[c] if session.rig is not None else None
-        if T is None or T_world_base is None:
-            T_cam_base = _resect(session, c, T_base_tip, leds)
-            if T_world_base is None:  # the first camera is the world
-                T_world_base = T_cam_base
-            T = T_cam_base @ inverse(T_world_base) if T is None else T
-        T_cam_world.append(T)
-        del camera
+    known = session.rig.T_cam_world if session.rig is not None and cameras else ()
+    seen = (
+        np.bincount(session.detections.camera, minlength=len(known)) if session.detections is not None else np.zeros(0)
+    )
+    if T_world_base is None and len(known):
+        # By the camera of known pose that sees most; the first one's is the identity.
+        places = {c: T for c, T in enumerate(known) if T is not None}
+        c = max(places, key=lambda c: int(seen[c]))
+        T_world_base = inverse(places[c]) @ _resect(session, c, T_base_tip, leds)
     if T_world_base is None:
         raise CalibrationError("there are no sightings to start from")
+    for c, T in enumerate(known):
+        placed = np.eye(4) if T is None and not seen[c] else T  # a camera that sees nothing may stand anywhere
+        T_cam_world.append(_resect(session, c, T_base_tip, leds) @ inverse(T_world_base) if placed is None else placed)
     return State(
         offsets=offsets,
         T_world_base=T_world_base,
@@ -136,9 +141,10 @@ def place_base(
     Raises:
         CalibrationError: fewer than four points.
     """
-    if len(points) < 4:
+    least = 4 if np.any(unknown[led]) else 3
+    if len(points) < least:
         raise CalibrationError(
-            f"only {len(points)} points in space: four or more are needed to place the base",
+            f"only {len(points)} points in space: {least} or more are needed to place the base",
             remedy="Measure more poses, or check that both cameras see the LED.",
         )
     R, p = T_base_tip[pose, :3, :3], T_base_tip[pose, :3, 3]
@@ -192,7 +198,7 @@ def _alternate(R: Floats, p: Floats, led: Ints, points: Floats, leds: Floats, mo
         T = kabsch(p + (R @ leds[led][..., None])[..., 0], points)
         in_tip = (np.swapaxes(R, 1, 2) @ ((points - T[:3, 3]) @ T[:3, :3] - p)[..., None])[..., 0]
         for index in np.flatnonzero(movable & np.isin(np.arange(len(leds)), led)):
-            leds[index] = in_tip[led == index].mean(axis=0)
+            leds[index] = np.median(in_tip[led == index], axis=0)
     return kabsch(p + (R @ leds[led][..., None])[..., 0], points), leds
 
 
@@ -213,7 +219,6 @@ def _resect(session: Session, camera: int, T_base_tip: Floats, leds: Floats) -> 
             f"camera {lens.name!r} has only {good.sum()} sightings: six or more are needed to place it",
             remedy="Measure more poses in its view, or give T_cn_cnm1 in the camera file.",
         )
-    # An even number of iterations with OpenCV's own fixed seed: the same data give the same start.
     found, rvec, tvec, _ = cv2.solvePnPRansac(
         objects[good], rays[good], np.eye(3), None, reprojectionError=_PNP_TOLERANCE, flags=cv2.SOLVEPNP_SQPNP
     )

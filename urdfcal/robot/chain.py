@@ -228,6 +228,13 @@ class Chain:
             axis=-1,
         )
 
+    @cached_property
+    def reading_jacobian(self) -> Floats:
+        """How all joints' values (n) follow from the actuated ones' (k): (n, k)."""
+        k = len(self.actuated)
+        jacobian: Floats = (self.joint_values(np.eye(k)) - self.joint_values(np.zeros(k))).T
+        return jacobian
+
     def build_model(self, placements: ArrayLike | None = None) -> pin.Model:
         """Build the serial Pinocchio model of the chain, rooted at the base link, with q_i the i-th joint's value.
 
@@ -287,6 +294,11 @@ def _joint_path(urdf: Urdf, tip_link: str, base_link: str, where: str) -> list[U
             raise RobotError(f"there is no link {link!r}", where=where, remedy=_alternatives(urdf.links))
     above = {joint.child: joint for joint in urdf.joints.values()}
     path: list[UrdfJoint] = []
+    # What hangs on the path by fixed joints, as UR's `base`, is as good a base as the link that it hangs on.
+    while base_link != tip_link and base_link in above and above[base_link].type == "fixed":
+        if base_link in _above(urdf, tip_link):
+            break
+        base_link = above[base_link].parent
     link = tip_link
     while link != base_link:
         if link not in above:
@@ -298,6 +310,16 @@ def _joint_path(urdf: Urdf, tip_link: str, base_link: str, where: str) -> list[U
         path.insert(0, above[link])
         link = above[link].parent
     return path
+
+
+def _above(urdf: Urdf, link: str) -> set[str]:
+    """A link and all links above it."""
+    parents = {joint.child: joint.parent for joint in urdf.joints.values()}
+    chain = {link}
+    while link in parents:
+        link = parents[link]
+        chain.add(link)
+    return chain
 
 
 def _alternatives(names: Sequence[str]) -> str:
@@ -319,15 +341,15 @@ def _joint(model: pin.Model, data: pin.Data, joint_id: int) -> Joint:
     jmodel, name = model.joints[joint_id], model.names[joint_id]
     where = f"{model.name}, joint {name!r}"
     kind = jmodel.shortname()
+    if "Mimic" in kind:
+        raise RobotError(
+            "a mimic joint", where=where, remedy="Build the model with mimic=False, or use Chain.from_urdf."
+        )
     if jmodel.nv != 1 or "Helical" in kind:
         raise RobotError(
             f"{kind} is not a revolute, continuous or prismatic joint",
             where=where,
             remedy="Name a base link below it: only joints with one degree of freedom can be calibrated.",
-        )
-    if "Mimic" in kind:
-        raise RobotError(
-            "a mimic joint", where=where, remedy="Build the model with mimic=False, or use Chain.from_urdf."
         )
     subspace = np.asarray(data.joints[joint_id].S).ravel()
     prismatic = bool(np.any(subspace[:3]))

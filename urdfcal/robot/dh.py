@@ -362,7 +362,7 @@ def _hayati_row(p: Floats, w: Floats, d: float) -> Floats:
     elif _flip(theta, a):
         theta, a = _wrap(theta + np.pi), -a
     w = _factor("theta", -theta)[:3, :3] @ w
-    return np.array([theta, d, a, np.arctan2(-w[1], w[2]), np.arcsin(np.clip(w[0], -1.0, 1.0))])
+    return np.array([theta, d, a, np.arctan2(0.0 - w[1], w[2]), np.arcsin(np.clip(w[0], -1.0, 1.0))])
 
 
 def _flip(theta: float, positive: float) -> bool:
