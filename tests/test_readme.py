@@ -18,23 +18,17 @@ def blocks(language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
 
 
-@pytest.fixture(scope="module")
-def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("readme")
-
-
-def test_what_people_do_works_as_written(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(place)
+def test_what_people_do_and_the_library_example_work_as_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     lines = [line.split("#")[0].split() for line in blocks("sh")[2].splitlines()]
     assert [line[1] for line in lines] == ["simulate", "calibrate", "view", "evaluate", "dh"]
     for line in lines:
         if line[1] != "view":  # needs a screen
             assert run(line[1:]) == 0, line
-
-
-def test_the_library_example_works_as_written(place: Path) -> None:
     (example,) = blocks("python")
-    ended = subprocess.run([sys.executable, "-c", example], cwd=place, capture_output=True, text=True)
+    ended = subprocess.run([sys.executable, "-c", example], cwd=tmp_path, capture_output=True, text=True)
     assert ended.returncode == 0, ended.stderr
     assert float(ended.stdout.split()[0]) < 0.2
 
