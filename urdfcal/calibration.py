@@ -31,6 +31,8 @@ from urdfcal.robot.urdf import Urdf
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from rerun import RecordingStream
+
     from urdfcal.estimation.identifiability import Identifiability
     from urdfcal.estimation.parameters import Geometry
     from urdfcal.estimation.solver import Progress, Solution
@@ -48,6 +50,7 @@ _LENGTHS = ("d", "a", "x", "y", "z")
 # FK of the URDF that was written against the estimate. [m, entries of the rotation]
 _AGREEMENT = 1e-9
 _CHECK_POSES = 20
+_RESAMPLES = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,6 +181,20 @@ class Calibration:
         """Write the result as JSON, format ``urdfcal/1`` (DESIGN section 7)."""
         files.write_text(path, json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n")
 
+    def log(self, stream: RecordingStream, entity_path: str = "base") -> tuple[str, ...]:
+        """Log everything there is to see into a rerun stream.
+
+        Args:
+            stream: the caller's recording.
+            entity_path: where in it; the base link's frame.
+
+        Returns:
+            Warnings, such as meshes that were not found.
+        """
+        from urdfcal.output.recording import log_calibration
+
+        return log_calibration(stream, self, path=entity_path)
+
     def to_dict(self) -> dict[str, Any]:
         """The result as plain data: the contract of ``calibration.json``."""
         from importlib import metadata
@@ -267,6 +284,7 @@ class Calibration:
             "folds": chosen.held_out.folds,
             "rms_nominal_mm": 1e3 * _rms(drawn.residuals("distance")[:, None]),
             "rms_mm": _rms(distance[:, None]),
+            "interval_mm": self._held_out_interval(),
             "max_mm": float(distance.max()),
             "p95_mm": float(np.percentile(distance, 95)),
         }
@@ -274,6 +292,18 @@ class Calibration:
             result["rms_nominal_px"] = _rms(drawn.residuals("residual")[:, None])
             result["rms_px"] = _rms(chosen.residuals("residual")[:, None])
         return result
+
+    def _held_out_interval(self) -> list[float]:
+        """95 % interval of the held-out rms distance, in mm, by resampling whole poses (bootstrap percentiles)."""
+        squares, counts = np.zeros(len(self.session.poses)), np.zeros(len(self.session.poses))
+        chosen = self.comparison.chosen
+        for block, kept, distance in zip(self.observations, chosen.fit.kept, chosen.held_out.distance, strict=True):
+            np.add.at(squares, block.pose, np.sum(np.where(kept, distance, 0.0) ** 2, axis=1))
+            np.add.at(counts, block.pose, np.sum(kept, axis=1))
+        seen = np.flatnonzero(counts)
+        sample = np.random.default_rng(self.seed).choice(seen, (_RESAMPLES, len(seen)))
+        rms = 1e3 * np.sqrt(squares[sample].sum(axis=1) / counts[sample].sum(axis=1))
+        return [float(value) for value in np.percentile(rms, [2.5, 97.5])]
 
     def outliers(self) -> list[dict[str, Any]]:
         """The sightings taken out of the fit: pose, camera, LED and residual (px, or mm for points)."""

@@ -47,7 +47,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_demo_leaves_urdf_json_and_recording(demo: Path) -> None:
     names = {path.name for path in (demo / "result").iterdir()}
-    assert names == {"elbow3r_calibrated.urdf", "calibration.json", "calibration.rrd"}
+    assert names == {"elbow3r_calibrated.urdf", "calibration.json", "calibration.rrd", "report.html"}
 
 
 def test_demo_brings_the_arm_nearer_to_the_truth(demo: Path) -> None:

@@ -2,22 +2,31 @@ from __future__ import annotations
 
 import re
 import warnings
+from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from rerun.chunk import RrdReader
 
 from urdfcal.arrays import inverse
 from urdfcal.calibration import calibrate
+from urdfcal.errors import OutputError
 from urdfcal.estimation.residuals import predict
 from urdfcal.output import arms
+from urdfcal.output.live import LiveView
+from urdfcal.output.overlay import overlays
+from urdfcal.output.overview import Overview
+from urdfcal.output.palette import CALIBRATED
+from urdfcal.output.projection import arm_in_picture
 from urdfcal.output.recording import log_calibration, write_recording
 from urdfcal.output.scene import lay_out
+from urdfcal.output.stream import CORNER
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.robot.urdf import Urdf, find_urdf
 from urdfcal.session.files import read_rig
-from urdfcal.session.model import Led, Points, Session
+from urdfcal.session.model import Estimate, Led, Points, Session
 from urdfcal.session.rigs import find_rig
 from urdfcal.session.simulate import simulate
 from urdfcal.vision.rig import Rig
@@ -95,7 +104,7 @@ def residuals(calibration, state):
 
 
 def test_everything_promised_is_there(recorded):
-    for entity in ("calibrated", "nominal", "dh/F0", "dh/F3", "led/measured", "led/predicted", "about"):
+    for entity in ("calibrated", "nominal", "dh/F0", "dh/F3", "led/measured", "led/predicted", "texts/about"):
         assert any(name.startswith(f"/base/{entity}") for name in recorded.entities), entity
     for camera in ("cam0", "cam1"):
         assert f"/base/rays/{camera}" in recorded.entities
@@ -141,11 +150,11 @@ def test_pictures_show_where_the_led_was_seen_and_predicted(calibration, recorde
     seen = calibration.session.detections
     for c, camera in enumerate(("cam0", "cam1")):
         logged = recorded.all_rows(f"/base/cameras/{camera}/image/sighted", "Points2D:positions")
-        np.testing.assert_allclose(logged, seen.uv[seen.camera == c], atol=1e-3)
+        np.testing.assert_allclose(logged, seen.uv[seen.camera == c] + CORNER, atol=1e-3)
         predicted = recorded.all_rows(f"/base/cameras/{camera}/image/predicted", "Points2D:positions")
         (block,) = calibration.observations
         expected = predict(calibration.table, block, calibration.estimate)[block.camera == c]
-        np.testing.assert_allclose(predicted, expected, atol=1e-3)
+        np.testing.assert_allclose(predicted, expected + CORNER, atol=1e-3)
 
 
 def test_predicted_led_rides_on_the_calibrated_tip(calibration, recorded):
@@ -159,7 +168,7 @@ def test_predicted_led_rides_on_the_calibrated_tip(calibration, recorded):
 
 
 def test_arrows_are_residuals_enlarged_by_the_stated_factor(calibration, recorded):
-    (text,) = recorded.rows("/base/about", "TextDocument:text")[0]
+    (text,) = recorded.rows("/base/texts/about", "TextDocument:text")[0]
     factor = float(re.search(r"enlarged \*\*(\d+) times", text)[1])
     assert factor == lay_out(calibration).factor
     measured = recorded.all_rows("/base/led/measured", "Points3D:positions")
@@ -181,7 +190,7 @@ def test_rays_leave_the_camera_through_the_sighting(calibration, recorded):
 def test_sightings_taken_out_of_the_fit_are_marked(calibration, recorded):
     (outlier,) = calibration.outliers()
     marked = recorded.static(f"/base/cameras/{outlier['camera']}/image/outliers", "Points2D:positions")
-    np.testing.assert_allclose(marked, calibration.session.detections.uv[5][None], atol=1e-3)
+    np.testing.assert_allclose(marked, calibration.session.detections.uv[5][None] + CORNER, atol=1e-3)
     assert recorded.static("/base/led/outliers", "Points3D:positions").shape == (1, 3)
 
 
@@ -242,6 +251,127 @@ def test_meshes_are_recorded_once_an_arm_and_missing_ones_are_named(tmp_path):
     meshes = [c.entity_path for c, batch in recorded.chunks if "Asset3D:blob" in batch.schema.names]
     assert len(meshes) == len(set(meshes)) == 2 * 6
     assert "/base/calibrated/stick\\ figure" in recorded.entities
+
+
+def test_ellipsoids_are_the_triangulated_covariances(calibration, recorded):
+    leds = lay_out(calibration).leds
+    half = recorded.all_rows("/base/led/covariance", "Ellipsoids3D:half_sizes")
+    q = recorded.all_rows("/base/led/covariance", "Ellipsoids3D:quaternions")
+    R = np.array([pin.Quaternion(*np.roll(row, 1)).normalized().matrix() for row in q])
+    factor = lay_out(calibration).factor * 2.0
+    covariance = R @ (np.eye(3) * (half[:, None] / factor) ** 2) @ np.swapaxes(R, 1, 2)
+    np.testing.assert_allclose(covariance, leds.covariance, rtol=1e-3, atol=1e-12)
+    depth = np.sqrt(np.linalg.eigvalsh(leds.covariance))
+    assert (depth[:, 2] > 2 * depth[:, 0]).all()  # stereo tells width better than depth
+
+
+def test_the_arm_is_drawn_into_the_pictures(calibration, recorded):
+    for c, camera in enumerate(("cam0", "cam1")):
+        for name in ("calibrated", "nominal"):
+            strips = recorded.rows(f"/base/cameras/{camera}/image/arm/{name}", "LineStrips2D:strips")
+            expected = arm_in_picture(calibration, calibration.session.q, c, nominal=name == "nominal")
+            assert list(strips) == list(range(POSES))
+            np.testing.assert_allclose(strips[BLIND][0], expected[BLIND] + CORNER, atol=1e-3)
+
+
+def test_common_normals_are_to_scale(calibration, recorded):
+    rows = calibration.table.nominal + calibration.estimate.offsets
+    for column, name in ((1, "d"), (2, "a")):
+        for i, value in enumerate(rows[:, column]):
+            entity = f"/base/dh/rows/{name}{i + 1}"
+            if entity in recorded.entities:
+                strips = recorded.all_rows(entity, "LineStrips3D:strips")
+                lengths = np.linalg.norm(strips[:, 1] - strips[:, 0], axis=-1)
+                np.testing.assert_allclose(lengths, abs(value), atol=1e-6)
+                assert recorded.static(entity, "LineStrips3D:labels")[0] == f"{name}{i + 1} {1e3 * value:.1f} mm"
+            else:
+                assert abs(value) < 2e-3 * calibration.chain.reach
+    assert "/base/dh/rows/a2" in recorded.entities
+
+
+def test_parameters_come_with_their_band_step_by_step(calibration, recorded):
+    sigmas, history = 1e3 * calibration.sigmas(), calibration.fit.history
+    found = 0
+    for i, joint in enumerate(calibration.chain.names):
+        for k, name in enumerate(calibration.geometry.columns):
+            entity = f"/base/plots/parameters/{joint}/{name}"
+            assert (entity in recorded.entities) == np.isfinite(sigmas[i, k])
+            if np.isfinite(sigmas[i, k]):
+                rows = recorded.rows(entity, "Scalars:scalars", "iteration")
+                final = 1e3 * calibration.estimate.offsets[i, k]
+                assert len(rows) == len(history) + 1
+                np.testing.assert_allclose(rows[0], [0.0, final - sigmas[i, k], final + sigmas[i, k]], atol=1e-12)
+                np.testing.assert_allclose(rows[len(history)][0], final, atol=1e-12)
+                found += 1
+    assert found > 5
+    for name in ("damping", "step"):
+        rows = recorded.rows(f"/base/plots/{name}", "Scalars:scalars", "iteration")
+        np.testing.assert_allclose([row[0] for row in rows.values()], [getattr(step, name) for step in history])
+
+
+def test_verdict_table_and_workspace_are_there(calibration, recorded):
+    overview = Overview.of(calibration)
+    (banner,) = recorded.static("/base/banner", "Points2D:labels")
+    assert overview.verdict.sentence in banner
+    assert overview.verdict.headline.text(overview.document) in banner
+    (table,) = recorded.static("/base/texts/parameters", "TextDocument:text")
+    for lost in calibration.identifiability.lost:
+        assert lost in table
+    assert table.count("±") == np.isfinite(calibration.sigmas()).sum()
+    for name in ("nominal", "calibrated"):
+        tips = recorded.static(f"/base/workspace/{name}", "Points3D:positions")
+        np.testing.assert_allclose(tips, overview.workspace.tip, atol=1e-6)
+    assert recorded.static("/base/texts/poses", "poses").tolist() == list(calibration.session.poses)
+
+
+def test_whole_placements_are_recorded_too(tmp_path):
+    full = calibrate(make_session(estimate=Estimate(geometry="full")), force=True)
+    assert write_recording(tmp_path / "full.rrd", full) == ()
+    recorded = Recorded(tmp_path / "full.rrd")
+    tips = tip_poses(full.chain, full.session.q, full.placements)[:, :3, 3]
+    strips = recorded.all_rows("/base/cameras/cam0/image/arm/calibrated", "LineStrips2D:strips")
+    T = full.estimate.T_world_base
+    expected = full.estimate.cameras[0].project(tips @ T[:3, :3].T + T[:3, 3])
+    np.testing.assert_allclose(strips[:, -1], expected + CORNER, atol=1e-2)
+    assert any("/rx" in entity for entity in recorded.entities)
+
+
+def test_photographs_and_overlay(calibration, tmp_path):
+    import cv2
+
+    session = calibration.session
+    for camera in session.rig.cameras:
+        folder = tmp_path / "images" / camera.name
+        folder.mkdir(parents=True)
+        image = np.full(camera.resolution[::-1], 90, dtype=np.uint8)
+        cv2.imwrite(str(folder / f"{session.poses[2]}.png"), image)
+    seen = replace(calibration, session=replace(session, folder=tmp_path))
+    write_recording(tmp_path / "calibration.rrd", seen)
+    recorded = Recorded(tmp_path / "calibration.rrd")
+    blobs = recorded.rows("/base/cameras/cam0/image", "EncodedImage:blob")
+    assert [k for k, row in blobs.items() if len(row)] == [2]
+    pictures = overlays(tmp_path / "calibration.rrd", session.poses[2])
+    assert list(pictures) == ["cam0", "cam1"]
+    tip = arm_in_picture(calibration, session.q[2])[-1]
+    u, v = np.round(tip).astype(int)
+    assert np.abs(pictures["cam0"][v, u].astype(int) - CALIBRATED[::-1]).max() < 60
+    assert np.abs(pictures["cam0"][5, 5].astype(int) - 90).max() <= 2
+    with pytest.raises(OutputError, match="no pose 'nowhere'"):
+        overlays(tmp_path / "calibration.rrd", "nowhere")
+
+
+def test_the_solver_can_be_watched(calibration):
+    import rerun as rr
+
+    stream = rr.RecordingStream("live")
+    memory = stream.memory_recording()
+    view = LiveView(stream)
+    for cost in (5.0, 2.0, 1.0):
+        view.step(1, cost)
+    before = memory.num_msgs()
+    assert before >= 4
+    view.finish(calibration)
+    assert memory.num_msgs() > before + 50
 
 
 def test_the_users_own_stream_and_path(calibration):

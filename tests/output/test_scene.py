@@ -36,7 +36,7 @@ def test_frames_agree_with_the_dh_product_and_the_tip(rig):
     state = State(offsets=offsets, T_world_base=np.eye(4), leds=rng.normal(0, 0.1, (2, 3)))
     q = chain.random_values(5, rng)
     frames = joint_frames(table, state, q)
-    np.testing.assert_allclose(dh_frames(table, state, frames), [table.frames(q_k, offsets) for q_k in q], atol=1e-12)
+    np.testing.assert_allclose(dh_frames(table, offsets, frames), [table.frames(q_k, offsets) for q_k in q], atol=1e-12)
     T = tip_poses(chain, q, table.placements(offsets))
     leds = np.einsum("nij,lj->nli", T[:, :3, :3], state.leds) + T[:, None, :3, 3]
     np.testing.assert_allclose(led_positions(chain, frames, state.leds), leds, atol=1e-12)
@@ -105,7 +105,12 @@ def test_the_ghost_is_the_nominal_arm_where_it_fits_the_sightings_best():
     scene = lay_out(calibration)
     chain, q = calibration.chain, calibration.session.q
     T_base_world = inverse(calibration.estimate.T_world_base)
-    nominal = T_base_world @ calibration.nominal.T_world_base @ tip_poses(chain, q) @ inverse(chain.T_last_tip)
+    nominal = (
+        T_base_world
+        @ calibration.comparison.drawn.fit.state.T_world_base
+        @ tip_poses(chain, q)
+        @ inverse(chain.T_last_tip)
+    )
     calibrated = scene.frames[:, -1, :3, 3]
     expected = calibrated + scene.factor * (nominal[:, :3, 3] - calibrated)
     np.testing.assert_allclose(scene.ghost[:, -1, :3, 3], expected, atol=1e-10)

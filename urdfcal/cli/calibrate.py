@@ -2,70 +2,202 @@
 
 from __future__ import annotations
 
+import io
+import json
+import sys
+from contextlib import redirect_stdout
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import click
 
+from urdfcal.cli import detect
 from urdfcal.cli.options import seed_option
+from urdfcal.errors import CalibrationError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
-    from urdfcal.calibration import Calibration
+    from urdfcal.calibration import Calibration, Method
+    from urdfcal.output.overview import Overview
     from urdfcal.session.model import Session
+
+Report = Literal["text", "json", "nothing"]
+
+# A summary that is longer scrolls its verdict away.
+_MOST_LINES, _MOST_ROWS, _MOST_REMARKS = 25, 8, 6
 
 
 @click.command("calibrate")
 @click.argument("session", type=click.Path(path_type=Path))
 @click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="Folder of the results.")
 @seed_option
-def command(session: Path, output: Path, seed: int) -> None:
-    """Calibrate the robot of SESSION and write URDF, calibration.json and recording."""
-    from urdfcal.session.files import read_session
+@click.option(
+    "--method",
+    type=click.Choice(["pixels", "points"]),
+    default="pixels",
+    show_default=True,
+    help="What the estimate rests on: pixels, or points triangulated from them.",
+)
+@click.option("--no-priors", is_flag=True, help="Plain least squares, without manufacturing tolerances.")
+@click.option(
+    "--starts", type=click.IntRange(min=0), default=0, metavar="N", help="Start from N other arms, too, and screen."
+)
+@click.option("--force", is_flag=True, help="Write the result even where it fails its own checks.")
+@click.option("--live", is_flag=True, help="Show the solver at work in the rerun viewer.")
+@click.option("--json", "as_json", is_flag=True, help="Print verdict, files and calibration.json instead of a summary.")
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
+def command(
+    session: Path,
+    output: Path,
+    seed: int,
+    method: Method,
+    no_priors: bool,
+    starts: int,
+    force: bool,
+    live: bool,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Calibrate the robot of SESSION and write URDF, calibration.json, report and recording."""
+    from urdfcal.session.files import lacks_detections, read_session
 
-    run(read_session(session), output, seed)
+    report: Report = "nothing" if quiet else "json" if as_json else "text"
+    if lacks_detections(session):
+        with redirect_stdout({"text": sys.stdout, "json": sys.stderr, "nothing": io.StringIO()}[report]):
+            click.echo(f"{session}: images and no detections: looking for the LEDs first (urdfcal detect)")
+            detect.run(session)
+    run(
+        read_session(session),
+        output,
+        seed,
+        method=method,
+        priors=not no_priors,
+        starts=starts,
+        force=force,
+        live=live,
+        report=report,
+    )
 
 
-def run(session: Session, output: Path, seed: int) -> Calibration:
+def run(
+    session: Session,
+    output: Path,
+    seed: int,
+    *,
+    method: Method = "pixels",
+    priors: bool = True,
+    starts: int = 0,
+    force: bool = False,
+    live: bool = False,
+    report: Report = "text",
+) -> Calibration:
     """Calibrate a session, write its results and print the summary."""
     from urdfcal.calibration import calibrate
-    from urdfcal.cli.console import progress_bar
+    from urdfcal.cli.console import status_line
+    from urdfcal.output.overview import Overview
     from urdfcal.output.results import write_results
 
-    with progress_bar("calibrating", None) as advance:
-        calibration = calibrate(session, seed=seed, progress=lambda *_: advance(1))
-        paths, notes = write_results(calibration, output)
-    _print(calibration, paths, notes)
+    view = None
+    if live:
+        from urdfcal.output.live import LiveView
+
+        view = LiveView()
+    with status_line(show=report != "nothing") as say:
+        steps = 0
+
+        def note(iteration: int, cost: float) -> None:
+            nonlocal steps
+            steps += 1
+            say(f"calibrating: step {steps}, cost {cost:.4g}")
+            if view is not None:
+                view.step(iteration, cost)
+
+        try:
+            calibration = calibrate(
+                session, method=method, priors=priors, starts=starts, seed=seed, force=force, progress=note
+            )
+        except CalibrationError:
+            # What looked odd in the session is often why.
+            for warning in session.warnings:
+                click.echo(f"- {warning}", err=True)
+            raise
+        say("writing URDF, report and recording")
+        overview = Overview.of(calibration)
+        paths, remarks = write_results(calibration, output, overview)
+        if view is not None:
+            view.finish(calibration, overview)
+    if report == "json":
+        verdict = {"level": overview.verdict.level, "sentence": overview.verdict.sentence}
+        files = {path.suffix[1:]: str(path) for path in paths}
+        click.echo(json.dumps({**overview.document, "verdict": verdict, "files": files}, indent=2))
+    elif report == "text":
+        _print(overview, paths, remarks)
     return calibration
 
 
-def _print(calibration: Calibration, paths: Iterable[Path], notes: Sequence[str]) -> None:
-    import numpy as np
+def _print(overview: Overview, paths: Sequence[Path], remarks: Sequence[str]) -> None:
+    """Verdict, numbers, corrections, warnings and files, in at most 25 lines."""
+    from rich.text import Text
 
-    from urdfcal.cli.console import output, sheet
-    from urdfcal.robot.dh import PARAMETERS
+    from urdfcal.cli.console import output
+    from urdfcal.output.findings import look_up
 
     console = output()
-    fit = calibration.summary()
-    console.print(
-        f"{calibration.chain.name}: {fit['poses']} poses, {fit['observations']} measured numbers, "
-        f"{fit['parameters']} parameters, {len(calibration.outliers())} outliers"
-    )
-    for unit in ("px", "mm"):
-        if f"rms_{unit}" in fit:
-            before, after = fit[f"rms_nominal_{unit}"], fit[f"rms_{unit}"]
-            console.print(f"residual {before:.3f} -> [bold]{after:.3f} {unit}[/] rms, nominal -> calibrated")
+    document, verdict, calibration = overview.document, overview.verdict, overview.calibration
+    fit, headline = document["fit"], verdict.headline
 
-    units = {name: "mm" if name in "da" else "mrad" for name in PARAMETERS}
-    rows = sheet("offsets ± standard deviation", ["joint", *(f"{name} ({unit})" for name, unit in units.items())])
-    for row, offsets, sigmas in zip(
-        calibration.table.rows, 1e3 * calibration.estimate.offsets, 1e3 * calibration.sigmas(), strict=True
+    def line(text: str, style: str = "") -> None:
+        # Piped, a line is as long as it is; on a screen it must not wrap, or the summary grows.
+        if console.is_terminal:
+            console.print(Text(text, style=style), no_wrap=True, overflow="ellipsis")
+        else:
+            console.print(Text(text, style=style), soft_wrap=True)
+
+    tone = {"good": "bold green", "doubtful": "bold yellow", "bad": "bold red"}[verdict.level]
+    line(f"{calibration.chain.name}: {verdict.sentence}", tone)
+    interval = ""
+    if headline.interval:
+        low, high = look_up(document, headline.interval)
+        interval = f" (95 %: {low:.3g} to {high:.3g})"
+    line(f"{headline.text(document)}{interval} {headline.meaning}, as drawn -> calibrated", "bold")
+    parts = [
+        f"{fit[f'rms_nominal_{unit}']:.3f} -> {fit[f'rms_{unit}']:.3f} {unit}"
+        for unit in ("px", "mm")
+        if f"rms_{unit}" in fit
+    ]
+    line(f"residual {', '.join(parts)} rms, {fit['reduced_chi2'] ** 0.5:.2g} times the declared noise")
+    line(
+        f"{fit['poses']} poses, {fit['observations']} measured numbers, {fit['parameters']} parameters, "
+        f"{len(document['outliers'])} outliers"
+    )
+    rows = len(calibration.chain.joints)
+    printed = 4 + 3  # the files below
+    if rows <= _MOST_ROWS:
+        console.print(_corrections(calibration))
+        printed += rows + 5  # title, head, rule, and a blank line above and below
+    texts = [*verdict.reasons, *remarks, *(f"not told: {lost}" for lost in document["identifiability"]["lost"])]
+    room = min(_MOST_REMARKS, _MOST_LINES - printed)
+    if len(texts) > room:
+        texts = [*texts[: room - 1], f"{len(texts) - room + 1} more remarks in the report"]
+    for text in texts:
+        line(f"- {text}")
+    for path in paths:
+        if path.suffix != ".json":
+            line(str(path) if path.suffix != ".rrd" else f"{path}   (urdfcal view {path.parent})")
+
+
+def _corrections(calibration: Calibration) -> object:
+    import numpy as np
+
+    from urdfcal.cli.console import sheet
+    from urdfcal.output.scene import LENGTHS
+
+    columns = [f"{name} ({'mm' if name in LENGTHS else 'mrad'})" for name in calibration.geometry.columns]
+    table = sheet("offsets ± standard deviation", ["joint", *columns])
+    for joint, offsets, sigmas in zip(
+        calibration.chain.names, 1e3 * calibration.estimate.offsets, 1e3 * calibration.sigmas(), strict=True
     ):
         cells = [f"{o:.3f} ± {s:.3f}" if np.isfinite(s) else "" for o, s in zip(offsets, sigmas, strict=True)]
-        rows.add_row(row.joint, *cells)
-    console.print(rows)
-    for text in (*(f"not told: {lost}" for lost in calibration.identifiability.lost), *calibration.warnings, *notes):
-        console.print(f"- {text}", markup=False)
-    for path in paths:
-        console.print(str(path), markup=False)
+        table.add_row(joint, *cells)
+    return table

@@ -44,3 +44,16 @@ def progress_bar(what: str, total: int | None) -> Iterator[Callable[[int], None]
     with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task(what, total=total)
         yield lambda count: bar.advance(task, count)
+
+
+@contextmanager
+def status_line(*, show: bool = True) -> Iterator[Callable[[str], None]]:
+    """Show a spinner with a changing text on standard error, where somebody looks at it; yield what changes it."""
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    if not show or not console.is_terminal:
+        yield lambda _: None
+        return
+    with console.status("reading") as status:
+        yield lambda text: status.update(text)

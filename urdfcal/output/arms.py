@@ -8,7 +8,7 @@ import numpy as np
 import rerun as rr
 
 from urdfcal.output.bodies import MESH_FORMATS, visible_bodies
-from urdfcal.output.palette import CALIBRATED, GHOST, NOMINAL
+from urdfcal.output.palette import CALIBRATED, GHOST, NOMINAL, PARAMETER_COLORS
 from urdfcal.output.stream import placed
 
 if TYPE_CHECKING:
@@ -18,9 +18,12 @@ if TYPE_CHECKING:
     from urdfcal.output.bodies import Body, Shape
     from urdfcal.output.scene import Scene
     from urdfcal.output.stream import Layer
+    from urdfcal.robot.dh import DHTable
     from urdfcal.session.model import Session
 
 Color = tuple[int, ...]
+# Lengths below this share of the reach are corrections, too small to be seen.
+_NO_LENGTH = 2e-3
 
 
 def log_arms(layer: Layer, session: Session, scene: Scene) -> tuple[str, ...]:
@@ -46,11 +49,29 @@ def log_arms(layer: Layer, session: Session, scene: Scene) -> tuple[str, ...]:
     return warnings
 
 
-def log_dh_frames(layer: Layer, dh: Floats, length: float) -> None:
-    """Log the DH frames F0 ... Fn, (N, n + 1, 4, 4), as axes of a length in m."""
-    for i in range(dh.shape[1]):
-        layer.at(f"F{i}").moving(dh[:, i])
+def log_dh(layer: Layer, table: DHTable, offsets: Floats, scene: Scene) -> None:
+    """Log the DH frames F0 ... Fn as axes, and each row's way from one to the next, with d and a as labels."""
+    length = 0.08 * table.chain.reach
+    for i in range(scene.dh.shape[1]):
+        layer.at(f"F{i}").moving(scene.dh[:, i])
         layer.at(f"F{i}").fixed(rr.TransformAxes3D(axis_length=length))
+    for i, values in enumerate(table.nominal + offsets):
+        feet, ends = scene.normals[:, i], scene.dh[:, i + 1, :3, 3]
+        for name, value, start, end in (
+            ("d", values[1], scene.dh[:, i, :3, 3], feet),
+            ("a", values[2], feet, ends),
+        ):
+            if abs(value) < _NO_LENGTH * table.chain.reach and table.rows[i].type != "prismatic":
+                continue
+            row = layer.at("rows", f"{name}{i + 1}")
+            label = f"{name}{i + 1} {1e3 * value:.1f} mm"
+            color = PARAMETER_COLORS[name]
+            row.fixed(
+                rr.LineStrips3D.from_fields(
+                    colors=color, radii=0.004 * table.chain.reach, labels=label, show_labels=False
+                )
+            )
+            row.each(rr.LineStrips3D.columns(strips=np.stack([start, end], axis=1).astype(np.float32)))
 
 
 def _log_body(layer: Layer, body: Body, frames: Floats, tint: Color | None) -> None:

@@ -8,81 +8,164 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from urdfcal.output import charts
+from urdfcal.output.palette import BACKGROUND, VERDICT_COLORS
+from urdfcal.output.scene import picture_range
 from urdfcal.output.stream import POSE
 
 if TYPE_CHECKING:
     from urdfcal.arrays import Floats
-    from urdfcal.calibration import Calibration
-    from urdfcal.output.scene import Scene
+    from urdfcal.output.chart import Chart
+    from urdfcal.output.overview import Overview
+    from urdfcal.output.scene import Scene, Sightings
 
 # rerun's eye opens 55 degrees high; on a laptop's screen the view is at least so much wider than high.
 _HALF_VIEW = np.radians(55 / 2)
 _ASPECT = 1.2
+# What belongs to other tabs than the arm's.
+_ELSEWHERE = ("plots", "charts", "banner", "texts", "workspace")
 
 
-def layout(root: str, calibration: Calibration, scene: Scene) -> rrb.Blueprint:
+def layout(root: str, overview: Overview, active: int = 0) -> rrb.Blueprint:
     """Lay out the views of a recording.
 
     Args:
         root: entity of the base link.
-        calibration: what is recorded.
-        scene: where things stand.
+        overview: what is recorded.
+        active: the tab to open with.
     """
-    cameras = [rr.escape_entity_path_part(camera.name) for camera in calibration.estimate.cameras]
-    images = [f"{root}/cameras/{name}/image" for name in cameras]
+    scene, calibration = overview.scene, overview.calibration
+    parent = f"{root}/charts"
+    images = [
+        f"{root}/cameras/{rr.escape_entity_path_part(camera.name)}/image" for camera in calibration.estimate.cameras
+    ]
+    arm = rrb.Horizontal(_arm(root, images, scene), _beside_arm(root, scene), column_shares=[3, 1])
     tabs: list[rrb.Container | rrb.View] = [
-        rrb.Horizontal(_arm(root, images, scene), _plots(root, scene), column_shares=[3, 1], name="Arm")
+        rrb.Vertical(_banner(root, overview), arm, row_shares=[1, 13], name="Arm"),
     ]
     if scene.pixels is not None:
-        enlarged = f"residuals {scene.field_factor:g} x, nominal (blue) {scene.pixel_factor:g} x"
-        pictures = [
-            _picture(image, f"{camera.name}: {enlarged}", camera.resolution)
-            for image, camera in zip(images, calibration.estimate.cameras, strict=True)
-        ]
-        tabs.append(rrb.Grid(*pictures, name="Pixels"))
+        tabs.append(rrb.Grid(*_pictures(images, overview, scene.pixels), grid_columns=len(images), name="Pixels"))
+    tabs += [
+        _grid(root, "convergence", charts.convergence_charts(calibration)),
+        _parameters(root, parent, overview),
+        _grid(root, "residuals", charts.residual_charts(overview)),
+        _workspace(root, parent, overview),
+    ]
     return rrb.Blueprint(
-        rrb.Tabs(*tabs, active_tab=0),
+        rrb.Tabs(*tabs, active_tab=active),
         rrb.TimePanel(state="collapsed", timeline=POSE, play_state="paused", fps=2.0),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
     )
 
 
-def _arm(root: str, images: list[str], scene: Scene) -> rrb.View:
-    eye, target = viewpoint(scene)
-    # The pictures' own arrows would fill the space before the cameras.
-    hidden = [expression for image in images for expression in (f"- {image}/**", f"+ {image}")]
-    return rrb.Spatial3DView(
-        origin=root,
-        contents=["+ $origin/**", *hidden, "- $origin/plots/**"],
-        name="Arm",
-        eye_controls=rrb.EyeControls3D(position=eye, look_target=target, eye_up=[0, 0, 1]),
+def _banner(root: str, overview: Overview) -> rrb.View:
+    """A stripe in the verdict's colour; what it says stands in the title, readable on dark and on light screens."""
+    verdict = overview.verdict
+    number = f"{verdict.headline.text(overview.document)} {verdict.headline.meaning}"
+    return rrb.Spatial2DView(
+        origin=f"{root}/banner", name=f"{verdict.sentence}  {number}", background=VERDICT_COLORS[verdict.level]
     )
 
 
-def _plots(root: str, scene: Scene) -> rrb.Container:
+def _arm(root: str, images: list[str], scene: Scene) -> rrb.View:
+    # The pictures' own arrows would fill the space before the cameras.
+    hidden = [expression for image in images for expression in (f"- {image}/**", f"+ {image}")]
+    elsewhere = [f"- $origin/{name}/**" for name in _ELSEWHERE]
+    contents = ["+ $origin/**", *hidden, *elsewhere]
+    return rrb.Spatial3DView(
+        origin=root, contents=contents, name="Arm", eye_controls=_eye(*viewpoint(scene)), background=BACKGROUND
+    )
+
+
+def _beside_arm(root: str, scene: Scene) -> rrb.Container:
     unit = "mm" if scene.pixels is None else "px"
     return rrb.Vertical(
-        rrb.TextDocumentView(origin=f"{root}/about", name="What you see"),
+        rrb.TextDocumentView(origin=f"{root}/texts/about", name="What you see"),
         rrb.TimeSeriesView(
             origin=f"{root}/plots/residual_{unit}", name=f"Residual of each pose, rms without outliers [{unit}]"
         ),
-        rrb.Tabs(
-            _bars(f"{root}/plots/rms_{unit}", f"Residual by iteration, rms [{unit}]"),
-            _bars(f"{root}/plots/cost", "Cost by iteration"),
-        ),
-        row_shares=[2, 3, 2],
+        row_shares=[3, 2],
     )
 
 
-def _bars(plot: str, name: str) -> rrb.View:
-    return rrb.BarChartView(origin=f"{plot}/bars", name=name, plot_legend=rrb.PlotLegend(visible=False))
+def _parameters(root: str, parent: str, overview: Overview) -> rrb.Container:
+    table = overview.calibration.table
+    rows = [f"{root}/dh/rows/{name}{i + 1}" for i in range(len(table.rows)) for name in "da"]
+    reach = table.chain.reach
+    towards = viewpoint(overview.scene)[0] - viewpoint(overview.scene)[1]
+    target = overview.scene.frames[0, :, :3, 3].mean(axis=0)
+    eye = target + 1.1 * reach * towards / np.linalg.norm(towards)
+    arm = rrb.Spatial3DView(
+        origin=root,
+        contents=["+ $origin/dh/**", "+ $origin/led/predicted"],
+        name="DH rows to scale: d along each joint's axis, a along the common normal to the next",
+        eye_controls=_eye(eye, target),
+        background=BACKGROUND,
+        overrides={row: rr.LineStrips3D.from_fields(show_labels=True) for row in rows},
+    )
+    bars = [chart.view(parent) for chart in charts.parameter_charts(overview.calibration)]
+    text = rrb.TextDocumentView(origin=f"{root}/texts/parameters", name="DH rows: drawn, offset, standard deviation")
+    return rrb.Horizontal(
+        arm, rrb.Vertical(rrb.Horizontal(*bars), text, row_shares=[3, 2]), column_shares=[2, 3], name="Parameters"
+    )
 
 
-def _picture(image: str, name: str, resolution: tuple[int, int]) -> rrb.View:
-    width, height = resolution
-    bounds = rrb.VisualBounds2D(x_range=[0, width], y_range=[0, height])
-    return rrb.Spatial2DView(origin=image, name=name, visual_bounds=bounds)
+def _workspace(root: str, parent: str, overview: Overview) -> rrb.Container:
+    workspace = overview.workspace
+    reach = overview.calibration.chain.reach
+    middle = (workspace.tip.min(axis=0) + workspace.tip.max(axis=0)) / 2
+    eye = _eye(middle + 2.2 * reach * np.array([0.8, -1.0, 0.5]) / np.linalg.norm([0.8, -1.0, 0.5]), middle)
+    found = (
+        ("nominal", "As drawn: distance to the calibrated tip", workspace.before),
+        ("calibrated", "Calibrated: predicted standard deviation", workspace.after),
+    )
+    smallest, largest = (1e3 * limit for limit in workspace.range)
+    scale = f"violet {smallest:.2g}, yellow {largest:.2g} mm"
+    views = [
+        rrb.Spatial3DView(
+            origin=root,
+            contents=[f"+ $origin/workspace/{name}", "+ $origin/calibrated/**"],
+            name=f"{title}, {1e3 * error.min():.2g} to {1e3 * error.max():.2g} mm ({scale})",
+            eye_controls=eye,
+            background=BACKGROUND,
+        )
+        for name, title, error in found
+    ]
+    shares = charts.workspace_chart(workspace).view(parent)
+    return rrb.Vertical(rrb.Horizontal(*views), shares, row_shares=[3, 2], name="Workspace")
+
+
+def _grid(root: str, name: str, shown: list[Chart]) -> rrb.Container:
+    text = rrb.TextDocumentView(origin=f"{root}/texts/{name}", name="How to read this")
+    return rrb.Grid(*(chart.view(f"{root}/charts") for chart in shown), text, name=name.capitalize())
+
+
+def _pictures(images: list[str], overview: Overview, pixels: Sightings) -> list[rrb.View]:
+    """The residuals of all poses, as drawn above and calibrated below, with the arm of this pose."""
+    scene, cameras = overview.scene, overview.calibration.estimate.cameras
+    views: list[rrb.View] = []
+    for what, factor, hidden in (
+        ("as drawn", scene.pixel_factor, ("field", "arm/calibrated", "predicted")),
+        ("calibrated", scene.field_factor, ("field\\ nominal", "arm/nominal", "nominal", "residual\\ nominal")),
+    ):
+        for c, (image, camera) in enumerate(zip(images, cameras, strict=True)):
+            seen = pixels.measured[pixels.camera == c]
+            u, v = picture_range(camera.resolution, seen)
+            views.append(
+                rrb.Spatial2DView(
+                    origin=image,
+                    contents=["+ $origin/**", *(f"- $origin/{name}" for name in hidden)],
+                    name=f"{camera.name} {what}: residuals {factor:g} x",
+                    visual_bounds=rrb.VisualBounds2D(x_range=u, y_range=v),
+                    background=BACKGROUND,
+                )
+            )
+    return views
+
+
+def _eye(position: Floats, target: Floats) -> rrb.EyeControls3D:
+    return rrb.EyeControls3D(position=position, look_target=target, eye_up=[0, 0, 1])
 
 
 def viewpoint(scene: Scene) -> tuple[Floats, Floats]:

@@ -7,30 +7,70 @@ from typing import TYPE_CHECKING
 import numpy as np
 import rerun as rr
 
-from urdfcal.output.palette import CALIBRATED, FAINT, MEASURED, NOMINAL, OUTLIER, SIGMA_LEGEND, by_sigma
-from urdfcal.output.stream import placed
+from urdfcal.output.charts import CONVERGENCE, PARTS, RESIDUALS
+from urdfcal.output.palette import (
+    CALIBRATED,
+    FAINT,
+    INK,
+    MEASURED,
+    NOMINAL,
+    OUTLIER,
+    SIGMA_LEGEND,
+    by_magnitude,
+    by_sigma,
+)
+from urdfcal.output.photographs import compressed, find_photographs
+from urdfcal.output.projection import project_line, skeleton
+from urdfcal.output.stream import CORNER, placed, quaternions
+from urdfcal.output.summary import parameter_text
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
     from urdfcal.arrays import Floats, Ints
+    from urdfcal.calibration import Calibration
+    from urdfcal.output.overview import Overview
     from urdfcal.output.scene import Scene, Sightings
     from urdfcal.output.stream import Layer
+    from urdfcal.output.workspace import Workspace
     from urdfcal.vision.camera import Camera
 
 # rerun takes negative radii as points on the screen instead of metres.
-_DOT, _SMALL_DOT, _THIN, _ARROW = -4.0, -2.0, -0.8, -3.0
+_DOT, _SMALL_DOT, _THIN, _LINE, _ARROW = -4.0, -2.0, -0.8, -1.5, -3.0
+# Below a nanometre an error is none. [m]
+_SMALLEST = 1e-9
+ELLIPSOID = 2.0
+"""Half axes of the covariance ellipsoids, in standard deviations."""
 
 
-def log_camera(base: Layer, index: int, camera: Camera, scene: Scene) -> None:
-    """Log a camera's place and frustum, its rays to the LEDs, and what is in its pictures."""
+def log_cameras(base: Layer, calibration: Calibration, scene: Scene) -> None:
+    """Log the cameras' places and frusta, their rays to the LEDs, their pictures, and the arm drawn into these."""
+    estimate, nominal, q = calibration.estimate, calibration.nominal, calibration.session.q
+    photographs = find_photographs(calibration.session)
+    if estimate.cameras:
+        drawn = skeleton(calibration, estimate, q), skeleton(calibration, nominal, q)
+    for index, camera in enumerate(estimate.cameras):
+        image = base.at("cameras", camera.name, "image")
+        _log_camera(base, index, camera, scene)
+        _log_photographs(image, photographs[index])
+        for name, state, corners, color, radius in (
+            ("nominal", nominal, drawn[1], NOMINAL, 2 * _LINE),
+            ("calibrated", estimate, drawn[0], CALIBRATED, _THIN),
+        ):
+            _log_arm(image.at("arm", name), project_line(state, corners, index), color, radius)
+
+
+def _log_camera(base: Layer, index: int, camera: Camera, scene: Scene) -> None:
     T = scene.T_base_cam[index]
     distance = float(np.median(np.linalg.norm(scene.leds.measured - T[:3, 3], axis=1)))
     body = base.at("cameras", camera.name)
     body.fixed(placed(T), rr.TransformAxes3D(axis_length=0.05 * distance))
-    body.at("name").fixed(rr.Points3D([[0, 0, 0]], radii=_SMALL_DOT, labels=camera.name, colors=MEASURED))
+    body.at("name").fixed(rr.Points3D([[0, 0, 0]], radii=_SMALL_DOT, labels=camera.name, colors=INK))
     body.at("image").fixed(
         rr.Pinhole(
             focal_length=camera.intrinsics[:2],
-            principal_point=camera.intrinsics[2:],
+            principal_point=camera.intrinsics[2:] + CORNER,
             resolution=camera.resolution,
             image_plane_distance=0.15 * distance,
             line_width=_THIN,
@@ -48,9 +88,25 @@ def log_camera(base: Layer, index: int, camera: Camera, scene: Scene) -> None:
     body.at("image", "border").fixed(rr.LineStrips2D([border], colors=FAINT, radii=_THIN))
 
 
+def _log_photographs(image: Layer, photographs: Mapping[int, Path]) -> None:
+    if photographs:
+        pose = np.array(sorted(photographs))
+        image.fixed(rr.EncodedImage.from_fields(media_type="image/jpeg"))
+        image.each(rr.EncodedImage.columns(blob=compressed(photographs[k] for k in pose)), pose)
+
+
+def _log_arm(layer: Layer, uv: Floats, color: tuple[int, ...], radius: float) -> None:
+    """Log the arm in a camera's picture, drawn from joint values alone: (N, P, 2) px."""
+    here = np.isfinite(uv).all(axis=(1, 2))
+    # The calibrated arm, thinner, lies on the nominal one.
+    layer.fixed(rr.LineStrips2D.from_fields(colors=color, radii=radius, draw_order=10.0 + radius))
+    strips = rr.LineStrips2D.columns(strips=(uv[here] + CORNER).astype(np.float32))
+    layer.each(strips, np.flatnonzero(here))
+
+
 def _log_image(image: Layer, scene: Scene, pixels: Sightings, seen: Ints) -> None:
-    pose, sighted = pixels.pose[seen], pixels.measured[seen]
-    predicted, nominal, colors = pixels.predicted[seen], pixels.nominal[seen], by_sigma(pixels.size[seen])
+    pose = pixels.pose[seen]
+    sighted, predicted, nominal = (uv[seen] + CORNER for uv in (pixels.measured, pixels.predicted, pixels.nominal))
     for name, places, color in (
         ("sighted", sighted, MEASURED),
         ("predicted", predicted, CALIBRATED),
@@ -62,8 +118,12 @@ def _log_image(image: Layer, scene: Scene, pixels: Sightings, seen: Ints) -> Non
     image.at("residual nominal").fixed(rr.Arrows2D.from_fields(colors=NOMINAL))
     image.at("residual nominal").each(arrows, pose)
     cut = pixels.outlier[seen]
-    vectors = scene.field_factor * (predicted - sighted)[~cut]
-    image.at("field").fixed(rr.Arrows2D(origins=sighted[~cut], vectors=vectors, colors=colors[~cut]))
+    for name, factor, places, size in (
+        ("field", scene.field_factor, predicted, pixels.size[seen]),
+        ("field nominal", scene.pixel_factor, nominal, pixels.size_nominal[seen]),
+    ):
+        vectors, colors = factor * (places - sighted)[~cut], by_sigma(size[~cut])
+        image.at(name).fixed(rr.Arrows2D(origins=sighted[~cut], vectors=vectors, colors=colors, radii=_THIN))
     image.at("outliers").fixed(rr.Points2D(sighted[cut], colors=OUTLIER, radii=_DOT))
 
 
@@ -77,6 +137,7 @@ def log_leds(base: Layer, scene: Scene) -> None:
     ):
         base.at("led", name).fixed(rr.Points3D.from_fields(colors=color, radii=_DOT))
         base.at("led", name).each(rr.Points3D.columns(positions=places), leds.pose)
+    _log_ellipsoids(base.at("led", "covariance"), scene)
     base.at("led", "all").fixed(rr.Points3D(leds.measured, colors=by_sigma(leds.size), radii=_SMALL_DOT))
     base.at("led", "outliers").fixed(rr.Points3D(leds.measured[leds.outlier], colors=OUTLIER, radii=_DOT))
     for name, places, size in (("calibrated", leds.predicted, leds.size), ("nominal", leds.nominal, leds.size_nominal)):
@@ -90,22 +151,68 @@ def log_leds(base: Layer, scene: Scene) -> None:
     base.at("residuals", "field").fixed(field)
 
 
-def log_about(base: Layer, scene: Scene, poses: tuple[str, ...], names: tuple[str, ...]) -> None:
-    """Log what there is to see at each pose: its residuals in space, and what colours and enlarged things mean."""
+def _log_ellipsoids(layer: Layer, scene: Scene) -> None:
+    """Log what the declared noise lets one know of each LED's place, enlarged as the residuals are."""
     leds = scene.leds
+    known = np.isfinite(leds.covariance).all(axis=(1, 2))
+    variances, axes = np.linalg.eigh(leds.covariance[known])
+    axes[..., 0] *= np.linalg.det(axes)[:, None]  # a rotation, not a reflection
+    layer.fixed(
+        rr.Ellipsoids3D.from_fields(
+            colors=(*MEASURED, 40), line_radii=_THIN, fill_mode=rr.components.FillMode.TransparentFillMajorWireframe
+        )
+    )
+    columns = rr.Ellipsoids3D.columns(
+        centers=leds.measured[known],
+        half_sizes=ELLIPSOID * scene.factor * np.sqrt(np.maximum(variances, 0.0)),
+        quaternions=quaternions(axes),
+    )
+    layer.each(columns, leds.pose[known])
+
+
+def log_workspace(layer: Layer, workspace: Workspace) -> None:
+    """Log the tip's places over the workspace, coloured by how far it is off, on one scale before and after."""
+    smallest, largest = (max(limit, _SMALLEST) for limit in workspace.range)
+    for name, error in (("nominal", workspace.before), ("calibrated", workspace.after)):
+        colors = by_magnitude(error, smallest, largest)
+        layer.at(name).fixed(rr.Points3D(workspace.tip, colors=colors, radii=_SMALL_DOT))
+
+
+def log_texts(base: Layer, overview: Overview) -> None:
+    """Log the verdict, what there is to see at each pose, the table of the DH rows, and the poses' names."""
+    verdict, session = overview.verdict, overview.calibration.session
+    number = verdict.headline.text(overview.document)
+    banner = f"{verdict.sentence}   {number}, {verdict.headline.meaning}"
+    base.at("banner").fixed(rr.Points2D([[0.0, 0.0]], radii=0.0, labels=banner, show_labels=False))
+    texts = base.at("texts")
+    texts.at("about").fixed(rr.TextDocument.from_fields(media_type=rr.MediaType.MARKDOWN))
+    texts.at("about").each(rr.TextDocument.columns(text=_about(overview)))
+    parts = PARTS[overview.scene.tables[0].measured.shape[1]]
+    for name, text in (
+        ("parameters", parameter_text(overview.document)),
+        ("residuals", RESIDUALS.format(parts=parts)),
+        ("convergence", CONVERGENCE),
+    ):
+        texts.at(name).fixed(rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
+    texts.at("poses").fixed(rr.AnyValues(poses=session.poses))
+
+
+def _about(overview: Overview) -> list[str]:
+    """For each pose its residuals in space, and what colours and enlarged things mean."""
+    scene, session = overview.scene, overview.calibration.session
+    poses, names, leds = session.poses, session.led_names, scene.leds
     new, old = (_millimetres(places - leds.measured) for places in (leds.predicted, leds.nominal))
     lines: list[list[str]] = [[] for _ in poses]
     for m, (pose, led, cut) in enumerate(zip(leds.pose, leds.led, leds.outlier, strict=True)):
         taken_out = ", taken out of the fit" if cut else ""
         lines[pose].append(f"{names[led]} {new[m]:.2f} mm off, nominal {old[m]:.2f} mm{taken_out}")
     legend = _LEGEND.format(factor=scene.factor)
-    texts = [
+    if overview.verdict.reasons:
+        legend += "\n**To check:**\n" + "\n".join(f"- {text}" for text in overview.verdict.reasons)
+    return [
         f"**Pose {pose}**: {'; '.join(line) or 'nothing seen'}.\n\n{legend}"
         for pose, line in zip(poses, lines, strict=True)
     ]
-    about = base.at("about")
-    about.fixed(rr.TextDocument.from_fields(media_type=rr.MediaType.MARKDOWN))
-    about.each(rr.TextDocument.columns(text=texts))
 
 
 _LEGEND = f"""\
@@ -113,7 +220,8 @@ Solid arm: **calibrated**. Blue ghost: **nominal**, as drawn in the URDF, placed
 deviation and the residual arrows are enlarged **{{factor:g}} times**.
 
 LED: white as measured, green by the calibrated arm, blue by the nominal one. Arrows from measured to predicted:
-{SIGMA_LEGEND}. Purple: taken out of the fit.
+{SIGMA_LEGEND}. Purple: taken out of the fit. White ellipsoid: {ELLIPSOID:g} standard deviations of the measurement,
+enlarged alike.
 """
 
 

@@ -17,6 +17,26 @@ GHOST = (*NOMINAL, 60)
 MEASURED = (255, 255, 255)
 OUTLIER = (230, 60, 230)
 FAINT = (150, 150, 120)
+INK = (150, 150, 150)
+"""Of labels, which the viewer writes on dark or light ground as the user likes it."""
+GRID = (48, 50, 54)
+BACKGROUND = (13, 14, 16)
+COMPONENTS = ((90, 200, 250), (255, 170, 80), (200, 140, 255))
+"""u and v, or x, y and z."""
+PARAMETER_COLORS = {
+    "theta": (90, 200, 250),
+    "d": (110, 130, 255),
+    "a": (255, 95, 95),
+    "alpha": (255, 170, 80),
+    "beta": (200, 140, 255),
+    "x": (255, 95, 95),
+    "y": (110, 220, 110),
+    "z": (110, 130, 255),
+    "rx": (255, 170, 80),
+    "ry": (200, 140, 255),
+    "rz": (90, 200, 250),
+}
+VERDICT_COLORS = {"good": (20, 110, 70), "doubtful": (165, 110, 0), "bad": (165, 30, 30)}
 
 _SIGMAS = (1.0, 2.5, 5.0)
 _COLORS = ((60, 200, 90), (240, 210, 60), (230, 50, 50))
@@ -28,3 +48,16 @@ def by_sigma(size: Floats) -> NDArray[np.uint8]:
     size = np.nan_to_num(size, nan=np.inf)  # not predictable at all: behind the camera
     channels = [np.interp(size, _SIGMAS, channel) for channel in zip(*_COLORS, strict=True)]
     return np.stack(channels, axis=-1).astype(np.uint8)
+
+
+def by_magnitude(values: Floats, low: float, high: float) -> NDArray[np.uint8]:
+    """Colour positive values on a logarithmic scale from dark violet at ``low`` to yellow at ``high``, (M, 3)."""
+    share = np.log(np.maximum(values, low) / low) / np.log(high / low) if high > low else np.zeros(len(values))
+    stops = np.linspace(0.0, 1.0, len(_VIRIDIS))
+    channels = [np.interp(share, stops, channel) for channel in zip(*_VIRIDIS, strict=True)]
+    return np.stack(channels, axis=-1).astype(np.uint8)
+
+
+# Of matplotlib's viridis, which loses its order to no kind of colour blindness.
+_VIRIDIS = ((72, 36, 117), (65, 68, 135), (53, 95, 141), (42, 120, 142), (33, 145, 140), (34, 168, 132), (68, 191, 112),
+            (122, 209, 81), (189, 223, 38), (253, 231, 37))  # fmt: skip

@@ -8,22 +8,22 @@ import numpy as np
 import rerun as rr
 
 from urdfcal.estimation.residuals import predict
-from urdfcal.output.palette import CALIBRATED, NOMINAL
+from urdfcal.output.charts import parameter_paths
+from urdfcal.output.palette import CALIBRATED, NOMINAL, PARAMETER_COLORS
+from urdfcal.output.scene import UNITS, rms_by_pose
 from urdfcal.output.stream import ITERATION
 
 if TYPE_CHECKING:
-    from urdfcal.arrays import Floats, Ints
+    from urdfcal.arrays import Floats
     from urdfcal.calibration import Calibration
     from urdfcal.output.scene import Scene
     from urdfcal.output.stream import Layer
-
-_UNITS = {2: ("px", 1.0), 3: ("mm", 1e3)}
 
 
 def log_residuals(base: Layer, scene: Scene) -> None:
     """Log the rms residual of every pose before and after, in px or mm, without the sightings taken out of the fit."""
     for table in scene.tables:
-        unit, scale = _UNITS[table.measured.shape[1]]
+        unit, scale = UNITS[table.measured.shape[1]]
         used = ~table.outlier
         for name, predicted, color in (
             ("nominal", table.nominal, NOMINAL),
@@ -36,30 +36,41 @@ def log_residuals(base: Layer, scene: Scene) -> None:
 
 
 def log_convergence(base: Layer, calibration: Calibration) -> None:
-    """Log the solver's cost after every step, and the rms residual, starting with the nominal arm's."""
+    """Log cost, damping, step, the rms residual (from the nominal arm's on) and every parameter, step by step.
+
+    A parameter comes with its final value minus and plus one standard deviation. [mm, mrad]
+    """
     history = calibration.fit.history
-    states = [calibration.nominal, *(iteration.state for iteration in history)]
-    _log_iterations(base.at("plots", "cost"), 1, np.array([iteration.cost for iteration in history]))
+    plots = base.at("plots")
+    for name, values in (
+        ("cost", [step.cost for step in history]),
+        ("damping", [step.damping for step in history]),
+        ("step", [step.step for step in history]),
+    ):
+        _log_iterations(plots.at(name), 1, np.array(values))
+    states = [calibration.nominal, *(step.state for step in history)]
     for block, outlier in zip(calibration.observations, calibration.fit.outlier, strict=True):
-        unit, scale = _UNITS[block.dimension]
+        unit, scale = UNITS[block.dimension]
         used = block.valid & ~outlier
         residuals = [(predict(calibration.geometry, block, state) - block.value)[used] for state in states]
         rms = scale * np.sqrt([np.mean(np.sum(r**2, axis=1)) for r in residuals])
-        _log_iterations(base.at("plots", f"rms_{unit}"), 0, rms)
+        _log_iterations(plots.at(f"rms_{unit}"), 0, rms)
+    paths, sigmas = parameter_paths(calibration), 1e3 * calibration.sigmas()
+    for i, joint in enumerate(calibration.chain.names):
+        for k, name in enumerate(calibration.geometry.columns):
+            if np.isfinite(sigmas[i, k]):
+                band = np.repeat([paths[-1, i, k] + sigmas[i, k] * np.array([-1.0, 1.0])], len(paths), axis=0)
+                color = PARAMETER_COLORS[name]
+                series = rr.SeriesLines(
+                    colors=[color] * 3, widths=[2.0, 0.7, 0.7], names=[name, f"{name} - sigma", f"{name} + sigma"]
+                )
+                _log_iterations(plots.at("parameters", joint, name), 0, np.column_stack([paths[:, i, k], band]), series)
 
 
-def _log_iterations(plot: Layer, first: int, values: Floats) -> None:
-    number = np.arange(first, first + len(values))
-    plot.fixed(rr.SeriesLines(colors=CALIBRATED))
-    rows = rr.TimeColumn(ITERATION, sequence=number)
-    rr.send_columns(plot.path, [rows], rr.Scalars.columns(scalars=values), recording=plot.stream)
-    # A time series shows nothing while another timeline is chosen; bars do.
-    plot.at("bars").fixed(rr.BarChart(values, abscissa=number, color=CALIBRATED))
-
-
-def rms_by_pose(pose: Ints, residuals: Floats) -> tuple[Ints, Floats]:
-    """Root mean square length of the residuals (S, D) of each pose that has any."""
-    count = np.bincount(pose)
-    total = np.bincount(pose, np.sum(residuals**2, axis=1))
-    poses = np.flatnonzero(count)
-    return poses, np.sqrt(total[poses] / count[poses])
+def _log_iterations(plot: Layer, first: int, values: Floats, series: rr.SeriesLines | None = None) -> None:
+    plot.fixed(series or rr.SeriesLines(colors=CALIBRATED))
+    rows = rr.TimeColumn(ITERATION, sequence=np.arange(first, first + len(values)))
+    columns = rr.Scalars.columns(scalars=values.ravel())
+    if values.ndim == 2:
+        columns = columns.partition([values.shape[1]] * len(values))
+    rr.send_columns(plot.path, [rows], columns, recording=plot.stream)

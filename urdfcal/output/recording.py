@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from urdfcal.files import replacing
-from urdfcal.output.scene import lay_out
+from urdfcal.output.overview import Overview
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -13,18 +13,18 @@ if TYPE_CHECKING:
     from rerun import RecordingStream
 
     from urdfcal.calibration import Calibration
-    from urdfcal.output.scene import Scene
 
 ROOT = "base"
 """Entity of the base link; all of a recording stands in its frame."""
 
 
-def write_recording(path: Path, calibration: Calibration) -> tuple[str, ...]:
+def write_recording(path: Path, calibration: Calibration, overview: Overview | None = None) -> tuple[str, ...]:
     """Write a calibration as a rerun recording that brings its own layout of views.
 
     Args:
         path: the file, ``.rrd``; replaced in one step.
         calibration: what to show.
+        overview: ``Overview.of(calibration)``, if it is there already.
 
     Returns:
         Warnings, such as meshes that were not found.
@@ -36,26 +36,26 @@ def write_recording(path: Path, calibration: Calibration) -> tuple[str, ...]:
 
     from urdfcal.output.blueprint import layout
 
-    scene = lay_out(calibration)
+    overview = overview or Overview.of(calibration)
     with replacing(path) as temporary:
         stream = rr.RecordingStream("urdfcal")
         try:
-            stream.save(temporary, default_blueprint=layout(ROOT, calibration, scene))
+            stream.save(temporary, default_blueprint=layout(ROOT, overview))
             stream.send_recording_name(calibration.session.chain.name)
-            return log_calibration(stream, calibration, scene)
+            return log_calibration(stream, calibration, overview)
         finally:
             stream.disconnect()
 
 
 def log_calibration(
-    stream: RecordingStream, calibration: Calibration, scene: Scene | None = None, path: str = ROOT
+    stream: RecordingStream, calibration: Calibration, overview: Overview | None = None, path: str = ROOT
 ) -> tuple[str, ...]:
     """Log a calibration into a rerun stream, below an entity that stands for the base link.
 
     Args:
         stream: any rerun stream.
         calibration: what to show.
-        scene: ``lay_out(calibration)``, if it is there already.
+        overview: ``Overview.of(calibration)``, if it is there already.
         path: the entity.
 
     Returns:
@@ -63,19 +63,22 @@ def log_calibration(
     """
     import rerun as rr
 
-    from urdfcal.output import arms, entities, plots
+    from urdfcal.output import arms, charts, entities, plots
+    from urdfcal.output.scene import row_offsets
     from urdfcal.output.stream import Layer
 
-    scene = scene or lay_out(calibration)
-    session, reach = calibration.session, calibration.session.chain.reach
+    overview = overview or Overview.of(calibration)
+    session, scene = calibration.session, overview.scene
     base = Layer(stream, path, len(session.q))
-    base.fixed(rr.ViewCoordinates.RIGHT_HAND_Z_UP, rr.TransformAxes3D(axis_length=0.1 * reach))
+    base.fixed(rr.ViewCoordinates.RIGHT_HAND_Z_UP, rr.TransformAxes3D(axis_length=0.1 * session.chain.reach))
     warnings = arms.log_arms(base, session, scene)
-    arms.log_dh_frames(base.at("dh"), scene.dh, 0.08 * reach)
-    for index in range(len(calibration.estimate.cameras)):
-        entities.log_camera(base, index, calibration.estimate.cameras[index], scene)
+    arms.log_dh(base.at("dh"), calibration.table, row_offsets(calibration, calibration.estimate), scene)
+    entities.log_cameras(base, calibration, scene)
     entities.log_leds(base, scene)
+    entities.log_workspace(base.at("workspace"), overview.workspace)
     plots.log_residuals(base, scene)
     plots.log_convergence(base, calibration)
-    entities.log_about(base, scene, session.poses, session.led_names)
+    for chart in charts.all_charts(overview):
+        chart.log(base.at("charts"))
+    entities.log_texts(base, overview)
     return warnings

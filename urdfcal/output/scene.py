@@ -17,11 +17,18 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from urdfcal.calibration import Calibration
+    from urdfcal.estimation.parameters import Geometry
     from urdfcal.estimation.state import State
     from urdfcal.robot.chain import Chain
     from urdfcal.robot.dh import DHTable
 
     Bools = NDArray[np.bool_]
+
+LENGTHS = ("d", "a", "x", "y", "z")
+"""Parameters in m; the others are in rad."""
+
+UNITS = {2: ("px", 1.0), 3: ("mm", 1e3)}
+"""Name and scale of the unit that residuals are shown in, by their dimension: px, or mm for points."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +73,7 @@ class Leds:
         size: (M,) of the residual after calibration, in standard deviations (rms over the LED's sightings).
         size_nominal: (M,) the same for the arm as drawn.
         outlier: (M,) whether one of its sightings was taken out of the fit.
+        covariance: (M, 3, 3) of the measurement, by the declared noise; NaN where a single camera saw it. [m2]
     """
 
     pose: Ints
@@ -76,6 +84,7 @@ class Leds:
     size: Floats
     size_nominal: Floats
     outlier: Bools
+    covariance: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +95,7 @@ class Scene:
         frames: (N, n + 1, 4, 4) base link and joint frames of the calibrated arm. [m]
         ghost: (N, n + 1, 4, 4) those of the arm as drawn, their deviation from the calibrated arm enlarged. [m]
         dh: (N, n + 1, 4, 4) DH frames F_0 ... F_n of the calibrated arm. [m]
+        normals: (N, n, 3) where each row's common normal leaves its joint's axis: d above F_i-1, a before F_i. [m]
         T_base_cam: (C, 4, 4) camera frames. [m]
         leds: where the LEDs were measured and predicted.
         tables: the measurements, each kind that there is.
@@ -99,6 +109,7 @@ class Scene:
     frames: Floats
     ghost: Floats
     dh: Floats
+    normals: Floats
     T_base_cam: Floats
     leds: Leds
     tables: tuple[Sightings, ...]
@@ -121,12 +132,14 @@ def pixels_of(tables: tuple[Sightings, ...]) -> Sightings | None:
 def lay_out(calibration: Calibration) -> Scene:
     """Work out where everything of a calibration stands, seen from the base link."""
     session, table, estimate = calibration.session, calibration.table, calibration.estimate
-    frames = joint_frames(table, estimate, session.q)
-    # The two arms are compared in the world they share; the calibrated base carries the picture.
-    T_base_nominal = inverse(estimate.T_world_base) @ calibration.nominal.T_world_base
-    nominal = T_base_nominal @ joint_frames(table, calibration.nominal, session.q)
+    frames = joint_frames(calibration.geometry, estimate, session.q)
+    # The two arms are compared in the world they share, seen by the same cameras (wrong lenses would put the drawn
+    # arm anywhere); the calibrated base carries the picture.
+    drawn = calibration.comparison.drawn.fit.state
+    T_base_drawn = inverse(estimate.T_world_base) @ drawn.T_world_base
+    nominal = T_base_drawn @ joint_frames(calibration.geometry, drawn, session.q)
     predicted_leds = led_positions(table.chain, frames, estimate.leds)
-    nominal_leds = led_positions(table.chain, nominal, calibration.nominal.leds)
+    nominal_leds = led_positions(table.chain, nominal, drawn.leds)
     tables = tuple(_tabulated(calibration, index) for index in range(len(calibration.observations)))
     pixels = pixels_of(tables)
     T_base_cam = inverse(estimate.T_world_base) @ inverse(estimate.T_cam_world)
@@ -134,12 +147,15 @@ def lay_out(calibration: Calibration) -> Scene:
     parts = [_leds(block, estimate, rays, predicted_leds, nominal_leds) for block in tables]
     leds = parts[0] if len(parts) == 1 else _merged(parts)
     apart = np.linalg.norm(nominal[..., :3, 3] - frames[..., :3, 3], axis=-1).mean(axis=0).max()
+    offsets = row_offsets(calibration, estimate)
+    dh = dh_frames(table, offsets, frames)
     factor = readable(max(float(apart), _typical(leds.nominal - leds.measured)), 0.1 * table.chain.reach)
     width = float(np.mean([camera.resolution[0] for camera in estimate.cameras])) if pixels else 0.0
     return Scene(
         frames=frames,
         ghost=exaggerated(frames, nominal, factor),
-        dh=dh_frames(table, estimate, frames),
+        dh=dh,
+        normals=normal_feet(table, offsets, dh),
         T_base_cam=T_base_cam,
         leds=leds,
         tables=tables,
@@ -173,9 +189,9 @@ def _tabulated(calibration: Calibration, index: int) -> Sightings:
     )
 
 
-def joint_frames(table: DHTable, state: State, q: Floats) -> Floats:
+def joint_frames(geometry: Geometry, state: State, q: Floats) -> Floats:
     """T_base_joint of the base link and every joint at every pose, (N, n + 1, 4, 4) in m."""
-    model = table.chain.build_model(table.placements(state.offsets))
+    model = geometry.chain.build_model(geometry.placements(state.offsets))
     data = model.createData()
     T = np.empty((len(q), model.njoints, 4, 4))
     for k, q_k in enumerate(q):
@@ -191,17 +207,45 @@ def led_positions(chain: Chain, frames: Floats, leds: Floats) -> Floats:
     return result
 
 
-def dh_frames(table: DHTable, state: State, frames: Floats) -> Floats:
+def row_offsets(calibration: Calibration, state: State) -> Floats:
+    """Offsets (n, 5) of the DH rows; zero where whole placements were estimated, the drawn rows riding on them."""
+    if calibration.geometry is calibration.table:
+        return state.offsets
+    return np.zeros_like(calibration.table.nominal)
+
+
+def dh_frames(table: DHTable, offsets: Floats, frames: Floats) -> Floats:
     """T_base_F of the DH frames F_0 ... F_n at every pose, (N, n + 1, 4, 4) in m.
 
     F_i rides on joint i's link: F_i = L_i K_i^-1 B_i, the joint variable's own offset being part of L_i already.
+
+    Args:
+        table: the rows as drawn.
+        offsets: (n, 5) added to them.
+        frames: (N, n + 1, 4, 4) joint frames.
     """
     T = np.empty_like(frames)
     T[:, 0] = table.base
-    for i, (row, offsets) in enumerate(zip(table.rows, state.offsets, strict=True)):
-        values = np.add(row.values, np.where([p == row.variable for p in PARAMETERS], 0.0, offsets))
+    for i, (row, offset) in enumerate(zip(table.rows, offsets, strict=True)):
+        values = np.add(row.values, np.where([p == row.variable for p in PARAMETERS], 0.0, offset))
         T[:, i + 1] = frames[:, i + 1] @ inverse(table.K[i]) @ row_transform(values)
     return T
+
+
+def normal_feet(table: DHTable, offsets: Floats, dh: Floats) -> Floats:
+    """The foot of every row's common normal on the joint's own axis, in m in the base link's frame.
+
+    Args:
+        table: the rows as drawn.
+        offsets: (n, 5) added to them.
+        dh: (N, n + 1, 4, 4) DH frames with these offsets.
+
+    Returns:
+        (N, n, 3); F_i-1, foot and F_i are the corners of row i.
+    """
+    back = [inverse(row_transform([0.0, 0.0, *values[2:]])) for values in table.nominal + offsets]
+    result: Floats = (dh[:, 1:] @ np.array(back))[..., :3, 3]
+    return result
 
 
 def exaggerated(T_base_here: Floats, T_base_there: Floats, factor: float) -> Floats:
@@ -223,6 +267,22 @@ def readable(length: float, target: float) -> float:
     return float(steps[np.searchsorted(steps[1:], target / length)]) if length > 0 else 1.0
 
 
+def picture_range(resolution: tuple[int, int], seen: Floats) -> tuple[tuple[float, float], tuple[float, float]]:
+    """The range of u and of v that holds a camera's picture and all sightings (S, 2), even those that lie outside."""
+    corners = np.concatenate([[[0, 0], resolution], seen])
+    (left, top), (right, bottom) = corners.min(axis=0), corners.max(axis=0)
+    margin = 0.01 * max(resolution)
+    return (float(left - margin), float(right + margin)), (float(top - margin), float(bottom + margin))
+
+
+def rms_by_pose(pose: Ints, residuals: Floats) -> tuple[Ints, Floats]:
+    """Root mean square length of the residuals (S, D) of each pose that has any."""
+    count = np.bincount(pose)
+    total = np.bincount(pose, np.sum(residuals**2, axis=1))
+    poses = np.flatnonzero(count)
+    return poses, np.sqrt(total[poses] / count[poses])
+
+
 def _typical(vectors: Floats) -> float:
     """Median length of vectors (S, D), those that could not be predicted left out."""
     return float(np.nanmedian(np.linalg.norm(vectors, axis=-1)))
@@ -242,10 +302,13 @@ def _leds(block: Sightings, state: State, rays: Floats, predicted: Floats, nomin
     keys, row = np.unique(block.pose * len(state.leds) + block.led, return_inverse=True)
     pose, led = np.divmod(keys, len(state.leds))
     # A tracker measures every LED once a pose: the keys are in its table's order.
-    tracked = block.measured.shape[1] == 3
-    world = block.measured if tracked else _triangulated(block, state, row, len(keys))
+    if block.measured.shape[1] == 3:
+        world, covariance = block.measured, block.sigma[:, None, None] ** 2 * np.eye(3)
+    else:
+        world, covariance = _triangulated(block, state, row, len(keys))
     T = inverse(state.T_world_base)
     measured = world @ T[:3, :3].T + T[:3, 3]
+    covariance = T[:3, :3] @ covariance @ T[:3, :3].T
     # Where a single camera sees an LED there is no distance: its ray stands in, at the predicted one.
     alone = np.isnan(measured[row]).any(axis=1)
     if alone.any():
@@ -265,14 +328,16 @@ def _leds(block: Sightings, state: State, rays: Floats, predicted: Floats, nomin
         size=rms(block.size),
         size_nominal=rms(block.size_nominal),
         outlier=np.bincount(row, block.outlier)[somewhere] > 0,
+        covariance=covariance[somewhere],
     )
 
 
-def _triangulated(pixels: Sightings, state: State, row: Ints, count: int) -> Floats:
+def _triangulated(pixels: Sightings, state: State, row: Ints, count: int) -> tuple[Floats, Floats]:
     uv = np.full((count, len(state.cameras), 2), np.nan)
     sigma = np.ones(uv.shape[:2])
     uv[row, pixels.camera], sigma[row, pixels.camera] = pixels.measured, pixels.sigma
-    return Rig(state.cameras, tuple(state.T_cam_world)).triangulate(uv, sigma).points
+    found = Rig(state.cameras, tuple(state.T_cam_world)).triangulate(uv, sigma)
+    return found.points, found.covariances
 
 
 def _merged(parts: list[Leds]) -> Leds:

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 POSE = "pose"
 ITERATION = "iteration"
+CORNER = 0.5
+"""What is added to pixels: rerun's (0, 0) is the corner of the top-left pixel, ours is its centre."""
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,83 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from urdfcal.calibration import calibrate
+from urdfcal.output.chart import Lines, Scale
+from urdfcal.output.charts import all_charts, parameter_charts, residual_charts
+from urdfcal.output.overview import Overview
+from urdfcal.session.files import read_rig
+from urdfcal.session.rigs import find_rig
+from urdfcal.session.simulate import simulate
+
+
+@pytest.mark.parametrize(("low", "high"), [(0, 1), (-3.2, 7.9), (1e-9, 2e-9), (-5000, -4999.5), (0, 213)])
+def test_ticks_are_few_round_and_inside(low, high):
+    ticks = Scale(low, high).ticks()
+    assert 2 <= len(ticks) <= 7
+    assert ticks.min() >= low
+    assert ticks.max() <= high
+    steps = np.diff(ticks)
+    np.testing.assert_allclose(steps, steps[0], rtol=1e-6)
+    mantissa = steps[0] / 10 ** np.floor(np.log10(steps[0]) + 1e-9)
+    assert round(mantissa, 6) in {1, 2, 5}
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.02, 3), (1e-12, 1e12), (3, 40), (1.2, 6)])
+def test_logarithmic_ticks(low, high):
+    ticks = Scale(low, high, logarithmic=True).ticks()
+    assert 1 <= len(ticks) <= 9
+    assert low <= ticks.min() <= ticks.max() <= high
+
+
+def test_scales_hold_their_values_and_forgive_what_is_none():
+    values = [0.5, np.nan, 20.0, np.inf, -1.0]
+    for logarithmic in (False, True):
+        share = Scale.holding(values, logarithmic=logarithmic).share(values)
+        assert 0 < share[0] < share[2] < 1
+    assert np.isnan(Scale.holding(values, logarithmic=True).share([-1.0, 0.0])).all()
+    for none in ([], [np.nan], [3.0], [0.0]):
+        scale = Scale.holding(none)
+        assert scale.low < scale.high
+        assert len(scale.ticks()) > 0
+
+
+@pytest.fixture(scope="module")
+def overview():
+    return Overview.of(calibrate(simulate(read_rig(find_rig("stanford")), seed=2, poses=25).session))
+
+
+def test_every_chart_has_a_name_of_its_own_and_marks_inside(overview):
+    charts = all_charts(overview)
+    assert len({chart.name for chart in charts}) == len(charts)
+    for chart in charts:
+        assert len({mark.name for mark in chart.marks}) == len(chart.marks), chart.name
+        shares = [chart.y.share(mark.y) for mark in chart.marks]
+        assert any(((share >= 0) & (share <= 1)).any() for share in shares), chart.name
+
+
+def test_bars_are_the_corrections_with_their_deviations(overview):
+    calibration = overview.calibration
+    rows = calibration.fit.parameters.rows
+    for chart in parameter_charts(calibration):
+        marks = {mark.name: mark for mark in chart.marks}
+        lengths = chart.name == "lengths"
+        index = [(i, calibration.geometry.columns.index(name)) for i, name in rows if (name in "da") == lengths]
+        offsets = 1e3 * np.array([calibration.estimate.offsets[i] for i in index])
+        sigmas = 1e3 * np.nan_to_num([calibration.sigmas()[i] for i in index])
+        np.testing.assert_allclose(marks["offsets"].x[:, 1], offsets)
+        np.testing.assert_allclose(np.diff(marks["sigmas"].x, axis=1)[:, 0], 2 * sigmas)
+
+
+def test_a_trend_shows_in_the_means(overview):
+    from dataclasses import replace
+
+    (table,) = overview.scene.tables
+    joint = 1
+    q = overview.calibration.session.q[table.pose, joint]
+    bent = table.measured + np.outer(0.5 * (q - q.mean()), [1.0, 0.0])
+    scene = replace(overview.scene, tables=(replace(table, predicted=bent),))
+    chart = next(c for c in residual_charts(replace(overview, scene=scene)) if c.name == f"joint {joint + 1}")
+    mean = next(mark for mark in chart.marks if isinstance(mark, Lines) and mark.name == "mean 0")
+    assert (np.diff(mean.y) > 0).all()

@@ -1,0 +1,217 @@
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from html.parser import HTMLParser
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from urdfcal.calibration import calibrate
+from urdfcal.output.findings import judge, look_up
+from urdfcal.output.overview import Overview
+from urdfcal.output.report import write_report
+from urdfcal.output.workspace import survey
+from urdfcal.session.files import read_rig
+from urdfcal.session.model import Estimate
+from urdfcal.session.rigs import find_rig
+from urdfcal.session.simulate import simulate
+from urdfcal.vision.rig import Rig
+
+CHROMIUM = shutil.which("chromium")
+
+
+class Page(HTMLParser):
+    """The numbers, texts, links and elements of a page."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.numbers, self.words, self.elements, self.links = [], [], [], []
+        self._number = None
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        attributes = dict(attributes)
+        self.elements.append((tag, attributes.get("class", "")))
+        self.links += [attributes[a] for a in ("src", "href", "xlink:href", "action") if a in attributes]
+        if tag == "data":
+            self._number = attributes
+
+    def handle_data(self, data):
+        if self._number is not None:
+            self.numbers.append((self._number["data-key"], self._number["value"], data))
+            self._number = None
+        self.words.append(data)
+
+    @property
+    def text(self):
+        return " ".join(" ".join(self.words).split())
+
+
+def a_session(rig="elbow3r", lens=1.0, outlier=True):
+    session = simulate(read_rig(find_rig(rig)), seed=4, poses=20).session
+    if outlier:
+        uv = np.array(session.detections.uv)
+        uv[5] += 40.0
+        session = replace(session, detections=replace(session.detections, uv=uv))
+    cameras = tuple(replace(c, intrinsics=c.intrinsics * [lens, lens, 1, 1]) for c in session.rig.cameras)
+    return replace(session, rig=Rig(cameras, session.rig.T_cam_world))
+
+
+@pytest.fixture(scope="module")
+def calibration():
+    return calibrate(a_session())
+
+
+@pytest.fixture(scope="module")
+def path(calibration, tmp_path_factory):
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    write_report(path, calibration)
+    calibration.save(path.with_name("calibration.json"))
+    return path
+
+
+@pytest.fixture(scope="module")
+def page(path):
+    return Page(path.read_text())
+
+
+def test_every_number_is_that_of_the_json(path, page):
+    document = json.loads(path.with_name("calibration.json").read_text())
+    assert len(page.numbers) > 40
+    for key, value, shown in page.numbers:
+        expected = look_up(document, key.split("/"))
+        assert float(value) == expected, key
+        scale = 1000.0 if key.startswith(("dh/", "leds/")) else 1.0
+        assert float(shown.replace("\N{MINUS SIGN}", "-")) == pytest.approx(scale * expected, rel=5.1e-3, abs=5.1e-4), (
+            key
+        )
+
+
+def test_every_estimated_row_is_shown(path, page):
+    document = json.loads(path.with_name("calibration.json").read_text())
+    shown = {key for key, _, _ in page.numbers}
+    for i, entry in enumerate(document["dh"]):
+        assert f"dh/{i}/nominal" in shown
+        assert (f"dh/{i}/offset" in shown) == (entry["status"] == "estimated")
+    assert {f"leds/{name}/position/2" for name in document["leds"]} <= shown
+
+
+def test_verdict_stands_first_and_what_is_lost_is_said(calibration, page):
+    document = calibration.to_dict()
+    text = page.text
+    assert text.index(judge(calibration, document).sentence) < text.index("In numbers")
+    for sentence in (*document["identifiability"]["lost"], *document["warnings"]):
+        assert sentence in text
+    for hash_ in document["provenance"]["sha256"].values():
+        assert hash_ in text
+    (outlier,) = document["outliers"]
+    assert f"{outlier['residual']:.2f} px" in text
+
+
+def test_the_page_needs_nothing_else(path, page):
+    assert "script" not in {tag for tag, _ in page.elements}
+    assert [link for link in page.links if not link.startswith(("#", "data:"))] == []
+    assert "http" not in re.sub(r'xmlns(:\w+)?="[^"]*"', "", path.read_text()).replace("http-equiv", "")
+    assert "url(" not in re.sub(r"url\(#\w+\)", "", path.read_text())
+
+
+def test_figures_are_well_formed_and_without_clashing_ids(path):
+    figures = re.findall(r"<svg.*?</svg>", path.read_text(), flags=re.DOTALL)
+    assert len(figures) == 5
+    definitions = {}
+    for figure in figures:
+        for element in ElementTree.fromstring(figure).iter():  # noqa: S314  # our own
+            if name := element.get("id"):
+                content = ElementTree.tostring(element)
+                assert definitions.setdefault(name, content) == content
+
+
+def test_a_wrong_lens_does_not_get_a_good_verdict(tmp_path):
+    session = a_session(lens=1.02)
+    doubtful = calibrate(replace(session, estimate=Estimate("dh", "fixed")), force=True)
+    verdict = judge(doubtful, doubtful.to_dict())
+    assert verdict.level == "bad"
+    write_report(tmp_path / "report.html", doubtful)
+    page = Page((tmp_path / "report.html").read_text())
+    assert ("section", "verdict bad") in page.elements
+    assert "Do not use it" in page.text
+
+
+def test_a_clean_session_gets_a_good_verdict_and_a_warning_makes_it_doubtful():
+    good = calibrate(a_session("ur5", outlier=False))
+    assert judge(good, good.to_dict()).level == "good"
+    warned = replace(good, warnings=("joint E never moves",))
+    verdict = judge(warned, warned.to_dict())
+    assert (verdict.level, verdict.reasons) == ("doubtful", ("joint E never moves",))
+
+
+def test_held_out_figures_are_the_headline_with_their_interval(calibration, tmp_path):
+    validation = {
+        "folds": 5,
+        "rms_nominal_mm": 1.5,
+        "rms_mm": 0.25,
+        "max_mm": 0.5,
+        "p95_mm": 0.4,
+        "interval_mm": [0.2, 0.3],
+    }
+    overview = Overview.of(calibration)
+    document = {**overview.document, "validation": validation}
+    assert judge(calibration, document).headline.text(document) == "1.5 -> 0.25 mm"
+    worse = {**document, "validation": {**validation, "rms_mm": 1.6}}
+    assert judge(calibration, worse).level == "bad"
+    overview = replace(overview, document=document, verdict=judge(calibration, document))
+    write_report(tmp_path / "report.html", calibration, overview)
+    page = Page((tmp_path / "report.html").read_text())
+    assert "1.5 → 0.25 mm (95 %: 0.2 to 0.3 )" in page.text
+    assert "held-out poses, 95 % below" in page.text
+
+
+def test_names_are_text_and_no_markup(tmp_path):
+    session = a_session()
+    leds = tuple(replace(led, name="<b>&") for led in session.leds)
+    write_report(tmp_path / "report.html", calibrate(replace(session, leds=leds)))
+    text = (tmp_path / "report.html").read_text()
+    assert "<b>&<" not in text
+    assert "&lt;b&gt;&amp;" in text
+
+
+def test_the_workspace_forgives_where_the_base_stands(calibration):
+    found = survey(calibration)
+    T = np.eye(4)
+    T[:3, 3] = [0.1, -0.2, 0.3]
+    moved = replace(calibration)
+    object.__setattr__(
+        moved, "placements", np.concatenate([[T @ calibration.placements[0]], calibration.placements[1:]])
+    )
+    np.testing.assert_allclose(survey(moved).before, found.before, atol=1e-12)
+    assert 1e-4 < np.median(found.before) < 1e-2
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
+def test_a_browser_shows_it_without_errors_or_requests(path, tmp_path):
+    log, net = tmp_path / "log.txt", tmp_path / "net.json"
+    ended = subprocess.run(
+        [
+            CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path / 'home'}",
+            "--enable-logging=stderr", "--v=0", f"--log-net-log={net}", "--disable-background-networking",
+            "--disable-component-update", f"--screenshot={tmp_path / 'page.png'}", "--window-size=1280,2000",
+            path.as_uri(),
+        ],
+        capture_output=True, text=True, timeout=60,
+    )  # fmt: skip
+    log.write_text(ended.stderr)
+    assert (tmp_path / "page.png").stat().st_size > 20_000
+    assert "CONSOLE" not in ended.stderr, ended.stderr
+    assert requested(net) == set()
+
+
+def requested(net):
+    """Hosts of the requests in Chromium's own log, those of the browser's housekeeping left out."""
+    text = net.read_text()
+    hosts = set(re.findall(r'"url":"(https?://[^/"]+)', text))
+    return {host for host in hosts if not re.search(r"google|gvt1|chromium", host)}

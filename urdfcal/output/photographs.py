@@ -1,0 +1,57 @@
+"""The cameras' pictures, where the session has them, small enough to be carried in a recording."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from urdfcal.errors import SessionError
+from urdfcal.session.album import read_album
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from urdfcal.session.model import Session
+
+_FOLDER = "images"
+# A 1.3-megapixel picture takes about 100 kB then.
+_QUALITY = 80
+
+
+def find_photographs(session: Session) -> tuple[dict[int, Path], ...]:
+    """For each camera the picture of each pose, that of the first LED where several are lit one by one."""
+    cameras = session.rig.names if session.rig is not None else ()
+    folder = session.folder / _FOLDER if session.folder is not None else None
+    if folder is None or not folder.is_dir() or not cameras:
+        return tuple({} for _ in cameras)
+    try:
+        album = read_album(folder, session)
+    except SessionError:  # a folder of other images: nothing that a calibration from tables should fail for
+        return tuple({} for _ in cameras)
+    return tuple({shot.pose: shot.picture.path for shot in reversed(shots)} for shots in album.shots)
+
+
+def compressed(paths: Iterable[Path]) -> list[bytes]:
+    """Images as 8-bit JPEG, several at a time."""
+    with ThreadPoolExecutor() as pool:
+        return list(pool.map(_compressed, paths))
+
+
+def _compressed(path: Path) -> bytes:
+    import cv2
+
+    image = cv2.imdecode(np.frombuffer(path.read_bytes(), dtype=np.uint8), cv2.IMREAD_ANYCOLOR)
+    done, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    return data.tobytes() if done else b""
+
+
+def decompressed(data: bytes) -> NDArray[np.uint8]:
+    """A picture from a recording, (h, w, 3), blue first."""
+    import cv2
+
+    return np.asarray(cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR), dtype=np.uint8)

@@ -1,0 +1,113 @@
+"""The arm drawn into a camera's picture by its joint values alone (Rossi, Savino et al., eq. 22)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from urdfcal.output.palette import CALIBRATED, MEASURED, NOMINAL
+from urdfcal.output.scene import dh_frames, joint_frames, normal_feet, row_offsets
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from urdfcal.arrays import Floats
+    from urdfcal.calibration import Calibration
+    from urdfcal.estimation.state import State
+
+# A lens bends straight lines: each is projected at so many points.
+_POINTS = 5
+# Subpixel bits of OpenCV's drawing.
+_SHIFT = 4
+
+
+def arm_in_picture(calibration: Calibration, q: ArrayLike, camera: int = 0, *, nominal: bool = False) -> Floats:
+    """The pixels of the arm's axes and common normals at given joint values.
+
+    Args:
+        calibration: whose robot, base and cameras.
+        q: (N, n) or (n,) joint values. [rad or m]
+        camera: index.
+        nominal: draw the arm as drawn, where it fits the sightings best, instead of the calibrated one.
+
+    Returns:
+        (N, P, 2) or (P, 2): a line from the base over all DH rows to the tip, in px; NaN behind the camera.
+    """
+    state = calibration.nominal if nominal else calibration.estimate
+    q = np.asarray(q, dtype=float)
+    uv = project_line(state, skeleton(calibration, state, np.atleast_2d(q)), camera)
+    return uv if q.ndim == 2 else uv[0]
+
+
+def project_line(state: State, corners: Floats, camera: int) -> Floats:
+    """Project lines through corners (N, K, 3), in m in the base link's frame, bent by the lens: (N, P, 2) px."""
+    along = np.linspace(0.0, 1.0, _POINTS)[:-1, None]
+    points = (1 - along) * corners[:, :-1, None] + along * corners[:, 1:, None]
+    points = np.concatenate([points.reshape(len(corners), -1, 3), corners[:, -1:]], axis=1)
+    T = state.T_cam_world[camera] @ state.T_world_base
+    uv: Floats = state.cameras[camera].project(points @ T[:3, :3].T + T[:3, 3])
+    return uv
+
+
+def skeleton(calibration: Calibration, state: State, q: Floats) -> Floats:
+    """Corners of the arm's DH rows, (N, 2 n + 3, 3) in m in the base link's frame: base, F_0, foot, F_1, ..., tip."""
+    frames = joint_frames(calibration.geometry, state, q)
+    offsets = row_offsets(calibration, state)
+    dh = dh_frames(calibration.table, offsets, frames)
+    feet = normal_feet(calibration.table, offsets, dh)
+    pairs = np.stack([feet, dh[:, 1:, :3, 3]], axis=2).reshape(len(dh), -1, 3)
+    tip = (frames[:, -1] @ calibration.chain.T_last_tip)[:, None, :3, 3]
+    return np.concatenate([frames[:, :1, :3, 3], dh[:, :1, :3, 3], pairs, tip], axis=1)
+
+
+def draw_picture(
+    picture: NDArray[np.uint8] | tuple[int, int],
+    lines: Sequence[tuple[str, Floats]],
+    leds: Sequence[tuple[str, Floats]],
+) -> NDArray[np.uint8]:
+    """Draw arms and LEDs over a camera's picture.
+
+    Args:
+        picture: (h, w) or (h, w, 3), or only its (width, height).
+        lines: kind (``nominal`` or ``calibrated``) and (P, 2) pixels, NaN where there are none.
+        leds: kind (``sighted``, ``nominal`` or ``calibrated``) and (K, 2) pixels.
+
+    Returns:
+        (h, w, 3) blue, green, red, as OpenCV writes it.
+    """
+    import cv2
+
+    if isinstance(picture, tuple):
+        canvas = np.full((picture[1], picture[0], 3), 16, dtype=np.uint8)
+    else:
+        canvas = cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR) if picture.ndim == 2 else picture.copy()
+    size = max(canvas.shape) / 1000
+    thickness = max(1, round(2 * size))
+    for kind, uv in lines:
+        for piece in _finite_pieces(uv):
+            cv2.polylines(canvas, [_fixed_point(piece)], False, _COLORS[kind], thickness, cv2.LINE_AA, _SHIFT)
+    for kind, uv in leds:
+        for centre in _fixed_point(uv[np.isfinite(uv).all(axis=-1)]):
+            radius = round((9 if kind == "sighted" else 5) * size * 2**_SHIFT)
+            cv2.circle(canvas, centre.tolist(), radius, _COLORS[kind], thickness, cv2.LINE_AA, _SHIFT)
+    return canvas
+
+
+def _finite_pieces(uv: Floats) -> list[Floats]:
+    """The stretches of a line (P, 2) that are in front of the camera."""
+    ends = np.flatnonzero(np.diff(np.isfinite(uv).all(axis=1).astype(int))) + 1
+    return [piece for piece in np.split(uv, ends) if len(piece) > 1 and np.isfinite(piece).all()]
+
+
+def _fixed_point(uv: Floats) -> NDArray[np.int32]:
+    # Far outside of the picture OpenCV's integers would overflow.
+    result: NDArray[np.int32] = np.round(np.clip(uv, -(2.0**15), 2.0**15) * 2**_SHIFT).astype(np.int32)
+    return result
+
+
+_COLORS = {
+    name: color[::-1] for name, color in (("sighted", MEASURED), ("nominal", NOMINAL), ("calibrated", CALIBRATED))
+}

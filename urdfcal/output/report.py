@@ -1,0 +1,114 @@
+"""The report: one page that needs nothing else, for archiving with the robot."""
+
+from __future__ import annotations
+
+import json
+from datetime import datetime, timezone
+from importlib import resources
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from urdfcal import files
+from urdfcal.output import figures
+from urdfcal.output.findings import look_up
+from urdfcal.output.overview import Overview
+from urdfcal.output.palette import SIGMA_LEGEND
+from urdfcal.output.scene import LENGTHS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from markupsafe import Markup
+
+    from urdfcal.calibration import Calibration
+    from urdfcal.output.findings import Document
+
+_TEMPLATE = "report.html.jinja"
+_OUTLIERS_SHOWN = 25
+_MINUS = "\N{MINUS SIGN}"
+
+
+def write_report(path: Path, calibration: Calibration, overview: Overview | None = None) -> None:
+    """Write a calibration as one HTML page: verdict first, figures inside, no scripts, nothing fetched.
+
+    Args:
+        path: the file; replaced in one step.
+        calibration: what to report.
+        overview: ``Overview.of(calibration)``, if it is there already.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    import jinja2
+    from markupsafe import Markup
+
+    overview = overview or Overview.of(calibration)
+    document = overview.document
+    drawn = figures.draw(calibration, overview.scene, overview.workspace)
+    outliers = document["outliers"]
+    largest = sorted(range(len(outliers)), key=lambda i: -outliers[i]["sigmas"])[:_OUTLIERS_SHOWN]
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    template = environment.from_string(resources.files(__package__).joinpath(_TEMPLATE).read_text(encoding="utf-8"))
+    page = template.render(
+        document,
+        n=_number_of(document),
+        verdict=overview.verdict,
+        misfit=f"{np.sqrt(document['fit']['reduced_chi2']):.2g}",
+        figures={name: Markup(svg) for name, svg in drawn.items()},  # noqa: S704  # made by us, labels escaped
+        sigma_legend=SIGMA_LEGEND,
+        rows=_rows(document),
+        columns=[
+            f"{figures.SYMBOLS.get(c, c)} [{'mm' if c in LENGTHS else 'mrad'}]" for c in calibration.geometry.columns
+        ],
+        is_dh=calibration.geometry is calibration.table,
+        held=_held(document),
+        largest=largest,
+        shown=_OUTLIERS_SHOWN,
+        urdf_name=calibration.urdf_name,
+        date=f"{datetime.now(timezone.utc):%Y-%m-%d}",
+    )
+    files.write_text(path, page)
+
+
+def _number_of(document: Document) -> Callable[..., Markup]:
+    """What writes a number of ``calibration.json`` into the page, its full value and key beside it.
+
+    No number gets into a table any other way, so that page and JSON cannot disagree.
+    """
+    from markupsafe import Markup
+
+    def number(
+        key: str | tuple[str | int, ...], digits: int | None = None, scale: float = 1.0, signed: bool = False
+    ) -> Markup:
+        path = tuple(key.split(".")) if isinstance(key, str) else tuple(map(str, key))
+        value = look_up(document, path)
+        if digits is None:
+            text = f"{scale * value:.3g}"
+        else:  # rounding first, or tiny negative numbers print as -0.000
+            text = f"{round(scale * value, digits) + 0.0:{'+' if signed else ''}.{digits}f}"
+        return Markup('<data value="{}" data-key="{}">{}</data>').format(
+            json.dumps(value), "/".join(path), text.replace("-", _MINUS)
+        )
+
+    return number
+
+
+def _rows(document: Document) -> list[tuple[str, list[int]]]:
+    """Joint by joint, which entries of the DH list are its five parameters."""
+    rows: dict[str, list[int]] = {}
+    for i, entry in enumerate(document["dh"]):
+        rows.setdefault(entry["joint"], []).append(i)
+    return list(rows.items())
+
+
+def _held(document: Document) -> list[tuple[str, list[str]]]:
+    """The parameters that were held for a reason not among the lost directions, reason by reason."""
+    held: dict[str, list[str]] = {}
+    for entry in document["dh"]:
+        if entry["status"] == "fixed" and entry["reason"] not in document["identifiability"]["lost"]:
+            held.setdefault(entry["reason"], []).append(f"{entry['joint']}.{entry['parameter']}")
+    return list(held.items())
