@@ -30,7 +30,7 @@ def sheet(title: str, columns: list[str], texts: int = 1) -> Table:
 
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
     for i, column in enumerate(columns):
-        table.add_column(column, justify="left" if i < texts else "right", no_wrap=True)
+        table.add_column(column, justify="left" if i < texts else "right", no_wrap=i < texts)
     return table
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+import threadpoolctl
 
 from urdfcal.estimation.residuals import linearise
 from urdfcal.estimation.words import sentence
@@ -62,7 +63,8 @@ def identify(table: Geometry, blocks: Sequence[Observations], state: State, para
     value unless several DH parameters with tolerances share the direction (as all lengths share the scale that one
     camera cannot tell): their tolerances then say more together than one nominal value.
     """
-    R = _triangle(table, blocks, state, parameters)
+    with threadpoolctl.threadpool_limits(1, user_api="blas"):  # two threads are slower at these sizes
+        R = _triangle(table, blocks, state, parameters)
     columns = np.flatnonzero(parameters.active)
     R = R * _scales(parameters, state)[columns]
     norms = np.linalg.norm(R, axis=0)

@@ -111,14 +111,16 @@ def linearise(
             seen = camera == c
             T_cam_world = state.T_cam_world[c]
             p_cam = p_world[seen] @ T_cam_world[:3, :3].T + T_cam_world[:3, 3]
-            uv, d_point, d_lens = lens.project_with_derivatives(p_cam)
+            if c in parameters.lenses:
+                uv, d_point, d_lens = lens.project_with_derivatives(p_cam)
+                J[seen, :, parameters.lens(parameters.lenses.index(c))] = d_lens
+            else:
+                uv, d_point = lens.project_with_jacobian(p_cam)
             residual[seen] = uv - observations.value[poses][seen]
             E[seen] = d_point @ (T_cam_world[:3, :3] @ R_world_base)
             if c in parameters.cameras:
                 where = parameters.camera(parameters.cameras.index(c))
                 J[seen, :, where] = np.concatenate([d_point, -d_point @ skew(p_cam)], axis=-1)
-            if c in parameters.lenses:
-                J[seen, :, parameters.lens(parameters.lenses.index(c))] = d_lens
     residual = np.where(valid[..., None], residual, 0.0)
 
     tip_to_value = np.concatenate([E, -E @ skew(lever)], axis=-1).reshape(N, m * D, 6)
