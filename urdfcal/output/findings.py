@@ -87,7 +87,7 @@ def judge(calibration: Calibration, document: Document) -> Verdict:
         bad.append(f"the residuals are {misfit:.1f} times the declared noise: the model does not explain them")
     if not bad and fit["reduced_chi2"] > _MISFIT_DOUBTFUL and (far := _far(calibration)):
         bad.append(
-            f"{far} corrections are more than {_FAR:g} times their tolerance, and still the residuals are "
+            f"{far} of the corrections more than {_FAR:g} times their tolerance, and still the residuals are "
             f"{misfit:.1f} times the declared noise: the arm is bent to explain what is not its fault"
         )
     if bad:
@@ -109,8 +109,10 @@ def look_up(document: Document, key: str | Sequence[str]) -> Any:
 
 
 def _far(calibration: Calibration) -> int:
-    """How many DH parameters are corrected by more than ``_FAR`` tolerances."""
+    """How many parameters are corrected by more than ``_FAR`` tolerances; joints' zeros may be anywhere."""
     parameters, offsets = calibration.fit.parameters, calibration.estimate.offsets
     moved = np.array([offsets[row, parameters.columns.index(name)] for row, name in parameters.rows])
     count = len(parameters.rows)
-    return int(np.count_nonzero(parameters.active[:count] & (np.abs(moved) > _FAR * parameters.prior[:count])))
+    far = parameters.active[:count] & (np.abs(moved) > _FAR * parameters.prior[:count])
+    far[list(parameters.zeros)] = False
+    return int(np.count_nonzero(far))
