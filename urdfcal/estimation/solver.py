@@ -88,7 +88,6 @@ class Solution:
         outlier: for each block (N, m): taken out of the fit.
         kept: for each block (N, m): the sightings the fit rests on.
         cost: chi-square of residuals and priors, outliers left out.
-        chi2: the residuals' part of it.
         observations: scalar measurements used.
         history: accepted steps.
         converged: whether the last step was small.
@@ -101,7 +100,6 @@ class Solution:
     outlier: tuple[Bools, ...]
     kept: tuple[Bools, ...]
     cost: float
-    chi2: float
     observations: int
     history: tuple[Iteration, ...]
     converged: bool
@@ -173,7 +171,6 @@ def solve(
         outlier=tuple(outlier),
         kept=tuple(block.valid & ~cut for block, cut in zip(blocks, outlier, strict=True)),
         cost=descent.at.cost,
-        chi2=descent.at.chi2,
         observations=left,
         history=tuple(history),
         converged=descent.converged,
@@ -221,7 +218,6 @@ class _Evaluation:
     H: Floats
     g: Floats
     cost: float
-    chi2: float
     deviation: tuple[Floats, ...]
 
 
@@ -272,7 +268,7 @@ class _Problem:
     def evaluate(self, state: State, noise: _Noise) -> _Evaluation:
         """Accumulate the normal equations over all poses."""
         r, J = self.parameters.prior_residuals(state)
-        H, g, prior, chi2 = J.T @ J, J.T @ r, float(r @ r), 0.0
+        H, g, cost = J.T @ J, J.T @ r, float(r @ r)
         deviations = []
         for block, W, M in zip(self.blocks, noise.whitening, noise.marginal, strict=True):
             N, m, D = block.value.shape
@@ -284,9 +280,9 @@ class _Problem:
                 J = (W[poses] @ at.J.reshape(-1, m * D, self.parameters.count)).reshape(len(r), -1)
                 H += J.T @ J
                 g += J.T @ r
-                chi2 += float(r @ r)
+                cost += float(r @ r)
             deviations.append(deviation)
-        return _Evaluation(H, g, prior + chi2, chi2, tuple(deviations))
+        return _Evaluation(H, g, cost, tuple(deviations))
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,10 +11,9 @@ import pinocchio as pin
 
 from urdfcal.arrays import Floats, frozen
 from urdfcal.errors import RobotError
-from urdfcal.robot.urdf import Mimic, Urdf, UrdfJoint
+from urdfcal.robot.urdf import Mimic, Urdf, UrdfJoint, alternatives
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from pathlib import Path
 
     from numpy.typing import ArrayLike
@@ -247,7 +246,7 @@ class Chain:
         for joint, T in zip(
             self.joints, self.placements if placements is None else np.asarray(placements), strict=True
         ):
-            parent = model.addJoint(parent, _joint_model(joint), _se3(T), joint.name)
+            parent = model.addJoint(parent, _joint_model(joint), se3(T), joint.name)
         return model
 
     def random_values(self, count: int, rng: np.random.Generator) -> Floats:
@@ -262,7 +261,8 @@ class Chain:
         return self.joint_values(rng.uniform(lower, upper, (count, len(actuated))))
 
 
-def _se3(T: Floats) -> pin.SE3:
+def se3(T: Floats) -> pin.SE3:
+    """Copy a rigid transform (4, 4) into Pinocchio's type, without its check that the rotation is exact."""
     return pin.SE3(np.ascontiguousarray(T[:3, :3]), np.ascontiguousarray(T[:3, 3]))
 
 
@@ -291,13 +291,12 @@ def _is_utf8(data: bytes) -> bool:
 def _joint_path(urdf: Urdf, tip_link: str, base_link: str, where: str) -> list[UrdfJoint]:
     for link in (base_link, tip_link):
         if link not in urdf.links:
-            raise RobotError(f"there is no link {link!r}", where=where, remedy=_alternatives(urdf.links))
+            raise RobotError(f"there is no link {link!r}", where=where, remedy=alternatives(link, urdf.links))
     above = {joint.child: joint for joint in urdf.joints.values()}
     path: list[UrdfJoint] = []
     # What hangs on the path by fixed joints, as UR's `base`, is as good a base as the link that it hangs on.
-    while base_link != tip_link and base_link in above and above[base_link].type == "fixed":
-        if base_link in _above(urdf, tip_link):
-            break
+    on_path = _above(urdf, tip_link)
+    while base_link not in on_path and base_link in above and above[base_link].type == "fixed":
         base_link = above[base_link].parent
     link = tip_link
     while link != base_link:
@@ -322,11 +321,6 @@ def _above(urdf: Urdf, link: str) -> set[str]:
     return chain
 
 
-def _alternatives(names: Sequence[str]) -> str:
-    shown = ", ".join(names[:30])
-    return f"There are: {shown}{', ...' if len(names) > 30 else ''}."
-
-
 def _body(model: pin.Model, link: str) -> pin.Frame:
     for frame in model.frames:
         if frame.name == link and frame.type == pin.FrameType.BODY:
@@ -334,7 +328,7 @@ def _body(model: pin.Model, link: str) -> pin.Frame:
     if link == "universe":
         return model.frames[0]
     bodies = [frame.name for frame in model.frames if frame.type == pin.FrameType.BODY]
-    raise RobotError(f"there is no link {link!r}", where=model.name, remedy=_alternatives(bodies))
+    raise RobotError(f"there is no link {link!r}", where=model.name, remedy=alternatives(link, bodies))
 
 
 def _joint(model: pin.Model, data: pin.Data, joint_id: int) -> Joint:

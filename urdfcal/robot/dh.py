@@ -19,6 +19,7 @@ import pinocchio as pin
 
 from urdfcal.arrays import Floats, Ints, frozen, inverse
 from urdfcal.errors import RobotError
+from urdfcal.robot.chain import se3
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -328,8 +329,7 @@ def _factor(name: Parameter, value: float) -> Floats:
 
 
 def _carried(motion: Floats, Q: Floats) -> Floats:
-    X = pin.SE3(np.ascontiguousarray(Q[:3, :3]), np.ascontiguousarray(Q[:3, 3]))
-    result: Floats = X.actInv(pin.Motion(motion)).vector
+    result: Floats = se3(Q).actInv(pin.Motion(motion)).vector
     return result
 
 

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
+from urdfcal.robot.chain import se3
+
 if TYPE_CHECKING:
     from urdfcal.arrays import Floats
     from urdfcal.robot.chain import Chain
@@ -39,7 +41,7 @@ def tip_motion(chain: Chain, q: Floats, placements: Floats) -> TipMotion:
     """
     model = chain.build_model(placements)
     data, last = model.createData(), model.njoints - 1
-    tip = pin.SE3(chain.T_last_tip[:3, :3].copy(), chain.T_last_tip[:3, 3].copy())
+    tip = se3(chain.T_last_tip)
     R, p = np.empty((len(q), 3, 3)), np.empty((len(q), 3))
     regressor = np.empty((len(q), 6, 6 * len(chain.joints)))
     aligned = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
