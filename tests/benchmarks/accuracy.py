@@ -21,7 +21,7 @@ from urdfcal.estimation.freedoms import Freedoms
 from urdfcal.estimation.identifiability import identify
 from urdfcal.estimation.observations import observe
 from urdfcal.estimation.parameters import choose_parameters
-from urdfcal.estimation.residuals import linearise
+from urdfcal.estimation.residuals import Tangent
 from urdfcal.estimation.state import State
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.dh import DHTable
@@ -53,9 +53,10 @@ def bound(simulated: Simulated, q: np.ndarray) -> float:
     truth = true_state(simulated)
     candidates = choose_parameters(session, table, truth, Freedoms("dh", ("fixed",) * 2, ("fixed",) * 2, priors=False))
     parameters = identify(table, [block], truth, candidates).parameters
-    at = linearise(table, block, truth, parameters, slice(None))
-    N, m, D, P = at.J.shape
-    J, J_q = at.J.reshape(N, m * D, P), at.by_joints(table.chain).reshape(N, m * D, -1)
+    at = Tangent.at(table, block, truth, parameters).linearise(slice(None))
+    J = at.J[..., parameters.active]
+    N, m, D, P = J.shape
+    J, J_q = J.reshape(N, m * D, P), at.by_joints(table.chain).reshape(N, m * D, -1)
     noise = np.zeros((N, m, D, m, D))
     each = np.arange(m)
     noise[:, each, :, each, :] = np.moveaxis(block.covariance, 1, 0)
@@ -63,7 +64,7 @@ def bound(simulated: Simulated, q: np.ndarray) -> float:
     information = np.einsum("nip,nij,njs->ps", J, np.linalg.inv(noise), J)
     covariance = np.linalg.inv(information)
 
-    motion = tip_motion(table.chain, q, table.placements(truth.offsets))
+    motion = tip_motion(table.chain, table.chain.build_model(table.placements(truth.offsets)), q)
     A = np.zeros((len(q), 3, parameters.size))
     A[..., : len(parameters.rows)] = (motion.regressor @ table.twists(truth.offsets, parameters.rows))[:, :3]
     A = A[..., parameters.active].reshape(-1, P)

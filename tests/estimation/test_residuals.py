@@ -9,7 +9,7 @@ import pytest
 from urdfcal.estimation.freedoms import Freedoms
 from urdfcal.estimation.observations import arrange, observe
 from urdfcal.estimation.parameters import choose_parameters
-from urdfcal.estimation.residuals import linearise, predict
+from urdfcal.estimation.residuals import Tangent, predict
 from urdfcal.robot.dh import DHTable
 
 if TYPE_CHECKING:
@@ -28,11 +28,13 @@ def test_every_jacobian_block_agrees_with_finite_differences(
     centre = true_state(simulated(rig, poses=8))
     parameters = choose_parameters(session, table, centre, Freedoms("dh", ("free", "free"), ("fixed", "free")))
     state = parameters.move(centre, np.random.default_rng(0).normal(0.0, 1e-3, parameters.count))
-    J = linearise(table, block, state, parameters, EVERY).J
+    J = Tangent.at(table, block, state, parameters).linearise(EVERY).J
     for k, name in enumerate(parameters.names):
         step = np.zeros(parameters.count)
         step[k] = 1e-5 if name.endswith(("x", "y", "fx", "fy", "cx", "cy")) else 1e-6
-        before, after = (linearise(table, block, parameters.move(state, s * step), parameters, EVERY) for s in (-1, 1))
+        before, after = (
+            Tangent.at(table, block, parameters.move(state, s * step), parameters).linearise(EVERY) for s in (-1, 1)
+        )
         numeric = (after.residual - before.residual) / (2 * step[k])
         scale = max(np.abs(numeric).max(), 1e-2)
         assert np.abs(J[..., k] - numeric).max() < 1e-6 * scale, name
@@ -46,7 +48,7 @@ def test_the_derivative_by_joint_readings_agrees_with_finite_differences(
     (block,) = observe(data.session)
     state = true_state(data)
     parameters = choose_parameters(data.session, table, state, Freedoms("none", ("fixed",) * 2, ("fixed",) * 2))
-    J_q = linearise(table, block, state, parameters, EVERY).by_joints(table.chain)
+    J_q = Tangent.at(table, block, state, parameters).linearise(EVERY).by_joints(table.chain)
     for i in range(block.q.shape[1]):
         step = 1e-6 * np.eye(block.q.shape[1])[i]
         before, after = (predict(table, replace(block, q=block.q + s * step), state) for s in (-1, 1))
@@ -62,7 +64,7 @@ def test_points_have_the_same_derivatives_as_pixels(simulated: Callable, true_st
         session.q, pose, np.zeros(8, int), np.full(8, -1), np.zeros((8, 3)), np.broadcast_to(np.eye(3), (8, 3, 3))
     )
     parameters = choose_parameters(session, table, state, Freedoms("dh", ("fixed",) * 2, ("fixed",) * 2))
-    J = linearise(table, block, state, parameters, EVERY).J
+    J = Tangent.at(table, block, state, parameters).linearise(EVERY).J
     for k in range(parameters.count):
         step = 1e-6 * np.eye(parameters.count)[k]
         before, after = (predict(table, block, parameters.move(state, s * step)) for s in (-1, 1))
@@ -74,8 +76,8 @@ def test_blocks_of_poses_add_up(simulated: Callable, true_state: Callable) -> No
     table, state = DHTable.from_chain(data.session.chain), true_state(data)
     (block,) = observe(data.session)
     parameters = choose_parameters(data.session, table, state, Freedoms("dh", ("fixed",) * 2, ("fixed",) * 2))
-    whole = linearise(table, block, state, parameters, EVERY)
-    parts = [linearise(table, block, state, parameters, slice(a, a + 5)) for a in (0, 5, 10)]
+    whole = Tangent.at(table, block, state, parameters).linearise(EVERY)
+    parts = [Tangent.at(table, block, state, parameters).linearise(slice(a, a + 5)) for a in (0, 5, 10)]
     np.testing.assert_array_equal(whole.residual, np.concatenate([part.residual for part in parts]))
     np.testing.assert_allclose(whole.J, np.concatenate([part.J for part in parts]), atol=1e-12)
 
@@ -91,7 +93,7 @@ def test_padding_pulls_at_nothing(simulated: Callable, true_state: Callable) -> 
     table, state = DHTable.from_chain(session.chain), true_state(data)
     (block,) = observe(fewer)
     parameters = choose_parameters(fewer, table, state, Freedoms("dh", ("free", "fixed"), ("fixed", "free")))
-    at = linearise(table, block, state, parameters, EVERY)
+    at = Tangent.at(table, block, state, parameters).linearise(EVERY)
     assert block.count == keep.sum()
     assert np.count_nonzero(~block.valid) == 1
     assert not np.any(at.J[~block.valid])

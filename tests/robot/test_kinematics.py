@@ -19,7 +19,7 @@ def test_motion_and_poses_agree() -> None:
     chain = tiago()
     assert {joint.prismatic for joint in chain.joints} == {True, False}
     q = chain.random_values(20, np.random.default_rng(0))
-    motion, T = tip_motion(chain, q, chain.placements), tip_poses(chain, q)
+    motion, T = tip_motion(chain, chain.build_model(), q), tip_poses(chain, q)
     np.testing.assert_allclose(motion.R, T[:, :3, :3], atol=1e-14)
     np.testing.assert_allclose(motion.p, T[:, :3, 3], atol=1e-14)
 
@@ -27,7 +27,7 @@ def test_motion_and_poses_agree() -> None:
 def test_the_regressor_is_the_derivative_of_the_tip() -> None:
     chain = tiago()
     q = chain.random_values(3, np.random.default_rng(1))
-    motion = tip_motion(chain, q, chain.placements)
+    motion = tip_motion(chain, chain.build_model(), q)
     for column in range(6 * len(chain.joints)):
         joint, xi = divmod(column, 6)
         step = np.eye(6)[xi] * 1e-6
@@ -45,7 +45,7 @@ def test_the_regressor_is_the_derivative_of_the_tip() -> None:
 def test_joint_axes_turn_the_regressor_into_the_jacobian() -> None:
     chain = tiago()
     q = chain.random_values(3, np.random.default_rng(2))
-    J = tip_motion(chain, q, chain.placements).regressor @ joint_axes(chain)
+    J = tip_motion(chain, chain.build_model(), q).regressor @ joint_axes(chain)
     for i in range(len(chain.joints)):
         step = np.eye(len(chain.joints))[i] * 1e-6
         velocity = (tip_poses(chain, q + step)[:, :3, 3] - tip_poses(chain, q - step)[:, :3, 3]) / 2e-6

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import threadpoolctl
 
-from urdfcal.estimation.residuals import linearise
+from urdfcal.estimation.residuals import Tangent
 from urdfcal.estimation.words import sentence
 
 if TYPE_CHECKING:
@@ -136,14 +136,15 @@ def _observability(singular: Floats, measurements: int) -> tuple[float, float, f
 def _triangle(table: Geometry, blocks: Sequence[Observations], state: State, parameters: Parameters) -> Floats:
     """R of the whitened Jacobian's QR, block by block: squaring it would hide singular values below 1e-8."""
     # How far apart LEDs are was measured; tolerances were not.
-    R = parameters.distance_residuals(state)[1][:, parameters.active]
+    R = parameters.distance_residuals(state)[1]
     for block in blocks:
         W = np.linalg.inv(np.linalg.cholesky(block.covariance))
+        tangent = Tangent.at(table, block, state, parameters)
         for first in range(0, len(block.pose), _BLOCK):
             poses = slice(first, first + _BLOCK)
-            J = W[poses] @ linearise(table, block, state, parameters, poses).J
-            R = np.asarray(np.linalg.qr(np.vstack([R, J.reshape(-1, parameters.count)]), mode="r"))
-    return R
+            J = W[poses] @ tangent.linearise(poses).J
+            R = np.asarray(np.linalg.qr(np.vstack([R, J.reshape(-1, parameters.size)]), mode="r"))
+    return R[:, parameters.active]
 
 
 def _scales(parameters: Parameters, state: State) -> Floats:

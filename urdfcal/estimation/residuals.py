@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import Floats, skew
 from urdfcal.robot.kinematics import joint_axes, tip_motion, tip_poses
 
 if TYPE_CHECKING:
+    import pinocchio as pin
+
+    from urdfcal.arrays import Floats
     from urdfcal.estimation.observations import Observations
     from urdfcal.estimation.parameters import Geometry, Parameters
     from urdfcal.estimation.state import State
@@ -24,7 +26,7 @@ class Linearisation:
 
     Attributes:
         residual: (N, m, D) predicted minus measured.
-        J: (N, m, D, count) derivative wrt the active parameters.
+        J: (N, m, D, size) derivative wrt all parameters, active or not.
         tip_to_value: (N, m D, 6) derivative wrt a motion of the tip.
         motion: of the tip.
     """
@@ -75,67 +77,94 @@ def predict(table: Geometry, observations: Observations, state: State) -> Floats
     return predicted
 
 
-def linearise(
-    table: Geometry, observations: Observations, state: State, parameters: Parameters, poses: slice
-) -> Linearisation:
-    """Evaluate residuals and derivatives for some of the poses.
+@dataclass(frozen=True, eq=False)
+class Tangent:
+    """Everything about a state that its derivatives share over the poses: prepared once, evaluated block by block.
 
-    With p_base = p + R led, a motion (v, w) of the tip moves the LED by v + w x R led; E carries a motion
-    of the LED in the base frame to the measurement.
-
-    Args:
+    Attributes:
         table: the arm's parameters.
         observations: what was measured.
         state: where to linearise.
         parameters: the derivative's columns.
-        poses: which of the observations' N poses.
+        model: of the arm at the state.
+        G: (6 n, rows) body twists of the placements for each of the arm's parameters.
     """
-    chain = table.chain
-    led, camera = observations.led[poses], observations.camera[poses]
-    valid = observations.valid[poses]
-    motion = tip_motion(chain, observations.q[poses], table.placements(state.offsets))
-    R_world_base = state.T_world_base[:3, :3]
 
-    lever = (motion.R[:, None] @ state.leds[led][..., None])[..., 0]
-    p_base = motion.p[:, None] + lever
-    p_world = p_base @ R_world_base.T + state.T_world_base[:3, 3]
+    table: Geometry
+    observations: Observations
+    state: State
+    parameters: Parameters
+    model: pin.Model
+    G: Floats
 
-    N, m, D = *valid.shape, observations.dimension
-    J = np.zeros((N, m, D, parameters.size))
-    if D == 3:
-        residual = p_world - observations.value[poses]
-        E = np.broadcast_to(R_world_base, (N, m, 3, 3)) * valid[..., None, None]
-    else:
-        residual, E = np.zeros((N, m, 2)), np.zeros((N, m, 2, 3))
-        for c, lens in enumerate(state.cameras):
-            seen = camera == c
-            T_cam_world = state.T_cam_world[c]
-            p_cam = p_world[seen] @ T_cam_world[:3, :3].T + T_cam_world[:3, 3]
-            if c in parameters.lenses:
-                uv, d_point, d_lens = lens.project_with_derivatives(p_cam)
-                J[seen, :, parameters.lens(parameters.lenses.index(c))] = d_lens
-            else:
-                uv, d_point = lens.project_with_jacobian(p_cam)
-            residual[seen] = uv - observations.value[poses][seen]
-            E[seen] = d_point @ (T_cam_world[:3, :3] @ R_world_base)
-            if c in parameters.cameras:
-                where = parameters.camera(parameters.cameras.index(c))
-                J[seen, :, where] = np.concatenate([d_point, -d_point @ skew(p_cam)], axis=-1)
-    residual = np.where(valid[..., None], residual, 0.0)
+    @classmethod
+    def at(cls, table: Geometry, observations: Observations, state: State, parameters: Parameters) -> Tangent:
+        """Prepare."""
+        model = table.chain.build_model(table.placements(state.offsets))
+        return cls(table, observations, state, parameters, model, table.twists(state.offsets, parameters.rows))
 
-    tip_to_value = np.concatenate([E, -E @ skew(lever)], axis=-1).reshape(N, m * D, 6)
-    G = table.twists(state.offsets, parameters.rows)
-    geometry = tip_to_value @ _carry(motion.regressor, G)
-    J[..., : len(parameters.rows)] = geometry.reshape(N, m, D, -1)
-    J[..., parameters.base] = np.concatenate([E, -E @ skew(p_base)], axis=-1)
-    d_led = E @ motion.R[:, None]
-    for index in range(parameters.leds):
-        J[..., parameters.led(index)] = d_led * (led == index)[..., None, None]
-    return Linearisation(residual, J[..., parameters.active], tip_to_value, motion)
+    def linearise(self, poses: slice) -> Linearisation:
+        """Evaluate residuals and derivatives for some of the observations' N poses.
+
+        With p_base = p + R led, a motion (v, w) of the tip moves the LED by v + w x R led; E carries a motion
+        of the LED in the base frame to the measurement.
+        """
+        state, parameters, observations = self.state, self.parameters, self.observations
+        led, camera, measured = observations.led[poses], observations.camera[poses], observations.value[poses]
+        motion = tip_motion(self.table.chain, self.model, observations.q[poses])
+        R_world_base = state.T_world_base[:3, :3]
+
+        # Every LED at every pose as one product, of which the seen ones are taken.
+        N, m, D = measured.shape
+        levers = (motion.R.reshape(-1, 3) @ state.leds.T).reshape(N, 3, -1)
+        lever = levers[np.arange(N)[:, None], :, led]
+        p_base = motion.p[:, None] + lever
+        p_world = p_base @ R_world_base.T + state.T_world_base[:3, 3]
+
+        J = np.zeros((N * m, D, parameters.size))
+        if D == 3:
+            residual = (p_world - measured).reshape(-1, 3)
+            E = np.broadcast_to(R_world_base, (N * m, 3, 3)).copy()
+        else:
+            residual, E = np.zeros((N * m, 2)), np.zeros((N * m, 2, 3))
+            for c, lens in enumerate(state.cameras):
+                seen = np.flatnonzero(camera == c)
+                T_cam_world = state.T_cam_world[c]
+                p_cam = p_world.reshape(-1, 3)[seen] @ T_cam_world[:3, :3].T + T_cam_world[:3, 3]
+                if c in parameters.lenses:
+                    uv, d_point, d_lens = lens.project_with_derivatives(p_cam)
+                    J[seen, :, parameters.lens(parameters.lenses.index(c))] = d_lens
+                else:
+                    uv, d_point = lens.project_with_jacobian(p_cam)
+                residual[seen] = uv - measured.reshape(-1, 2)[seen]
+                E[seen] = _carry(d_point, T_cam_world[:3, :3] @ R_world_base)
+                if c in parameters.cameras:
+                    where = parameters.camera(parameters.cameras.index(c))
+                    J[seen, :, where] = np.concatenate([d_point, _turned(d_point, p_cam)], axis=-1)
+        padding = ~observations.valid[poses].ravel()
+        residual[padding], E[padding] = 0.0, 0.0
+
+        tip_to_value = np.concatenate([E, _turned(E, lever.reshape(-1, 3))], axis=-1).reshape(N, m * D, 6)
+        geometry = tip_to_value @ _carry(motion.regressor, self.G)
+        J[..., : len(parameters.rows)] = geometry.reshape(N * m, D, -1)
+        J[..., parameters.base] = np.concatenate([E, _turned(E, p_base.reshape(-1, 3))], axis=-1)
+        d_led = (E.reshape(N, m * D, 3) @ motion.R).reshape(N * m, D, 3)
+        for index in range(parameters.leds):
+            J[..., parameters.led(index)] = d_led * (led == index).reshape(-1, 1, 1)
+        return Linearisation(residual.reshape(N, m, D), J.reshape(N, m, D, -1), tip_to_value, motion)
 
 
-def _carry(regressor: Floats, G: Floats) -> Floats:
-    """``regressor @ G`` as one product: many small ones cost several times as much."""
-    N, rows, columns = regressor.shape
-    result: Floats = (regressor.reshape(N * rows, columns) @ G).reshape(N, rows, -1)
+def _carry(matrices: Floats, right: Floats) -> Floats:
+    """``matrices @ right`` as one product: many small ones cost several times as much."""
+    N, rows, columns = matrices.shape
+    result: Floats = (matrices.reshape(N * rows, columns) @ right).reshape(N, rows, -1)
+    return result
+
+
+def _turned(E: Floats, lever: Floats) -> Floats:
+    """-E [lever]x, how values move as the lever turns: the rows of E crossed with it, (K, D, 3)."""
+    a, b = np.moveaxis(E, -1, 0), lever.T[..., None]
+    result = np.empty_like(E)
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        result[..., i] = b[j] * a[k] - b[k] * a[j]
     return result

@@ -13,7 +13,7 @@ import numpy as np
 import threadpoolctl
 
 from urdfcal.errors import CalibrationError, CameraError
-from urdfcal.estimation.residuals import linearise
+from urdfcal.estimation.residuals import Tangent
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from urdfcal.arrays import Bools, Floats
     from urdfcal.estimation.observations import Observations
     from urdfcal.estimation.parameters import Geometry, Parameters
+    from urdfcal.estimation.residuals import Linearisation
     from urdfcal.estimation.state import State
 
 # Poses evaluated at a time: large enough to hide Python's overhead, small enough that a block's Jacobian
@@ -150,14 +151,13 @@ def solve(
     """
     with threadpoolctl.threadpool_limits(1, user_api="blas"):  # two threads are slower at these sizes
         problem = _Problem(table, tuple(blocks), parameters, joint_sigma)
-        joint_noise = problem.joint_noise(start)
-        descent = _descend(problem, start, joint_noise, _ones(problem.blocks), _Huber(), _CONVERGED_COARSE, progress)
+        descent = _descend(problem, start, _ones(problem.blocks), _Huber(), _FIRST_DAMPING, _CONVERGED_COARSE, progress)
         history = list(descent.history)
-        joint_noise = problem.joint_noise(descent.state)  # a start may be another arm; from here it hardly moves
         for _ in range(_MAX_CUTS):
             outlier = _outliers(problem.blocks, descent.at)
             kept = [np.where(cut, _REJECTED, 1.0) for cut in outlier]
-            descent = _descend(problem, descent.state, joint_noise, kept, _same_weights, _CONVERGED, progress)
+            damping = min(descent.damping, _FIRST_DAMPING)
+            descent = _descend(problem, descent.state, kept, _same_weights, damping, _CONVERGED, progress)
             history += descent.history
             again = _outliers(problem.blocks, descent.at)
             if all(np.array_equal(a, b) for a, b in zip(outlier, again, strict=True)):
@@ -198,8 +198,7 @@ def refit(
     weights = [np.where(keep, 1.0, _REJECTED) for keep in kept]
     with threadpoolctl.threadpool_limits(1, user_api="blas"):
         problem = _Problem(table, tuple(blocks), parameters, joint_sigma)
-        joint_noise = problem.joint_noise(start)
-        return _descend(problem, start, joint_noise, weights, _same_weights, _CONVERGED_COARSE, None).state
+        return _descend(problem, start, weights, _same_weights, _FIRST_DAMPING, _CONVERGED_COARSE, None).state
 
 
 def deviations(
@@ -207,8 +206,7 @@ def deviations(
 ) -> Floats:
     """Whitened length (N, m) of every sighting's residual at a state: its noise and its joint readings' count."""
     problem = _Problem(table, (block,), parameters, joint_sigma)
-    noise = problem.noise(problem.joint_noise(state), _ones((block,)))
-    return problem.evaluate(state, noise).deviation[0]
+    return problem.survey(state, _ones((block,)))[1].deviation[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,10 +221,15 @@ class _Evaluation:
 
 @dataclass(frozen=True, eq=False)
 class _Noise:
-    """What gives residuals unit variance: of whole poses (N, mD, mD), and of each sighting alone (N, m, D, D)."""
+    """What the joint readings' noise does to a block, and what gives each sighting alone unit variance.
 
-    whitening: tuple[Floats, ...]
-    marginal: tuple[Floats, ...]
+    Attributes:
+        joint: (N, mD, mD) covariance of whole poses from joint readings.
+        marginal: (N, m, D, D) whitening of each sighting by its own and its share of the joint noise.
+    """
+
+    joint: Floats
+    marginal: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,57 +241,107 @@ class _Problem:
     parameters: Parameters
     joint_sigma: float
 
-    def joint_noise(self, state: State) -> tuple[Floats, ...]:
-        """For each block the covariance that joint reading noise gives its poses' residuals, (N, m, D, m, D)."""
-        result = []
-        for block in self.blocks:
+    def survey(self, state: State, weights: Weights) -> tuple[tuple[_Noise, ...], _Evaluation]:
+        """Find the noise that the joint readings give at a state, and evaluate it under that noise."""
+        noises: list[_Noise] = []
+        sums = _Sums.of_priors(self.parameters, state)
+        for block, weight in zip(self.blocks, weights, strict=True):
+            tangent = Tangent.at(self.table, block, state, self.parameters)
             N, m, D = block.value.shape
-            covariance = np.zeros((N, m * D, m * D))
-            for poses in _chunks(N) if self.joint_sigma > 0.0 else ():
-                J_q = linearise(self.table, block, state, self.parameters, poses).by_joints(self.table.chain)
-                # A mimic joint has no encoder: it errs with its master.
-                J_q = self.joint_sigma * J_q.reshape(-1, m * D, J_q.shape[-1]) @ self.table.chain.reading_jacobian
-                covariance[poses] = J_q @ np.swapaxes(J_q, -1, -2)
-            result.append(covariance.reshape(N, m, D, m, D))
-        return tuple(result)
-
-    def noise(self, joint_noise: Sequence[Floats], weights: Weights) -> _Noise:
-        """Combine the sightings' and the joint readings' noise."""
-        whitening, marginal = [], []
-        for block, joint, weight in zip(self.blocks, joint_noise, weights, strict=True):
-            N, m, D = block.value.shape
-            each = np.arange(m)
-            pose = joint.copy()
-            pose[:, each, :, each, :] += np.moveaxis(block.covariance / weight[..., None, None], 1, 0)
-            own = block.covariance + np.moveaxis(joint[:, each, :, each, :], 0, 1)
-            whitening.append(np.linalg.inv(np.linalg.cholesky(pose.reshape(N, m * D, m * D))))
-            marginal.append(np.linalg.inv(np.linalg.cholesky(own)))
-        return _Noise(tuple(whitening), tuple(marginal))
-
-    def evaluate(self, state: State, noise: _Noise) -> _Evaluation:
-        """Accumulate the normal equations over all poses."""
-        r, J = self.parameters.prior_residuals(state)
-        H, g, cost = J.T @ J, J.T @ r, float(r @ r)
-        deviations = []
-        for block, W, M in zip(self.blocks, noise.whitening, noise.marginal, strict=True):
-            N, m, D = block.value.shape
-            deviation = np.zeros((N, m))
+            noise = _Noise(np.zeros((N, m * D, m * D)), np.empty((N, m, D, D)))
+            deviation = np.empty((N, m))
             for poses in _chunks(N):
-                at = linearise(self.table, block, state, self.parameters, poses)
-                deviation[poses] = np.linalg.norm((M[poses] @ at.residual[..., None])[..., 0], axis=-1)
-                r = (W[poses] @ at.residual.reshape(-1, m * D, 1)).ravel()
-                J = (W[poses] @ at.J.reshape(-1, m * D, self.parameters.count)).reshape(len(r), -1)
-                H += J.T @ J
-                g += J.T @ r
-                cost += float(r @ r)
-            deviations.append(deviation)
-        return _Evaluation(H, g, cost, tuple(deviations))
+                at = tangent.linearise(poses)
+                if self.joint_sigma > 0.0:
+                    noise.joint[poses] = self._joint_noise(at)
+                noise.marginal[poses] = _marginal_whitening(block.covariance[poses], noise.joint[poses])
+                W = _whitening(block.covariance[poses], noise.joint[poses], weight[poses])
+                deviation[poses] = sums.add(at, W, noise.marginal[poses])
+            noises.append(noise)
+            sums.deviations.append(deviation)
+        return tuple(noises), sums.evaluation(self.parameters)
+
+    def whitening(self, noise: Sequence[_Noise], weights: Weights) -> tuple[Floats, ...]:
+        """What gives the residuals of whole poses unit variance, for each block (N, mD, mD)."""
+        return tuple(
+            _whitening(block.covariance, own.joint, weight)
+            for block, own, weight in zip(self.blocks, noise, weights, strict=True)
+        )
+
+    def evaluate(self, state: State, noise: Sequence[_Noise], whitening: Sequence[Floats]) -> _Evaluation:
+        """Accumulate the normal equations over all poses."""
+        sums = _Sums.of_priors(self.parameters, state)
+        for block, own, W in zip(self.blocks, noise, whitening, strict=True):
+            tangent = Tangent.at(self.table, block, state, self.parameters)
+            deviation = np.empty(block.row.shape)
+            for poses in _chunks(len(deviation)):
+                deviation[poses] = sums.add(tangent.linearise(poses), W[poses], own.marginal[poses])
+            sums.deviations.append(deviation)
+        return sums.evaluation(self.parameters)
+
+    def _joint_noise(self, at: Linearisation) -> Floats:
+        N, m, D = at.residual.shape
+        # A mimic joint has no encoder: it errs with its master.
+        J_q = at.by_joints(self.table.chain).reshape(N * m * D, -1) @ self.table.chain.reading_jacobian
+        J_q = self.joint_sigma * J_q.reshape(N, m * D, -1)
+        covariance: Floats = J_q @ np.swapaxes(J_q, -1, -2)
+        return covariance
+
+
+@dataclass(eq=False)
+class _Sums:
+    """The normal equations of all parameters while they are added up."""
+
+    H: Floats
+    g: Floats
+    cost: float
+    deviations: list[Floats]
+
+    @classmethod
+    def of_priors(cls, parameters: Parameters, state: State) -> _Sums:
+        r, J = parameters.prior_residuals(state)
+        return cls(J.T @ J, J.T @ r, float(r @ r), [])
+
+    def add(self, at: Linearisation, W: Floats, marginal: Floats) -> Floats:
+        """Add a block of poses whitened by W; returns its sightings' deviations (N, m)."""
+        N, m, D = at.residual.shape
+        r = (W @ at.residual.reshape(N, m * D, 1)).ravel()
+        J = (W @ at.J.reshape(N, m * D, -1)).reshape(N * m * D, -1)
+        self.H += J.T @ J
+        self.g += J.T @ r
+        self.cost += float(r @ r)
+        own = (marginal @ at.residual[..., None])[..., 0]
+        deviation: Floats = np.sqrt(np.einsum("nmd,nmd->nm", own, own))
+        return deviation
+
+    def evaluation(self, parameters: Parameters) -> _Evaluation:
+        active = parameters.active
+        return _Evaluation(self.H[np.ix_(active, active)], self.g[active], self.cost, tuple(self.deviations))
+
+
+def _whitening(covariance: Floats, joint: Floats, weight: Floats) -> Floats:
+    """Inverse Cholesky factors of whole poses: their sightings' noise over the weights, and the joint readings'."""
+    N, m, D, _ = covariance.shape
+    pose = joint.reshape(N, m, D, m, D).copy()
+    each = np.arange(m)
+    pose[:, each, :, each, :] += np.moveaxis(covariance / weight[..., None, None], 1, 0)
+    W: Floats = np.linalg.inv(np.linalg.cholesky(pose.reshape(N, m * D, m * D)))
+    return W
+
+
+def _marginal_whitening(covariance: Floats, joint: Floats) -> Floats:
+    N, m, D, _ = covariance.shape
+    each = np.arange(m)
+    own = covariance + np.moveaxis(joint.reshape(N, m, D, m, D)[:, each, :, each, :], 0, 1)
+    W: Floats = np.linalg.inv(np.linalg.cholesky(own))
+    return W
 
 
 @dataclass(frozen=True, eq=False)
 class _Descent:
     state: State
     at: _Evaluation
+    damping: float
     history: tuple[Iteration, ...]
     converged: bool
 
@@ -296,50 +349,54 @@ class _Descent:
 def _descend(
     problem: _Problem,
     state: State,
-    joint_noise: Sequence[Floats],
     weights: Weights,
     renew: Callable[[Sequence[Observations], _Evaluation, Weights], Weights],
+    damping: float,
     tolerance: float,
     progress: Progress | None,
 ) -> _Descent:
     """Levenberg-Marquardt until a step is shorter than ``tolerance``; weights are renewed after short steps.
 
-    Damping follows the gain, the cost's fall over what the linear model promised (Nielsen, IMM-REP-1999-05).
+    Damping follows the gain, the cost's fall over what the linear model promised (Nielsen, IMM-REP-1999-05). The
+    joint readings' noise is that at the first state: a start may be another arm, but from there it hardly moves.
     """
-    noise = problem.noise(joint_noise, weights)
-    at = problem.evaluate(state, noise)
+    noise, at = problem.survey(state, weights)
     if not np.isfinite(at.cost):
         raise CalibrationError(
             "the start puts an LED behind a camera",
             remedy="Check the order of the cameras, the units of the joint readings and the tip link.",
         )
+    whitening: tuple[Floats, ...] | None = None
     history: list[Iteration] = []
-    damping, growth, length = _FIRST_DAMPING, 2.0, np.inf
-    while length >= tolerance and damping < _MOST_DAMPING and len(history) < _MAX_ITERATIONS:
+    growth, length, ahead = 2.0, np.inf, np.inf
+    while ahead >= tolerance and damping < _MOST_DAMPING and len(history) < _MAX_ITERATIONS:
         if not history or length < _SHORT:
             renewed = renew(problem.blocks, at, weights)
             if any(not np.array_equal(a, b) for a, b in zip(renewed, weights, strict=True)):
-                weights, noise = renewed, problem.noise(joint_noise, renewed)
-                at = problem.evaluate(state, noise)
+                weights, whitening = renewed, problem.whitening(noise, renewed)
+                at = problem.evaluate(state, noise, whitening)
+        whitening = whitening or problem.whitening(noise, weights)
         step = _damped_step(at, damping)
         promised = -float(step @ (2.0 * at.g + at.H @ step))
         try:
             candidate = problem.parameters.move(state, step)
-            new = problem.evaluate(candidate, noise)
+            new = problem.evaluate(candidate, noise, whitening)
         except CameraError:  # a trial lens that is none
             new = None
         # NaN (an LED behind a camera) is no improvement either.
         if new is None or not new.cost <= at.cost * (1.0 + _COST_ROUNDING) + _COST_ROUNDING:
             damping, growth = damping * growth, 2.0 * growth
             continue
-        length = float(np.sqrt(max(float(step @ at.H @ step), 0.0)))
+        before, length = length, float(np.sqrt(max(float(step @ at.H @ step), 0.0)))
+        ratio = min(length / before, 0.5) if before < np.inf else 0.5
+        ahead = length * ratio / (1.0 - ratio)  # what is left if every step shrinks as this one did
         gain = (at.cost - new.cost) / promised if promised > 0.0 else 1.0
         damping, growth = damping * max(0.1, 1.0 - (2.0 * gain - 1.0) ** 3), 2.0
         state, at = candidate, new
         history.append(Iteration(at.cost, damping, length, state))
         if progress is not None:
             progress(len(history), at.cost)
-    return _Descent(state, at, tuple(history), length < tolerance)
+    return _Descent(state, at, damping, tuple(history), ahead < tolerance)
 
 
 def _damped_step(at: _Evaluation, damping: float) -> Floats:

@@ -46,7 +46,7 @@ def tip_covariance(table: Geometry, fit: Solution, q: Floats, seed: int = 0) -> 
 def _motion(table: Geometry, fit: Solution, q: Floats) -> tuple[Floats, Floats]:
     """How the tip moves with the active parameters (N, 3, count), and with the base as a rigid body (N, 3, 6)."""
     parameters, offsets = fit.parameters, fit.state.offsets
-    motion = tip_motion(table.chain, q, table.placements(offsets))
+    motion = tip_motion(table.chain, table.chain.build_model(table.placements(offsets)), q)
     A = np.zeros((len(q), 3, parameters.size))
     A[..., : len(parameters.rows)] = (motion.regressor @ table.twists(offsets, parameters.rows))[:, :3]
     rigid = np.concatenate([np.broadcast_to(np.eye(3), (len(q), 3, 3)), -skew(motion.p)], axis=2)

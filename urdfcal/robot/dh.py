@@ -19,10 +19,9 @@ import pinocchio as pin
 
 from urdfcal.arrays import Floats, Ints, frozen, inverse
 from urdfcal.errors import RobotError
-from urdfcal.robot.chain import se3
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable
 
     from numpy.typing import ArrayLike
 
@@ -215,18 +214,13 @@ class DHTable:
                 where=f"joint {self.rows[-1].joint!r}",
                 remedy="Where the tip sits on the last link is not a joint's placement.",
             )
-        result = np.array(self.chain.placements)
-        for i, row in enumerate(self.rows):
-            zero = offsets[i, own[i]]
-            before = shape[i - 1] if i else np.zeros(5)
-            if zero == 0.0 and not np.any(before):
-                continue
-            left = (
-                inverse(self.K[i - 1]) @ row_transform(np.add(self.rows[i - 1].values, before))
-                if i
-                else self.chain.placements[0] @ inverse(self.K[0])
-            )
-            result[i] = left @ _factor(row.variable, zero) @ self.K[i]
+        zero = self._zero_transforms(own, offsets)
+        left = np.empty_like(self.K)
+        left[0] = self.chain.placements[0] @ inverse(self.K[0])
+        left[1:] = inverse(self.K[:-1]) @ row_transform(self.nominal[:-1] + shape[:-1])
+        moved = offsets[np.arange(len(own)), own] != 0.0
+        moved[1:] |= np.any(shape[:-1] != 0.0, axis=1)
+        result: Floats = np.where(moved[:, None, None], left @ zero @ self.K, self.chain.placements)
         return result
 
     def twists(self, offsets: ArrayLike, parameters: Iterable[tuple[int, str]]) -> Floats:
@@ -243,19 +237,27 @@ class DHTable:
         """
         offsets = np.asarray(offsets, dtype=float)
         own, shape = self._split(offsets)
-        columns = []
-        for i, name in parameters:
-            xi = np.zeros((len(self.rows), 6))
-            if name == self.rows[i].variable:
-                xi[i] = _carried(_MOTIONS[name], self.K[i])
-            else:
-                # The row's own zero offset stands further left, in its joint's placement.
-                Q = row_transform(self.nominal[i] + shape[i], _COLUMN[name] + 1)
-                zero = offsets[i + 1, own[i + 1]]
-                xi[i + 1] = _carried(_MOTIONS[name], Q @ _factor(self.rows[i + 1].variable, zero) @ self.K[i + 1])
-            columns.append(xi.ravel())
-        G: Floats = np.array(columns).reshape(-1, 6 * len(self.rows)).T
-        return G
+        every = np.arange(len(self.rows))
+        xi = np.empty((len(every), 5, 6))  # of each row's parameters, in the placement that holds them
+        # To the right of a row's factors stand the next joint's zero offset and K; none has a use for the last row's.
+        Q = np.roll(self._zero_transforms(own, offsets) @ self.K, -1, axis=0)
+        values = self.nominal + shape
+        for factor in reversed(PARAMETERS):
+            xi[:, _COLUMN[factor]] = _carried(_MOTIONS[factor], Q)
+            Q = _factor(factor, values[:, _COLUMN[factor]]) @ Q
+        xi[every, own] = _carried(np.array([_MOTIONS[row.variable] for row in self.rows]), self.K)
+        parameters = list(parameters)
+        G = np.zeros((len(every), 6, len(parameters)))
+        for column, (i, name) in enumerate(parameters):
+            G[i if name == self.rows[i].variable else i + 1, :, column] = xi[i, _COLUMN[name]]
+        return G.reshape(6 * len(every), -1)
+
+    def _zero_transforms(self, own: Ints, offsets: Floats) -> Floats:
+        """What each joint's zero offset does, (n, 4, 4)."""
+        zero = offsets[np.arange(len(own)), own]
+        slides = own == _COLUMN["d"]
+        result: Floats = _factor("theta", np.where(slides, 0.0, zero)) @ _factor("d", np.where(slides, zero, 0.0))
+        return result
 
     def _split(self, offsets: Floats) -> tuple[Ints, Floats]:
         """The column of each row's joint variable, and the offsets without those: the row's shape."""
@@ -307,29 +309,35 @@ class DHTable:
         }
 
 
-def row_transform(values: Sequence[float] | Floats, first: int = 0) -> Floats:
-    """Multiply the factors of B(theta, d, a, alpha, beta), from the ``first`` one on. (4, 4)."""
-    T = np.eye(4)
-    for name, value in zip(PARAMETERS[first:], values[first:], strict=True):
-        T = T @ _factor(name, value)
+def row_transform(values: ArrayLike) -> Floats:
+    """Multiply the factors of B(theta, d, a, alpha, beta), given in this order: (..., 5) to (..., 4, 4)."""
+    values = np.asarray(values, dtype=float)
+    T = _factor(PARAMETERS[0], values[..., 0])
+    for name in PARAMETERS[1:]:
+        T = T @ _factor(name, values[..., _COLUMN[name]])
     return T
 
 
-def _factor(name: Parameter, value: float) -> Floats:
-    T = np.eye(4)
+def _factor(name: Parameter, value: Floats | float) -> Floats:
+    value = np.asarray(value, dtype=float)
+    T: Floats = np.broadcast_to(np.eye(4), (*value.shape, 4, 4)).copy()
     axis = {"theta": 2, "d": 2, "a": 0, "alpha": 0, "beta": 1}[name]
     if name in ("d", "a"):
-        T[axis, 3] = value
+        T[..., axis, 3] = value
         return T
     i, j = (axis + 1) % 3, (axis + 2) % 3
-    T[i, i] = T[j, j] = np.cos(value)
-    T[j, i] = np.sin(value)
-    T[i, j] = -T[j, i]
+    T[..., i, i] = T[..., j, j] = np.cos(value)
+    T[..., j, i] = np.sin(value)
+    T[..., i, j] = -T[..., j, i]
     return T
 
 
 def _carried(motion: Floats, Q: Floats) -> Floats:
-    result: Floats = se3(Q).actInv(pin.Motion(motion)).vector
+    """Ad(Q^-1) of twists (linear, angular), both batched."""
+    v, w = motion[..., :3], motion[..., 3:]
+    R_T = np.swapaxes(Q[..., :3, :3], -1, -2)
+    moved = np.stack([v - np.cross(Q[..., :3, 3], w), np.broadcast_to(w, Q[..., :3, 3].shape)], axis=-1)
+    result: Floats = np.swapaxes(R_T @ moved, -1, -2).reshape(*Q.shape[:-2], 6)
     return result
 
 

@@ -31,15 +31,14 @@ class TipMotion:
     regressor: Floats
 
 
-def tip_motion(chain: Chain, q: Floats, placements: Floats) -> TipMotion:
+def tip_motion(chain: Chain, model: pin.Model, q: Floats) -> TipMotion:
     """Run forward kinematics and Pinocchio's joint kinematic regressor at every pose.
 
     Args:
         chain: the chain; its own placements are not used.
+        model: of the chain with the placements to use, see ``Chain.build_model``.
         q: (N, n) joint values. [rad or m]
-        placements: (n, 4, 4) joint placements.
     """
-    model = chain.build_model(placements)
     data, last = model.createData(), model.njoints - 1
     tip = se3(chain.T_last_tip)
     R, p = np.empty((len(q), 3, 3)), np.empty((len(q), 3))
