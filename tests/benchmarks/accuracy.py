@@ -54,9 +54,8 @@ def bound(simulated: Simulated, q: np.ndarray) -> float:
     candidates = choose_parameters(session, table, truth, Freedoms("dh", ("fixed",) * 2, ("fixed",) * 2, priors=False))
     parameters = identify(table, [block], truth, candidates).parameters
     at = Tangent.at(table, block, truth, parameters).linearise(slice(None))
-    J = at.J[..., parameters.active]
-    N, m, D, P = J.shape
-    J, J_q = J.reshape(N, m * D, P), at.by_joints(table.chain).reshape(N, m * D, -1)
+    N, m, D, P = at.J.shape
+    J, J_q = at.J.reshape(N, m * D, P), at.by_joints(table.chain).reshape(N, m * D, -1)
     noise = np.zeros((N, m, D, m, D))
     each = np.arange(m)
     noise[:, each, :, each, :] = np.moveaxis(block.covariance, 1, 0)

@@ -48,12 +48,11 @@ from urdfcal.estimation.observations import Observations, observe
 from urdfcal.estimation.parameters import Parameters, choose_parameters
 from urdfcal.estimation.residuals import predict
 from urdfcal.estimation.solver import solve
-from urdfcal.estimation.start import first_state, place_base, triangulated
+from urdfcal.estimation.start import first_state, triangulated
 from urdfcal.estimation.state import State
 from urdfcal.robot.dh import DHTable
-from urdfcal.robot.kinematics import tip_poses
 from urdfcal.session.files import read_rig
-from urdfcal.session.model import Detections, Freedom, Session
+from urdfcal.session.model import Detections, Freedom, Points, Session
 from urdfcal.session.rigs import find_rig
 from urdfcal.session.simulate import Simulated, simulate
 
@@ -103,11 +102,9 @@ class Problem:
         if self.kind == "pixels":
             return first_state(self.session, self.table, offsets)
         # The points are given, so they are not triangulated again.
-        (led,) = self.session.leds
-        tips = tip_poses(self.session.chain, self.session.q)
-        known = np.array([led.position]), np.zeros(1, bool), np.zeros(1, bool)
-        base, leds = place_base(tips, self.block.pose, self.block.led[:, 0], self.block.value[:, 0], *known)
-        return State(offsets, base, leds)
+        sigma = np.sqrt(np.trace(self.block.covariance[:, 0], axis1=1, axis2=2) / 3.0)
+        given = Points(self.block.pose, self.block.led[:, 0], self.block.value[:, 0], sigma)
+        return first_state(replace(self.session, detections=None, points=given), self.table, offsets)
 
     def parameters(self, start: State) -> Parameters:
         fixed: tuple[Freedom, ...] = ("fixed",) * len(start.cameras)

@@ -64,3 +64,18 @@ def test_the_start_is_near_the_truth_on_every_rig(rig: str, known: str, simulate
     difference = pin.SE3(found.T_world_base).inverse() * pin.SE3(data.truth.T_world_base)
     assert np.linalg.norm(difference.translation) < 0.15
     assert np.linalg.norm(pin.log3(difference.rotation)) < 0.15
+
+
+def test_of_many_poses_some_serve_and_rare_sightings_count(simulated: Callable) -> None:
+    # A second camera of unknown pose sees the LED in 8 of 500 poses: they must all reach the start.
+    data = simulated("ur5", poses=500)
+    seen = data.session.detections
+    rare = (seen.camera == 0) | np.isin(seen.pose, np.arange(1, 500, 63))
+    columns = {name: column[rare] for name, column in vars(seen).items()}
+    rig = replace(data.session.rig, T_cam_world=(data.session.rig.T_cam_world[0], None))
+    session = replace(data.session, detections=type(seen)(**columns), rig=rig)
+    table = DHTable.from_chain(session.chain)
+    found = first_state(session, table, np.zeros_like(table.nominal))
+    apart = pin.SE3(found.T_cam_world[1]).inverse() * pin.SE3(data.session.rig.T_cam_world[1])
+    assert np.linalg.norm(apart.translation) < 0.15
+    assert np.linalg.norm(pin.log3(apart.rotation)) < 0.15

@@ -196,3 +196,15 @@ def test_a_camera_cannot_look_at_itself(session: Session) -> None:
     assert not rig.stand_position.flags.writeable
     with pytest.raises(SessionError, match="looks at its own place"):
         replace(rig, stand_look_at=here)
+
+
+def test_some_of_its_poses_are_a_session(session: Session, tracked: Session) -> None:
+    chosen = np.array([0, 2, 3])
+    for whole, name, values in ((session, "detections", "uv"), (tracked, "points", "xyz")):
+        some, table = whole.at(chosen), getattr(whole, name)
+        assert some.poses == tuple(whole.poses[k] for k in chosen)
+        np.testing.assert_array_equal(some.q, whole.q[chosen])
+        kept = np.isin(table.pose, chosen)
+        assert 0 < kept.sum() < len(table)
+        np.testing.assert_array_equal(chosen[getattr(some, name).pose], table.pose[kept])
+        np.testing.assert_array_equal(getattr(getattr(some, name), values), getattr(table, values)[kept])

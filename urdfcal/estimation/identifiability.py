@@ -136,15 +136,15 @@ def _observability(singular: Floats, measurements: int) -> tuple[float, float, f
 def _triangle(table: Geometry, blocks: Sequence[Observations], state: State, parameters: Parameters) -> Floats:
     """R of the whitened Jacobian's QR, block by block: squaring it would hide singular values below 1e-8."""
     # How far apart LEDs are was measured; tolerances were not.
-    R = parameters.distance_residuals(state)[1]
+    R = parameters.distance_residuals(state)[1][:, parameters.active]
     for block in blocks:
         W = np.linalg.inv(np.linalg.cholesky(block.covariance))
         tangent = Tangent.at(table, block, state, parameters)
         for first in range(0, len(block.pose), _BLOCK):
             poses = slice(first, first + _BLOCK)
             J = W[poses] @ tangent.linearise(poses).J
-            R = np.asarray(np.linalg.qr(np.vstack([R, J.reshape(-1, parameters.size)]), mode="r"))
-    return R[:, parameters.active]
+            R = np.asarray(np.linalg.qr(np.vstack([R, J.reshape(-1, parameters.count)]), mode="r"))
+    return R
 
 
 def _scales(parameters: Parameters, state: State) -> Floats:

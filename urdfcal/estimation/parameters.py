@@ -168,7 +168,7 @@ class Parameters:
         """Deviation from the priors' centre in standard deviations, and its derivative.
 
         Returns:
-            r (p,) and J (p, size), a row for every active entry with a prior and for every LED distance.
+            r (p,) and J (p, count), a row for every active entry with a prior and for every LED distance.
         """
         full = np.zeros(self.size)
         for i, (row, name) in enumerate(self.rows):
@@ -188,7 +188,7 @@ class Parameters:
         used = self.active & np.isfinite(self.prior)
         r, J = full[used] / self.prior[used], (J / self.prior[:, None])[used]
         distances, J_distances = self.distance_residuals(state)
-        return np.concatenate([r, distances]), np.vstack([J, J_distances])
+        return np.concatenate([r, distances]), np.vstack([J, J_distances])[:, self.active]
 
     def distance_residuals(self, state: State) -> tuple[Floats, Floats]:
         """Deviation from the measured LED distances in standard deviations, and its derivative by the full vector."""

@@ -12,12 +12,15 @@ from urdfcal.robot.kinematics import joint_axes, tip_motion, tip_poses
 if TYPE_CHECKING:
     import pinocchio as pin
 
-    from urdfcal.arrays import Floats
+    from urdfcal.arrays import Floats, Ints
     from urdfcal.estimation.observations import Observations
     from urdfcal.estimation.parameters import Geometry, Parameters
     from urdfcal.estimation.state import State
     from urdfcal.robot.chain import Chain
     from urdfcal.robot.kinematics import TipMotion
+
+
+_EVERY = slice(None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +29,7 @@ class Linearisation:
 
     Attributes:
         residual: (N, m, D) predicted minus measured.
-        J: (N, m, D, size) derivative wrt all parameters, active or not.
+        J: (N, m, D, count) derivative wrt the active parameters.
         tip_to_value: (N, m D, 6) derivative wrt a motion of the tip.
         motion: of the tip.
     """
@@ -87,7 +90,7 @@ class Tangent:
         state: where to linearise.
         parameters: the derivative's columns.
         model: of the arm at the state.
-        G: (6 n, rows) body twists of the placements for each of the arm's parameters.
+        G: (6 n, p) body twists of the placements for each of the arm's active parameters.
     """
 
     table: Geometry
@@ -101,7 +104,8 @@ class Tangent:
     def at(cls, table: Geometry, observations: Observations, state: State, parameters: Parameters) -> Tangent:
         """Prepare."""
         model = table.chain.build_model(table.placements(state.offsets))
-        return cls(table, observations, state, parameters, model, table.twists(state.offsets, parameters.rows))
+        rows = [row for row, active in zip(parameters.rows, parameters.active, strict=False) if active]
+        return cls(table, observations, state, parameters, model, table.twists(state.offsets, rows))
 
     def linearise(self, poses: slice) -> Linearisation:
         """Evaluate residuals and derivatives for some of the observations' N poses.
@@ -121,7 +125,7 @@ class Tangent:
         p_base = motion.p[:, None] + lever
         p_world = p_base @ R_world_base.T + state.T_world_base[:3, 3]
 
-        J = np.zeros((N * m, D, parameters.size))
+        J = np.zeros((N * m, D, parameters.count))
         if D == 3:
             residual = (p_world - measured).reshape(-1, 3)
             E = np.broadcast_to(R_world_base, (N * m, 3, 3)).copy()
@@ -133,25 +137,32 @@ class Tangent:
                 p_cam = p_world.reshape(-1, 3)[seen] @ T_cam_world[:3, :3].T + T_cam_world[:3, 3]
                 if c in parameters.lenses:
                     uv, d_point, d_lens = lens.project_with_derivatives(p_cam)
-                    J[seen, :, parameters.lens(parameters.lenses.index(c))] = d_lens
+                    self._put(J, parameters.lens(parameters.lenses.index(c)), d_lens, seen)
                 else:
                     uv, d_point = lens.project_with_jacobian(p_cam)
                 residual[seen] = uv - measured.reshape(-1, 2)[seen]
                 E[seen] = _carry(d_point, T_cam_world[:3, :3] @ R_world_base)
                 if c in parameters.cameras:
                     where = parameters.camera(parameters.cameras.index(c))
-                    J[seen, :, where] = np.concatenate([d_point, _turned(d_point, p_cam)], axis=-1)
+                    self._put(J, where, np.concatenate([d_point, _turned(d_point, p_cam)], axis=-1), seen)
         padding = ~observations.valid[poses].ravel()
         residual[padding], E[padding] = 0.0, 0.0
 
         tip_to_value = np.concatenate([E, _turned(E, lever.reshape(-1, 3))], axis=-1).reshape(N, m * D, 6)
         geometry = tip_to_value @ _carry(motion.regressor, self.G)
-        J[..., : len(parameters.rows)] = geometry.reshape(N * m, D, -1)
-        J[..., parameters.base] = np.concatenate([E, _turned(E, p_base.reshape(-1, 3))], axis=-1)
-        d_led = (E.reshape(N, m * D, 3) @ motion.R).reshape(N * m, D, 3)
-        for index in range(parameters.leds):
-            J[..., parameters.led(index)] = d_led * (led == index).reshape(-1, 1, 1)
+        J[..., : self.G.shape[1]] = geometry.reshape(N * m, D, -1)
+        self._put(J, parameters.base, np.concatenate([E, _turned(E, p_base.reshape(-1, 3))], axis=-1))
+        if np.any(parameters.active[parameters.base.stop : parameters.led(parameters.leds).start]):
+            d_led = (E.reshape(N, m * D, 3) @ motion.R).reshape(N * m, D, 3)
+            for index in range(parameters.leds):
+                self._put(J, parameters.led(index), d_led * (led == index).reshape(-1, 1, 1))
         return Linearisation(residual.reshape(N, m, D), J.reshape(N, m, D, -1), tip_to_value, motion)
+
+    def _put(self, J: Floats, where: slice, block: Floats, seen: Ints | slice = _EVERY) -> None:
+        """Write the active ones of a block of derivatives, by the parameters ``where``, into some rows of J."""
+        active = self.parameters.active[where]
+        first, count = np.count_nonzero(self.parameters.active[: where.start]), np.count_nonzero(active)
+        J[seen, :, first : first + count] = block if count == len(active) else block[..., active]
 
 
 def _carry(matrices: Floats, right: Floats) -> Floats:

@@ -31,10 +31,11 @@ _BLOCK = 1024
 _MAX_ITERATIONS = 300
 _MAX_CUTS = 5
 _FIRST_DAMPING, _MOST_DAMPING = 1e-3, 1e16
-# A step of this many standard deviations of the estimate is no step; the coarse one is for weights that still move.
+# A step of this many standard deviations of the estimate is no step; the coarse one is for cross-validation.
 _CONVERGED, _CONVERGED_COARSE = 1e-6, 1e-2
-# Weights are worth renewing, which costs an evaluation, once steps are shorter than this.
-_SHORT = 1.0
+# Weights are settled when the step after they were renewed moves sightings by less than this share of their standard
+# deviation, root mean square: it changes no verdict on an outlier.
+_SETTLED = 0.05
 # Rounding of a cost that no longer falls.
 _COST_ROUNDING = 1e-10
 # Lengths of a whitened residual, pixels (2) and points (3): the median, what 5 % exceed, and one in a billion. Beyond
@@ -151,7 +152,8 @@ def solve(
     """
     with threadpoolctl.threadpool_limits(1, user_api="blas"):  # two threads are slower at these sizes
         problem = _Problem(table, tuple(blocks), parameters, joint_sigma)
-        descent = _descend(problem, start, _ones(problem.blocks), _Huber(), _FIRST_DAMPING, _CONVERGED_COARSE, progress)
+        settled = _SETTLED * np.sqrt(sum(block.count for block in blocks))
+        descent = _descend(problem, start, _ones(problem.blocks), _Huber(), _FIRST_DAMPING, settled, progress)
         history = list(descent.history)
         for _ in range(_MAX_CUTS):
             outlier = _outliers(problem.blocks, descent.at)
@@ -259,7 +261,7 @@ class _Problem:
                 deviation[poses] = sums.add(at, W, noise.marginal[poses])
             noises.append(noise)
             sums.deviations.append(deviation)
-        return tuple(noises), sums.evaluation(self.parameters)
+        return tuple(noises), sums.evaluation()
 
     def whitening(self, noise: Sequence[_Noise], weights: Weights) -> tuple[Floats, ...]:
         """What gives the residuals of whole poses unit variance, for each block (N, mD, mD)."""
@@ -277,7 +279,7 @@ class _Problem:
             for poses in _chunks(len(deviation)):
                 deviation[poses] = sums.add(tangent.linearise(poses), W[poses], own.marginal[poses])
             sums.deviations.append(deviation)
-        return sums.evaluation(self.parameters)
+        return sums.evaluation()
 
     def _joint_noise(self, at: Linearisation) -> Floats:
         N, m, D = at.residual.shape
@@ -290,7 +292,7 @@ class _Problem:
 
 @dataclass(eq=False)
 class _Sums:
-    """The normal equations of all parameters while they are added up."""
+    """The normal equations while they are added up."""
 
     H: Floats
     g: Floats
@@ -314,9 +316,8 @@ class _Sums:
         deviation: Floats = np.sqrt(np.einsum("nmd,nmd->nm", own, own))
         return deviation
 
-    def evaluation(self, parameters: Parameters) -> _Evaluation:
-        active = parameters.active
-        return _Evaluation(self.H[np.ix_(active, active)], self.g[active], self.cost, tuple(self.deviations))
+    def evaluation(self) -> _Evaluation:
+        return _Evaluation(self.H, self.g, self.cost, tuple(self.deviations))
 
 
 def _whitening(covariance: Floats, joint: Floats, weight: Floats) -> Floats:
@@ -355,7 +356,7 @@ def _descend(
     tolerance: float,
     progress: Progress | None,
 ) -> _Descent:
-    """Levenberg-Marquardt until a step is shorter than ``tolerance``; weights are renewed after short steps.
+    """Levenberg-Marquardt until steps are shorter than ``tolerance`` and stay so when weights are renewed.
 
     Damping follows the gain, the cost's fall over what the linear model promised (Nielsen, IMM-REP-1999-05). The
     joint readings' noise is that at the first state: a start may be another arm, but from there it hardly moves.
@@ -368,13 +369,17 @@ def _descend(
         )
     whitening: tuple[Floats, ...] | None = None
     history: list[Iteration] = []
-    growth, length, ahead = 2.0, np.inf, np.inf
-    while ahead >= tolerance and damping < _MOST_DAMPING and len(history) < _MAX_ITERATIONS:
-        if not history or length < _SHORT:
+    growth, length, ahead, fresh = 2.0, np.inf, np.inf, False
+    while damping < _MOST_DAMPING and len(history) < _MAX_ITERATIONS:
+        if ahead < tolerance or not history:
             renewed = renew(problem.blocks, at, weights)
-            if any(not np.array_equal(a, b) for a, b in zip(renewed, weights, strict=True)):
+            same = all(np.array_equal(a, b) for a, b in zip(renewed, weights, strict=True))
+            if ahead < tolerance and (same or fresh):
+                break
+            if not same:
                 weights, whitening = renewed, problem.whitening(noise, renewed)
                 at = problem.evaluate(state, noise, whitening)
+            length, fresh = np.inf, True
         whitening = whitening or problem.whitening(noise, weights)
         step = _damped_step(at, damping)
         promised = -float(step @ (2.0 * at.g + at.H @ step))
@@ -390,6 +395,7 @@ def _descend(
         before, length = length, float(np.sqrt(max(float(step @ at.H @ step), 0.0)))
         ratio = min(length / before, 0.5) if before < np.inf else 0.5
         ahead = length * ratio / (1.0 - ratio)  # what is left if every step shrinks as this one did
+        fresh = fresh and ahead < tolerance
         gain = (at.cost - new.cost) / promised if promised > 0.0 else 1.0
         damping, growth = damping * max(0.1, 1.0 - (2.0 * gain - 1.0) ** 3), 2.0
         state, at = candidate, new

@@ -21,6 +21,10 @@ if TYPE_CHECKING:
 # Alternations of base pose and LED places; the solver refines whatever is left.
 _ALTERNATIONS = 20
 _ENOUGH = 6
+# LEDs that move by less have settled. [m]
+_STILL = 1e-6
+# More poses than this of each LED in each camera make the start no better than the solver needs it, only slower.
+_POSES = 200
 # Points this many times further off than the median are left out of the start.
 _GROSS = 5.0
 # PnP on LED places that are only roughly known (the LED may sit 0.1 m off the tip, 1 m away): outliers are
@@ -32,7 +36,8 @@ def first_state(session: Session, table: Geometry, offsets: Floats) -> State:
     """Place base, LEDs and cameras by what is seen.
 
     3-D points (measured, or triangulated where camera poses are known) give the base pose and the LED places
-    in closed form; a camera of unknown pose is placed by PnP on the arm's LED positions.
+    in closed form; a camera of unknown pose is placed by PnP on the arm's LED positions. Of many poses an even
+    selection serves.
 
     Args:
         session: what was measured.
@@ -42,6 +47,7 @@ def first_state(session: Session, table: Geometry, offsets: Floats) -> State:
     Raises:
         CalibrationError: too few sightings to place the base or a camera.
     """
+    session = session.at(_selection(session))
     T_base_tip = tip_poses(session.chain, session.q, table.placements(offsets))
     guesses = np.array([np.zeros(3) if led.position is None else led.position for led in session.leds])
     unknown = np.array([led.position is None for led in session.leds])
@@ -74,6 +80,26 @@ def first_state(session: Session, table: Geometry, offsets: Floats) -> State:
         cameras=tuple(cameras),
         T_cam_world=np.array(T_cam_world).reshape(-1, 4, 4),
     )
+
+
+def _selection(session: Session) -> Ints:
+    """Indices of poses spread evenly over the session, and over what each camera saw of each LED."""
+    every = np.arange(len(session.poses))
+    if len(every) <= _POSES:
+        return every
+    chosen = [_spread(every)]
+    if session.detections is not None:
+        d = session.detections
+        views = d.camera * len(session.leds) + d.led
+        chosen += [_spread(d.pose[views == view]) for view in np.unique(views)]
+    if session.points is not None:
+        chosen += [_spread(session.points.pose[session.points.led == led]) for led in np.unique(session.points.led)]
+    return np.unique(np.concatenate(chosen))
+
+
+def _spread(poses: Ints) -> Ints:
+    """At most so many of them, evenly."""
+    return poses[np.unique(np.linspace(0, len(poses) - 1, min(_POSES, len(poses))).astype(np.intp))]
 
 
 def triangulated(session: Session) -> Observations | None:
@@ -197,8 +223,11 @@ def _alternate(R: Floats, p: Floats, led: Ints, points: Floats, leds: Floats, mo
     for _ in range(_ALTERNATIONS):
         T = kabsch(p + (R @ leds[led][..., None])[..., 0], points)
         in_tip = (np.swapaxes(R, 1, 2) @ ((points - T[:3, 3]) @ T[:3, :3] - p)[..., None])[..., 0]
+        before = leds.copy()
         for index in np.flatnonzero(movable & np.isin(np.arange(len(leds)), led)):
             leds[index] = np.median(in_tip[led == index], axis=0)
+        if np.abs(leds - before).max() < _STILL:
+            break
     return kabsch(p + (R @ leds[led][..., None])[..., 0], points), leds
 
 

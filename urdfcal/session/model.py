@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, get_args
 
 import numpy as np
 
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 Geometry: TypeAlias = Literal["dh", "offsets", "full", "none"]
 Freedom: TypeAlias = Literal["fixed", "refine", "free"]
+
+Table = TypeVar("Table", "Detections", "Points")
 
 # Three positions are the fewest that fix a base pose.
 MIN_POSES = 3
@@ -347,6 +349,17 @@ class Session(Positions):
         super().__post_init__()
         self._check_measurements()
 
+    def at(self, poses: Ints) -> Session:
+        """The session of some of its poses, (K,) indices in ascending order."""
+        return replace(
+            self,
+            poses=tuple(self.poses[k] for k in poses),
+            q=self.q[poses],
+            time=None if self.time is None else self.time[poses],
+            detections=_at(self.detections, poses),
+            points=_at(self.points, poses),
+        )
+
     def unmeasured(self) -> Positions:
         """The same without its sightings."""
         return Positions(**{f.name: getattr(self, f.name) for f in fields(Positions)})
@@ -412,6 +425,15 @@ def _freeze_sightings(table: Any, where: str, keys: tuple[str, ...], values: str
         first = int(np.flatnonzero(twice)[0])
         names = ", ".join(f"{key} {getattr(table, key)[first]}" for key in keys)
         raise SessionError(f"there are two sightings of {names}", where=where)
+
+
+def _at(table: Table | None, poses: Ints) -> Table | None:
+    """Sightings at some poses, by which they are numbered anew; None if there are none."""
+    if table is None:
+        return None
+    kept = np.isin(table.pose, poses)
+    columns = {entry.name: getattr(table, entry.name)[kept] for entry in fields(table)}
+    return replace(table, **{**columns, "pose": np.searchsorted(poses, columns["pose"])}) if kept.any() else None
 
 
 def _check_indices(table: Detections | Points, where: str, counts: Mapping[str, int]) -> None:
