@@ -8,7 +8,8 @@ robot over the workspace, after base alignment.
 
 - ours: from sightings to solution, that is start, identifiability and solver, tolerances as priors.
 - scipy: the same start, parameters, whitening and priors, and `scipy.optimize.least_squares` (MINPACK's "lm" with
-  2-point differences) over a loop of Pinocchio's forward kinematics. Its projection is ours, for all poses at once.
+  2-point differences) over a loop of Pinocchio's forward kinematics. Once as one would write it, pose by pose, with
+  `cv2.projectPoints` for pixels; once with our projection for all poses at once in place of that.
 - FIGAROH (extra `bench`; left out, with a message, where it is not installed): its `BaseCalibration` from its files to
   its corrections, with its start, all six corrections a joint, and `estimation.method: map` with our tolerances as
   priors, on the points that ours has triangulated. Once with the cost function of its documentation and UR10 example,
@@ -37,6 +38,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 import pinocchio as pin
 from threadpoolctl import threadpool_limits
@@ -129,7 +131,7 @@ def ours(problem: Problem) -> Best:
     )
 
 
-def scipy_loop(problem: Problem) -> Best:
+def scipy_loop(problem: Problem, predicted: Callable[[Problem, State], np.ndarray]) -> Best:
     from scipy.optimize import least_squares
 
     begin = problem.clock()
@@ -140,12 +142,41 @@ def scipy_loop(problem: Problem) -> Best:
 
     def residuals(step: np.ndarray) -> np.ndarray:
         state = parameters.move(start, step)
-        residual = (predict(table, block, state) - block.value).reshape(len(W), -1, 1)
+        residual = (predicted(problem, state) - block.value).reshape(len(W), -1, 1)
         return np.concatenate([(W @ residual).ravel(), parameters.prior_residuals(state)[0]])
 
     found = least_squares(residuals, np.zeros(parameters.count), jac="2-point", method="lm")
     seconds = problem.clock() - begin
     return Best(seconds, placements=table.placements(parameters.move(start, found.x).offsets))
+
+
+def all_at_once(problem: Problem, state: State) -> np.ndarray:
+    return predict(problem.table, problem.block, state)
+
+
+def pose_by_pose(problem: Problem, state: State) -> np.ndarray:
+    """The same, as one would write it."""
+    table, block = problem.table, problem.block
+    model = table.chain.build_model(table.placements(state.offsets))
+    data, last, tip = model.createData(), model.njoints - 1, pin.SE3(table.chain.T_last_tip)
+    T_world_base = pin.SE3(state.T_world_base)
+    poses = [(cv2.Rodrigues(T[:3, :3])[0], T[:3, 3]) for T in state.T_cam_world]
+    lenses = [
+        (np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]), camera.distortion)
+        for camera in state.cameras
+        for fx, fy, cx, cy in [camera.intrinsics]
+    ]
+    result = np.zeros_like(block.value)
+    for k, q in enumerate(block.q):
+        pin.forwardKinematics(model, data, q)
+        T_world_tip = T_world_base * data.oMi[last] * tip
+        for slot in np.flatnonzero(block.valid[k]):
+            world = T_world_tip.act(state.leds[block.led[k, slot]])
+            if problem.kind == "pixels":
+                c = block.camera[k, slot]
+                world = cv2.projectPoints(np.array([world]), *poses[c], *lenses[c])[0].ravel()
+            result[k, slot] = world
+    return result
 
 
 def whitening(table: DHTable, block: Observations, state: State, joint_sigma: float) -> np.ndarray:
@@ -298,7 +329,8 @@ def contenders(problems: dict[str, Problem], folder: Path) -> dict[str, tuple[st
     result: dict[str, tuple[str, Callable[[], Best], float]] = {}
     for kind, problem in problems.items():
         result[f"{kind}: ours"] = kind, lambda p=problem: ours(p), 0.0
-        result[f"{kind}: Pinocchio loop, scipy"] = kind, lambda p=problem: scipy_loop(p), SCIPY
+        result[f"{kind}: Pinocchio loop, scipy"] = kind, lambda p=problem: scipy_loop(p, pose_by_pose), SCIPY
+        result[f"{kind}: the same, our projection"] = kind, lambda p=problem: scipy_loop(p, all_at_once), SCIPY
     if importlib.util.find_spec("figaroh") is None:
         print("FIGAROH is not installed and left out: pip install 'urdfcal[bench]'\n")
         return result

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import pinocchio as pin
 
-from urdfcal.arrays import Floats, Ints, frozen, inverse
+from urdfcal.arrays import Floats, Ints, frozen, inverse, skew
 from urdfcal.errors import RobotError
 
 if TYPE_CHECKING:
@@ -336,7 +336,8 @@ def _carried(motion: Floats, Q: Floats) -> Floats:
     """Ad(Q^-1) of twists (linear, angular), both batched."""
     v, w = motion[..., :3], motion[..., 3:]
     R_T = np.swapaxes(Q[..., :3, :3], -1, -2)
-    moved = np.stack([v - np.cross(Q[..., :3, 3], w), np.broadcast_to(w, Q[..., :3, 3].shape)], axis=-1)
+    p = Q[..., :3, 3]
+    moved = np.stack([v - (skew(p) @ w[..., None])[..., 0], np.broadcast_to(w, p.shape)], axis=-1)
     result: Floats = np.swapaxes(R_T @ moved, -1, -2).reshape(*Q.shape[:-2], 6)
     return result
 
