@@ -1,0 +1,106 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from urdfcal.errors import RobotError
+from urdfcal.robot.compensation import compensate
+from urdfcal.robot.kinematics import tip_poses
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from urdfcal.robot.chain import Chain
+
+
+@pytest.fixture(params=["ur5", "panda", "elbow3r", "so101", "stanford"])
+def arms(request: pytest.FixtureRequest, simulated: Callable) -> tuple[Chain, Chain]:
+    """An arm as drawn and as built."""
+    data = simulated(request.param)
+    nominal = data.session.chain
+    return nominal, replace(nominal, placements=data.truth.placements)
+
+
+def readings(chain: Chain, count: int) -> np.ndarray:
+    values = chain.random_values(count, np.random.default_rng(7))
+    return values[:, [name in chain.actuated for name in chain.names]]
+
+
+def left(nominal: Chain, real: Chain, wanted: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    T = tip_poses(nominal, nominal.joint_values(wanted))
+    T_real = tip_poses(real, real.joint_values(commands))
+    angle = [np.linalg.norm(pin.log3(a[:3, :3] @ b[:3, :3].T)) for a, b in zip(T, T_real, strict=True)]
+    return np.linalg.norm((T - T_real)[:, :3, 3], axis=1), np.array(angle)
+
+
+def test_the_real_tip_goes_where_the_nominal_one_would(arms: tuple[Chain, Chain]) -> None:
+    nominal, real = arms
+    wanted = readings(nominal, 500)
+    before, _ = left(nominal, real, wanted, wanted)
+    found = compensate(nominal, real, wanted)
+    position, angle = left(nominal, real, wanted, found.readings)
+    np.testing.assert_allclose(found.position, position, atol=1e-12)
+    np.testing.assert_allclose(found.angle, angle, atol=1e-7)
+    assert np.median(before) > 5e-4
+    assert np.median(position) < 1e-8
+    assert np.quantile(position, 0.95) < 0.1 * np.median(before)
+    assert np.all(position <= before + 1e-12)
+    if len(nominal.actuated) >= 6:
+        assert np.median(angle) < 1e-8
+
+
+def test_limits_hold_and_joints_stay_near_their_command(arms: tuple[Chain, Chain]) -> None:
+    nominal, real = arms
+    wanted = readings(nominal, 300)
+    joints = [joint for joint in nominal.joints if joint.mimic is None]
+    lower, upper = np.array([j.lower for j in joints]), np.array([j.upper for j in joints])
+    wanted[::3] = np.where(np.isfinite(lower), lower, wanted[::3])
+    wanted[1::3] = np.where(np.isfinite(upper), upper, wanted[1::3])
+    found = compensate(nominal, real, wanted)
+    assert np.all((found.readings >= lower) & (found.readings <= upper))
+    assert np.abs(found.readings - wanted).max() < 0.31
+
+
+def test_an_arm_as_drawn_needs_no_compensation(arms: tuple[Chain, Chain]) -> None:
+    nominal, _ = arms
+    wanted = readings(nominal, 50)
+    found = compensate(nominal, nominal, wanted)
+    np.testing.assert_array_equal(found.readings, wanted)
+    assert found.position.max() < 1e-15
+
+
+def test_poses_do_not_depend_on_their_company(arms: tuple[Chain, Chain]) -> None:
+    nominal, real = arms
+    wanted = readings(nominal, 8)
+    together = compensate(nominal, real, wanted).readings
+    alone = np.concatenate([compensate(nominal, real, one[None]).readings for one in wanted])
+    np.testing.assert_allclose(together, alone, atol=1e-9)
+
+
+def test_a_tip_out_of_reach_says_by_how_much(simulated: Callable) -> None:
+    nominal = simulated("elbow3r").session.chain
+    shorter = np.array(nominal.placements)
+    shorter[:, :3, 3] *= 0.99
+    stretched = np.zeros((1, 3))
+    found = compensate(nominal, replace(nominal, placements=shorter), stretched)
+    position, _ = left(nominal, replace(nominal, placements=shorter), stretched, found.readings)
+    assert found.position[0] == pytest.approx(position[0])
+    assert found.position[0] > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("wanted", "message"),
+    [
+        ([[0.0, 90.0, 0.0, 0.0, 0.0, 0.0]], "shoulder_lift_joint.*outside its limits"),
+        ([[0.0, np.nan, 0.0, 0.0, 0.0, 0.0]], "outside its limits"),
+        ([[0.0, 0.0]], r"not \(N, 6\)"),
+    ],
+)
+def test_commands_that_are_none_are_refused(wanted: list[list[float]], message: str, simulated: Callable) -> None:
+    chain = simulated("ur5").session.chain
+    with pytest.raises(RobotError, match=message):
+        compensate(chain, chain, wanted)

@@ -1,0 +1,177 @@
+"""Joint commands that take the real arm where a nominal model believes it goes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from urdfcal.arrays import Bools, Floats, frozen
+from urdfcal.errors import RobotError
+from urdfcal.robot.kinematics import joint_axes, tip_motion, tip_poses
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from urdfcal.robot.chain import Chain
+
+# Away from singularities three steps arrive from centimetres off; beside one, or at a limit, steps shrink slowly and
+# what is left is reported.
+_STEPS = 20
+# Arrived: a nanometre at an arm's length of one metre.
+_ARRIVED = 1e-9
+# Damped least squares (Nakamura & Hanafusa, J. Dyn. Sys. 108, 1986) for directions that move the tip less than this a
+# radian, as a share of the reach: steps there shrink instead of growing without bound.
+_WEAK = 0.02
+# What a step may not undo of a better task, on the same scale: lost, not weak.
+_LOST = 1e-5
+# No joint is taken further from its nominal command: a calibration's corrections are smaller, and beside a singularity
+# a hair's breadth at the tip is not worth turning the wrist over. [rad or m]
+_FURTHEST = 0.3
+# Values this close to a limit are at it: files round. [rad or m]
+_LIMIT_ROUNDING = 1e-6
+# What a radian counts beside a reach where the two compete.
+_ORIENTATION = 1e-5
+_BLOCK = 1024
+
+
+@dataclass(frozen=True, eq=False)
+class Compensation:
+    """Joint commands, and how near they bring the real tip to where the nominal model puts it.
+
+    Attributes:
+        readings: (N, k) commands of the actuated joints. [rad or m]
+        position: (N,) distance left. [m]
+        angle: (N,) angle left. [rad]
+    """
+
+    readings: Floats
+    position: Floats
+    angle: Floats
+
+    def __post_init__(self) -> None:
+        for name in ("readings", "position", "angle"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+
+
+def compensate(nominal: Chain, real: Chain, readings: ArrayLike) -> Compensation:
+    """Find joint commands with which the real arm's tip goes where the nominal arm's would go.
+
+    Damped Gauss-Newton on the real arm from the nominal commands, position first: the orientation is corrected with
+    what freedom the position leaves (Siciliano & Slotine, ICAR 1991), so that arms of fewer than six joints place
+    their tip where they can. Joints stop at their limits.
+
+    Args:
+        nominal: the arm as the controller believes it is.
+        real: the same arm with calibrated placements.
+        readings: (N, k) commands of the actuated joints, made for the nominal arm. [rad or m]
+
+    Raises:
+        RobotError: a command is not finite, or beyond the joint's limits.
+    """
+    wanted = np.array(readings, dtype=float)
+    lower, upper = _checked_limits(nominal, wanted)
+    q, position, angle = np.empty_like(wanted), np.empty(len(wanted)), np.empty(len(wanted))
+    for first in range(0, len(wanted), _BLOCK):
+        poses = slice(first, first + _BLOCK)
+        T = tip_poses(nominal, nominal.joint_values(wanted[poses]))
+        least, most = np.maximum(lower, wanted[poses] - _FURTHEST), np.minimum(upper, wanted[poses] + _FURTHEST)
+        q[poses], error = _reach(real, T, wanted[poses], least, most)
+        position[poses], angle[poses] = np.linalg.norm(error[:, :3], axis=1), np.linalg.norm(error[:, 3:], axis=1)
+    return Compensation(q, position, angle)
+
+
+def _checked_limits(chain: Chain, readings: Floats) -> tuple[Floats, Floats]:
+    joints = [joint for joint in chain.joints if joint.mimic is None]
+    if readings.ndim != 2 or readings.shape[1] != len(joints):
+        raise RobotError(f"commands of shape {readings.shape} are not (N, {len(joints)})", where=chain.name)
+    lower, upper = (np.array([getattr(joint, side) for joint in joints]) for side in ("lower", "upper"))
+    outside = (readings < lower - _LIMIT_ROUNDING) | (readings > upper + _LIMIT_ROUNDING) | ~np.isfinite(readings)
+    if outside.any():
+        row, column = np.argwhere(outside)[0]
+        raise RobotError(
+            f"command {readings[row, column]:g} of joint {joints[column].name!r} is outside its limits, "
+            f"{lower[column]:g} to {upper[column]:g}",
+            where=f"command {row}",
+            remedy="Commands are in radians and metres, of the robot that was calibrated.",
+        )
+    return lower, upper
+
+
+def _reach(chain: Chain, T: Floats, start: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
+    """Bring the tip to the placements T (N, 4, 4); returns commands (N, k) and the error left (N, 6).
+
+    ``start``, ``lower`` and ``upper`` are (N, k).
+    """
+    model, axes = chain.build_model(), joint_axes(chain) @ chain.reading_jacobian
+    q = np.clip(start, lower, upper)
+    best, error_left = q.copy(), np.full((len(q), 6), np.inf)
+    going = np.arange(len(q))
+    for _ in range(_STEPS):
+        motion = tip_motion(chain, model, chain.joint_values(q[going]))
+        error = np.concatenate([T[going, :3, 3] - motion.p, _rotation_vectors(T[going, :3, :3], motion.R)], axis=1)
+        nearer = _worth(error, chain) < _worth(error_left[going], chain)
+        best[going[nearer]], error_left[going[nearer]] = q[going[nearer]], error[nearer]
+        far = _worth(error, chain) > _ARRIVED
+        if not far.any():
+            break
+        J = (motion.regressor[far].reshape(-1, len(axes)) @ axes).reshape(-1, 6, axes.shape[1])
+        going, error = going[far], error[far]
+        step = _step(J, error, np.ones(q[going].shape, dtype=bool), chain.reach)
+        least, most = lower[going], upper[going]
+        stuck = ((q[going] <= least) & (step < 0.0)) | ((q[going] >= most) & (step > 0.0))
+        held = stuck.any(axis=1)
+        if held.any():  # the others make up for joints that stand at their limit
+            step[held] = _step(J[held], error[held], ~stuck[held], chain.reach)
+        moved = np.clip(q[going] + step, least, most)
+        moving = np.abs(moved - q[going]).max(axis=1) > _ARRIVED
+        q[going] = moved
+        going = going[moving]
+        if not len(going):
+            break
+    return best, error_left
+
+
+def _step(J: Floats, error: Floats, free: Bools, reach: float) -> Floats:
+    """A step towards the position, and towards the orientation as far as that leaves the position alone, (N, k)."""
+    J = J * free[:, None]
+    J_p, J_o = J[:, :3] / reach, J[:, 3:]
+    step = _weakly_damped_inverse(J_p) @ error[:, :3, None] / reach
+    J_left = J_o - J_o @ _inverse(J_p, np.full(len(J), _LOST**2)) @ J_p
+    step += _weakly_damped_inverse(J_left) @ (error[:, 3:, None] - J_o @ step)
+    result: Floats = step[..., 0] * free
+    return result
+
+
+def _weakly_damped_inverse(J: Floats) -> Floats:
+    """A pseudo-inverse (N, k, 3), damped as its least singular value nears zero."""
+    A = J @ np.swapaxes(J, 1, 2)
+    # l1 l2 <= (trace / 2)^2 of the two largest eigenvalues: a lower bound of the least without finding them.
+    least = 4.0 * np.linalg.det(A) / np.maximum(np.trace(A, axis1=1, axis2=2), 1e-100) ** 2
+    return _inverse(J, (_WEAK * np.clip(1.0 - least / _WEAK**2, 0.0, 1.0)) ** 2)
+
+
+def _inverse(J: Floats, damping: Floats) -> Floats:
+    """J^T (J J^T + damping)^-1, (N, k, 3)."""
+    J_T = np.swapaxes(J, 1, 2)
+    result: Floats = J_T @ np.linalg.inv(J @ J_T + damping[:, None, None] * np.eye(3))
+    return result
+
+
+def _worth(error: Floats, chain: Chain) -> Floats:
+    """Size of an error, position first: an orientation that cannot be had must not outweigh a position that can."""
+    result: Floats = np.linalg.norm(error[:, :3], axis=1) / chain.reach + _ORIENTATION * np.linalg.norm(
+        error[:, 3:], axis=1
+    )
+    return result
+
+
+def _rotation_vectors(target: Floats, R: Floats) -> Floats:
+    """The small turns (N, 3) in the base frame that carry rotations R onto the target."""
+    D = target @ np.swapaxes(R, 1, 2)
+    v = 0.5 * np.stack([D[:, 2, 1] - D[:, 1, 2], D[:, 0, 2] - D[:, 2, 0], D[:, 1, 0] - D[:, 0, 1]], axis=1)
+    sine = np.linalg.norm(v, axis=1, keepdims=True)
+    angle = np.arctan2(sine, 0.5 * (np.trace(D, axis1=1, axis2=2)[:, None] - 1.0))
+    result: Floats = v * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 1.0)
+    return result
