@@ -6,12 +6,11 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pinocchio as pin
 import pytest
 
 import urdfcal
 from urdfcal.calibration import calibrate
-from urdfcal.errors import CalibrationError, OutputError, RobotError, SessionError
+from urdfcal.errors import CalibrationError, OutputError, SessionError
 from urdfcal.estimation.evaluation import compare, explain
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.kinematics import tip_poses
@@ -54,28 +53,6 @@ def test_the_corrected_urdf_is_the_drawn_one_but_for_origins(rig: str, simulated
     q = chain.random_values(50, np.random.default_rng(1))
     expected = tip_poses(calibration.chain, q, calibration.placements)
     np.testing.assert_allclose(tip_poses(chain, q), expected, atol=1e-12)
-
-
-def test_apply_gives_the_corrected_urdfs_kinematics(simulated: Callable) -> None:
-    data = simulated("panda")
-    calibration = calibrate(data.session)
-    drawn = pin.buildModelFromXML(data.session.urdf.data.decode())
-    kept = drawn.copy()
-    applied = calibration.apply(drawn)
-    assert drawn == kept
-    written = pin.buildModelFromXML(calibration.calibrated_urdf().decode())
-    for a, b in zip(applied.jointPlacements, written.jointPlacements, strict=True):
-        np.testing.assert_allclose(a.homogeneous, b.homogeneous, atol=1e-12)
-
-
-def test_apply_refuses_another_robot_and_a_second_time(simulated: Callable) -> None:
-    data = simulated("panda")
-    calibration = calibrate(data.session)
-    drawn = pin.buildModelFromXML(data.session.urdf.data.decode())
-    with pytest.raises(RobotError, match="not the one that was calibrated"):
-        calibration.apply(calibration.apply(drawn))
-    with pytest.raises(RobotError, match="no joint 'panda_joint1'"):
-        calibration.apply(pin.buildSampleModelManipulator())
 
 
 def test_a_session_without_urdf_still_has_a_model(simulated: Callable) -> None:
@@ -203,7 +180,7 @@ def test_a_urdf_that_moves_differently_is_never_handed_out(
     simulated: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     calibration = calibrate(replace(simulated("elbow3r").session, estimate=Estimate("dh", "fixed", "fixed")))
-    monkeypatch.setattr("urdfcal.calibration.rewrite_origins", lambda urdf, origins: urdf.data)
+    monkeypatch.setattr("urdfcal.robot.applying.rewrite_origins", lambda urdf, origins: urdf.data)
     with pytest.raises(OutputError, match="moves differently when read by"):
         calibration.calibrated_urdf()
 

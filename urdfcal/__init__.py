@@ -11,16 +11,18 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from urdfcal.calibration import Calibration, calibrate
+    from urdfcal.calibration import FittedCalibration, calibrate
     from urdfcal.errors import UrdfcalError
+    from urdfcal.result import Calibration
     from urdfcal.robot.chain import Chain
     from urdfcal.robot.dh import DHTable
     from urdfcal.session.files import read_session, write_session
     from urdfcal.session.model import Detections, Led, Noise, Points, Session
 
 _HOMES = {
-    "urdfcal.calibration": ("Calibration", "calibrate"),
+    "urdfcal.calibration": ("FittedCalibration", "calibrate"),
     "urdfcal.errors": ("UrdfcalError",),
+    "urdfcal.result": ("Calibration",),
     "urdfcal.robot.chain": ("Chain",),
     "urdfcal.robot.dh": ("DHTable",),
     "urdfcal.session.files": ("read_session", "write_session"),
@@ -33,6 +35,7 @@ __all__ = [
     "Chain",
     "DHTable",
     "Detections",
+    "FittedCalibration",
     "Led",
     "Noise",
     "Points",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import PurePosixPath
@@ -11,26 +10,24 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import pinocchio as pin
 
-from urdfcal import files
-from urdfcal.arrays import Bools, Floats, frozen, inverse
-from urdfcal.errors import CalibrationError, OutputError, RobotError, SessionError
+from urdfcal.arrays import Bools, Floats, frozen
+from urdfcal.errors import CalibrationError, OutputError, SessionError
 from urdfcal.estimation.observations import Observations, observe
 from urdfcal.estimation.residuals import predict
 from urdfcal.estimation.selection import Comparison, Trial, compare_models, with_fit
 from urdfcal.estimation.several import Candidate, several
 from urdfcal.estimation.start import first_state, triangulated
 from urdfcal.estimation.uncertainty import tip_covariance
+from urdfcal.result import FORMAT, Calibration, describe
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.dh import DHTable
 from urdfcal.robot.kinematics import tip_poses
-from urdfcal.robot.origins import origins_of, rewrite_origins
+from urdfcal.robot.origins import origins_of
 from urdfcal.robot.placements import PlacementTable
 from urdfcal.robot.rpy import matrix_to_rpy
 from urdfcal.robot.urdf import Urdf
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from rerun import RecordingStream
 
     from urdfcal.estimation.identifiability import Identifiability
@@ -39,7 +36,6 @@ if TYPE_CHECKING:
     from urdfcal.estimation.state import State
     from urdfcal.session.model import Session
 
-FORMAT = "urdfcal/1"
 Method = Literal["pixels", "points"]
 
 # A reduced chi-square above this is no accident with a few dozen sightings: something is unmodelled.
@@ -54,8 +50,8 @@ _RESAMPLES = 1000
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration:
-    """The robot that was really built, as far as the session tells.
+class FittedCalibration(Calibration):
+    """A calibration with the session and the estimate it came from.
 
     Attributes:
         session: what was measured.
@@ -130,33 +126,6 @@ class Calibration:
         result: Floats = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
         return result
 
-    def apply(self, model: pin.Model) -> pin.Model:
-        """Return a copy of a Pinocchio model of this robot with the calibrated joint placements.
-
-        Args:
-            model: any model that has the calibrated joints, found by name; it is not changed.
-
-        Raises:
-            RobotError: a joint is missing, or its placement is not the drawn one that was calibrated.
-        """
-        calibrated = model.copy()
-        for joint, drawn, built in zip(self.chain.joints, self.chain.placements, self.placements, strict=True):
-            if not model.existJointName(joint.name):
-                raise RobotError(
-                    f"the model has no joint {joint.name!r}", where=model.name, remedy="Give a model of the same robot."
-                )
-            index = model.getJointId(joint.name)
-            placement = model.jointPlacements[index].homogeneous
-            if joint.name != self.chain.names[0] and not np.allclose(placement, drawn, rtol=0.0, atol=1e-9):
-                raise RobotError(
-                    f"the placement of joint {joint.name!r} is not the one that was calibrated",
-                    where=model.name,
-                    remedy="Give the nominal model, and give it only once.",
-                )
-            # Multiplied from the right, the correction does not care what the joint hangs on.
-            calibrated.jointPlacements[index] = pin.SE3(placement @ inverse(drawn) @ built)
-        return calibrated
-
     @property
     def urdf_name(self) -> str:
         """File name of the corrected URDF: the drawn one's with ``_calibrated``."""
@@ -173,13 +142,9 @@ class Calibration:
         urdf = self.session.urdf
         if urdf is None:
             raise OutputError("the session was built without a URDF", remedy="Use Calibration.apply on the model.")
-        data = rewrite_origins(urdf, origins_of(urdf, self.chain, self.placements))
+        data = self.apply_to_urdf(urdf)
         self._check(data)
         return data
-
-    def save(self, path: Path) -> None:
-        """Write the result as JSON, format ``urdfcal/1`` (DESIGN section 7)."""
-        files.write_text(path, json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n")
 
     def log(self, stream: RecordingStream, entity_path: str = "base") -> tuple[str, ...]:
         """Log everything there is to see into a rerun stream.
@@ -201,12 +166,7 @@ class Calibration:
 
         return {
             "format": FORMAT,
-            "robot": {
-                "name": self.chain.name,
-                "urdf": self.session.urdf_reference,
-                "base_link": self.chain.base_link,
-                "tip_link": self.chain.tip_link,
-            },
+            "robot": describe(self.chain, self.placements, self.session.urdf_reference),
             "dh": self._rows(),
             "placements": self._placements(),
             "T_world_base": self.estimate.T_world_base.tolist(),
@@ -417,7 +377,7 @@ def calibrate(
     seed: int = 0,
     force: bool = False,
     progress: Progress | None = None,
-) -> Calibration:
+) -> FittedCalibration:
     """Estimate the robot that was really built from a session.
 
     Maximum likelihood on pixels (or a tracker's points), whitened by the declared noise of sightings and joint
@@ -461,7 +421,7 @@ def calibrate(
         raise CalibrationError(
             "; ".join(comparison.failures), where="not written", remedy="--force writes it all the same."
         )
-    return Calibration(
+    return FittedCalibration(
         session=session,
         table=table,
         geometry=geometry,

@@ -24,7 +24,7 @@ import numpy as np
 import rerun_cli
 from rerun.experimental import ViewerClient
 
-from urdfcal.calibration import Calibration, calibrate
+from urdfcal.calibration import FittedCalibration, calibrate
 from urdfcal.output import blueprint
 from urdfcal.output.overview import Overview
 from urdfcal.output.recording import write_recording
@@ -65,14 +65,14 @@ def main() -> int:
     return int(bool(reports))
 
 
-def _calibrated(session: Session, fixed: bool) -> Calibration:
+def _calibrated(session: Session, fixed: bool) -> FittedCalibration:
     if not fixed:
         return calibrate(session)
     estimate = replace(session.estimate, geometry="dh", intrinsics="fixed")
     return calibrate(replace(session, estimate=estimate), force=True)
 
 
-def _tabs(calibration: Calibration, folder: Path, stem: Path) -> list[str]:
+def _tabs(calibration: FittedCalibration, folder: Path, stem: Path) -> list[str]:
     """Show every tab in turn; return what its views complain of."""
     overview, layout = Overview.of(calibration), blueprint.layout
     complaints = []
@@ -133,7 +133,7 @@ def _connected(port: int) -> ViewerClient:
     raise TimeoutError("the headless viewer does not start: are mesa-vulkan-drivers installed?")
 
 
-def _report(calibration: Calibration, folder: Path, path: Path) -> None:
+def _report(calibration: FittedCalibration, folder: Path, path: Path) -> None:
     page, png = folder / "report.html", folder / "report.png"
     write_report(page, calibration)
     options = ["--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", f"--user-data-dir={folder / 'home'}"]

@@ -18,7 +18,7 @@ from urdfcal.errors import CalibrationError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from urdfcal.calibration import Calibration, Method
+    from urdfcal.calibration import FittedCalibration, Method
     from urdfcal.output.overview import Overview
     from urdfcal.session.model import Session
 
@@ -91,7 +91,7 @@ def run(
     force: bool = False,
     live: bool = False,
     report: Report = "text",
-) -> Calibration:
+) -> FittedCalibration:
     """Calibrate a session, write its results and print the summary."""
     from urdfcal.calibration import calibrate
     from urdfcal.cli.console import status_line
@@ -187,7 +187,7 @@ def _print(overview: Overview, paths: Sequence[Path], remarks: Sequence[str]) ->
             line(str(path) if path.suffix != ".rrd" else f"{path}   (urdfcal view {path.parent})")
 
 
-def _corrections(calibration: Calibration) -> object:
+def _corrections(calibration: FittedCalibration) -> object:
     import numpy as np
 
     from urdfcal.cli.console import sheet

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from urdfcal.arrays import Floats, Ints
-    from urdfcal.calibration import Calibration
+    from urdfcal.calibration import FittedCalibration
     from urdfcal.output.overview import Overview
     from urdfcal.output.scene import Sightings
     from urdfcal.output.workspace import Workspace
@@ -154,7 +154,7 @@ def _against(name: str, title: str, value: Floats, table: Sightings) -> Chart:
     return Chart(name, title, Scale.holding(value), Scale(-reach, reach), marks)
 
 
-def parameter_charts(calibration: Calibration) -> list[Chart]:
+def parameter_charts(calibration: FittedCalibration) -> list[Chart]:
     """Corrections of the DH rows as bars with their standard deviations, lengths and angles apart."""
     offsets, sigmas = 1e3 * calibration.estimate.offsets, 1e3 * calibration.sigmas()
     columns, joints = calibration.geometry.columns, calibration.chain.names
@@ -189,7 +189,7 @@ def parameter_charts(calibration: Calibration) -> list[Chart]:
     return charts
 
 
-def convergence_charts(calibration: Calibration) -> list[Chart]:
+def convergence_charts(calibration: FittedCalibration) -> list[Chart]:
     """Cost, damping and step of every iteration, and how each joint's parameters found their place."""
     history = calibration.fit.history
     number = np.arange(1.0, len(history) + 1)
@@ -208,7 +208,7 @@ def convergence_charts(calibration: Calibration) -> list[Chart]:
     return [*charts, *_paths(calibration)]
 
 
-def _paths(calibration: Calibration) -> Iterable[Chart]:
+def _paths(calibration: FittedCalibration) -> Iterable[Chart]:
     paths, sigmas = parameter_paths(calibration), 1e3 * calibration.sigmas()
     number = np.arange(paths.shape[0], dtype=float)
     columns = calibration.geometry.columns
@@ -233,7 +233,7 @@ def _paths(calibration: Calibration) -> Iterable[Chart]:
         )
 
 
-def parameter_paths(calibration: Calibration) -> Floats:
+def parameter_paths(calibration: FittedCalibration) -> Floats:
     """The arm's offsets at the start and after every iteration, (I + 1, n, columns) in mm and mrad."""
     states = [calibration.nominal, *(step.state for step in calibration.fit.history)]
     return 1e3 * np.array([state.offsets for state in states])

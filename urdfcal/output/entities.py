@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from urdfcal.arrays import Floats, Ints
-    from urdfcal.calibration import Calibration
+    from urdfcal.calibration import FittedCalibration
     from urdfcal.output.overview import Overview
     from urdfcal.output.scene import Scene, Sightings
     from urdfcal.output.stream import Layer
@@ -44,7 +44,7 @@ ELLIPSOID = 2.0
 """Half axes of the covariance ellipsoids, in standard deviations."""
 
 
-def log_cameras(base: Layer, calibration: Calibration, scene: Scene) -> None:
+def log_cameras(base: Layer, calibration: FittedCalibration, scene: Scene) -> None:
     """Log the cameras' places and frusta, their rays to the LEDs, their pictures, and the arm drawn into these."""
     estimate, nominal, q = calibration.estimate, calibration.nominal, calibration.session.q
     photographs = find_photographs(calibration.session)

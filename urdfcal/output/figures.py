@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from urdfcal.arrays import Floats
-    from urdfcal.calibration import Calibration
+    from urdfcal.calibration import FittedCalibration
     from urdfcal.output.scene import Scene, Sightings
     from urdfcal.output.workspace import Workspace
 
@@ -50,7 +50,7 @@ _STYLE: Any = {
 }
 
 
-def draw(calibration: Calibration, scene: Scene, workspace: Workspace) -> dict[str, str]:
+def draw(calibration: FittedCalibration, scene: Scene, workspace: Workspace) -> dict[str, str]:
     """Draw the figures of a report.
 
     Returns:
@@ -121,7 +121,7 @@ def _residuals(scene: Scene) -> Figure:
     return figure
 
 
-def _corrections(calibration: Calibration) -> Figure:
+def _corrections(calibration: FittedCalibration) -> Figure:
     """Every estimated offset with its 95 % interval, lengths and angles apart."""
     offsets, sigmas = calibration.estimate.offsets, calibration.sigmas()
     kinds = [
@@ -187,7 +187,7 @@ def _binned(x: Floats, y: Floats, values: Floats) -> tuple[tuple[Floats, Floats]
     return (edges[0], edges[1]), cells
 
 
-def _field(calibration: Calibration, scene: Scene, pixels: Sightings) -> Figure:
+def _field(calibration: FittedCalibration, scene: Scene, pixels: Sightings) -> Figure:
     """What is left of the residuals over each camera's picture: a bent field means a wrong lens."""
     cameras = calibration.estimate.cameras
     columns = min(3, len(cameras))
@@ -223,7 +223,7 @@ def _field(calibration: Calibration, scene: Scene, pixels: Sightings) -> Figure:
     return figure
 
 
-def _convergence(calibration: Calibration) -> Figure:
+def _convergence(calibration: FittedCalibration) -> Figure:
     """Cost and step length of every iteration."""
     history = calibration.fit.history
     number = np.arange(1, len(history) + 1)

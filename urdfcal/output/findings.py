@@ -11,7 +11,7 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from urdfcal.calibration import Calibration
+    from urdfcal.calibration import FittedCalibration
 
 Level: TypeAlias = Literal["good", "doubtful", "bad"]
 Document: TypeAlias = "Mapping[str, Any]"
@@ -71,7 +71,7 @@ class Verdict:
     reasons: tuple[str, ...]
 
 
-def judge(calibration: Calibration, document: Document) -> Verdict:
+def judge(calibration: FittedCalibration, document: Document) -> Verdict:
     """Judge a calibration by its own evidence.
 
     Bad: the calibration's own failures, no better than the arm as drawn on held-out poses, residuals of more than three
@@ -108,7 +108,7 @@ def look_up(document: Document, key: str | Sequence[str]) -> Any:
     return reduce(lambda value, part: value[int(part)] if isinstance(value, list) else value[part], parts, document)
 
 
-def _far(calibration: Calibration) -> int:
+def _far(calibration: FittedCalibration) -> int:
     """How many parameters are corrected by more than ``_FAR`` tolerances; joints' zeros may be anywhere."""
     parameters, offsets = calibration.fit.parameters, calibration.estimate.offsets
     moved = np.array([offsets[row, parameters.columns.index(name)] for row, name in parameters.rows])

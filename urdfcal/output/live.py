@@ -10,7 +10,7 @@ from urdfcal.output.stream import ITERATION
 if TYPE_CHECKING:
     from rerun import RecordingStream
 
-    from urdfcal.calibration import Calibration
+    from urdfcal.calibration import FittedCalibration
     from urdfcal.output.overview import Overview
 
 
@@ -50,7 +50,7 @@ class LiveView:
         self._stream.set_time(ITERATION, sequence=self._steps)
         self._stream.log("live/cost", rr.Scalars(cost))
 
-    def finish(self, calibration: Calibration, overview: Overview | None = None) -> None:
+    def finish(self, calibration: FittedCalibration, overview: Overview | None = None) -> None:
         """Show the result."""
         from urdfcal.output.blueprint import layout
         from urdfcal.output.overview import Overview

@@ -10,7 +10,7 @@ from urdfcal.output.scene import Scene, lay_out
 from urdfcal.output.workspace import Workspace, survey
 
 if TYPE_CHECKING:
-    from urdfcal.calibration import Calibration
+    from urdfcal.calibration import FittedCalibration
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,14 +25,14 @@ class Overview:
         workspace: tip errors over the workspace.
     """
 
-    calibration: Calibration
+    calibration: FittedCalibration
     document: Document
     verdict: Verdict
     scene: Scene
     workspace: Workspace
 
     @classmethod
-    def of(cls, calibration: Calibration) -> Overview:
+    def of(cls, calibration: FittedCalibration) -> Overview:
         """Work it out."""
         document = calibration.to_dict()
         return cls(calibration, document, judge(calibration, document), lay_out(calibration), survey(calibration))

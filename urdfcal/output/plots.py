@@ -15,7 +15,7 @@ from urdfcal.output.stream import ITERATION
 
 if TYPE_CHECKING:
     from urdfcal.arrays import Floats
-    from urdfcal.calibration import Calibration
+    from urdfcal.calibration import FittedCalibration
     from urdfcal.output.scene import Scene
     from urdfcal.output.stream import Layer
 
@@ -35,7 +35,7 @@ def log_residuals(base: Layer, scene: Scene) -> None:
             plot.each(rr.Scalars.columns(scalars=rms), pose)
 
 
-def log_convergence(base: Layer, calibration: Calibration) -> None:
+def log_convergence(base: Layer, calibration: FittedCalibration) -> None:
     """Log cost, damping, step, the rms residual (from the nominal arm's on) and every parameter, step by step.
 
     A parameter comes with its final value minus and plus one standard deviation. [mm, mrad]

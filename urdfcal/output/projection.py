@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from urdfcal.arrays import Floats
-    from urdfcal.calibration import Calibration
+    from urdfcal.calibration import FittedCalibration
     from urdfcal.estimation.state import State
 
 # A lens bends straight lines: each is projected at so many points.
@@ -24,7 +24,7 @@ _POINTS = 5
 _SHIFT = 4
 
 
-def arm_in_picture(calibration: Calibration, q: ArrayLike, camera: int = 0, *, nominal: bool = False) -> Floats:
+def arm_in_picture(calibration: FittedCalibration, q: ArrayLike, camera: int = 0, *, nominal: bool = False) -> Floats:
     """The pixels of the arm's axes and common normals at given joint values.
 
     Args:
@@ -52,7 +52,7 @@ def project_line(state: State, corners: Floats, camera: int) -> Floats:
     return uv
 
 
-def skeleton(calibration: Calibration, state: State, q: Floats) -> Floats:
+def skeleton(calibration: FittedCalibration, state: State, q: Floats) -> Floats:
     """Corners of the arm's DH rows, (N, 2 n + 3, 3) in m in the base link's frame: base, F_0, foot, F_1, ..., tip."""
     frames = joint_frames(calibration.geometry, state, q)
     offsets = row_offsets(calibration, state)

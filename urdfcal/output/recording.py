@@ -12,13 +12,13 @@ if TYPE_CHECKING:
 
     from rerun import RecordingStream
 
-    from urdfcal.calibration import Calibration
+    from urdfcal.calibration import FittedCalibration
 
 ROOT = "base"
 """Entity of the base link; all of a recording stands in its frame."""
 
 
-def write_recording(path: Path, calibration: Calibration, overview: Overview | None = None) -> tuple[str, ...]:
+def write_recording(path: Path, calibration: FittedCalibration, overview: Overview | None = None) -> tuple[str, ...]:
     """Write a calibration as a rerun recording that brings its own layout of views.
 
     Args:
@@ -48,7 +48,7 @@ def write_recording(path: Path, calibration: Calibration, overview: Overview | N
 
 
 def log_calibration(
-    stream: RecordingStream, calibration: Calibration, overview: Overview | None = None, path: str = ROOT
+    stream: RecordingStream, calibration: FittedCalibration, overview: Overview | None = None, path: str = ROOT
 ) -> tuple[str, ...]:
     """Log a calibration into a rerun stream, below an entity that stands for the base link.
 

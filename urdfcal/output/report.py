@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from markupsafe import Markup
 
-    from urdfcal.calibration import Calibration
+    from urdfcal.calibration import FittedCalibration
     from urdfcal.output.findings import Document
 
 _TEMPLATE = "report.html.jinja"
@@ -30,7 +30,7 @@ _OUTLIERS_SHOWN = 25
 _MINUS = "\N{MINUS SIGN}"
 
 
-def write_report(path: Path, calibration: Calibration, overview: Overview | None = None) -> None:
+def write_report(path: Path, calibration: FittedCalibration, overview: Overview | None = None) -> None:
     """Write a calibration as one HTML page: verdict first, figures inside, no scripts, nothing fetched.
 
     Args:

@@ -8,17 +8,18 @@ from urdfcal import files
 from urdfcal.output.overview import Overview
 from urdfcal.output.recording import write_recording
 from urdfcal.output.report import write_report
+from urdfcal.result import FILE_NAME
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from urdfcal.calibration import Calibration
+    from urdfcal.calibration import FittedCalibration
 
-JSON, REPORT, RECORDING = "calibration.json", "report.html", "calibration.rrd"
+REPORT, RECORDING = "report.html", "calibration.rrd"
 
 
 def write_results(
-    calibration: Calibration, folder: Path, overview: Overview | None = None
+    calibration: FittedCalibration, folder: Path, overview: Overview | None = None
 ) -> tuple[tuple[Path, ...], tuple[str, ...]]:
     """Write everything a calibration leaves behind, all of it or nothing.
 
@@ -37,7 +38,7 @@ def write_results(
     overview = overview or Overview.of(calibration)
     with files.staged(folder) as stage:
         files.write_bytes(stage / calibration.urdf_name, urdf)
-        calibration.save(stage / JSON)
+        calibration.save(stage / FILE_NAME)
         write_report(stage / REPORT, calibration, overview)
         notes = write_recording(stage / RECORDING, calibration, overview)
         names = sorted(path.name for path in stage.iterdir())

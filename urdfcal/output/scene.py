@@ -16,7 +16,7 @@ from urdfcal.vision.rig import Rig
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from urdfcal.calibration import Calibration
+    from urdfcal.calibration import FittedCalibration
     from urdfcal.estimation.parameters import Geometry
     from urdfcal.estimation.state import State
     from urdfcal.robot.chain import Chain
@@ -129,7 +129,7 @@ def pixels_of(tables: tuple[Sightings, ...]) -> Sightings | None:
     return next((table for table in tables if table.measured.shape[1] == 2), None)
 
 
-def lay_out(calibration: Calibration) -> Scene:
+def lay_out(calibration: FittedCalibration) -> Scene:
     """Work out where everything of a calibration stands, seen from the base link."""
     session, table, estimate = calibration.session, calibration.table, calibration.estimate
     frames = joint_frames(calibration.geometry, estimate, session.q)
@@ -166,7 +166,7 @@ def lay_out(calibration: Calibration) -> Scene:
     )
 
 
-def _tabulated(calibration: Calibration, index: int) -> Sightings:
+def _tabulated(calibration: FittedCalibration, index: int) -> Sightings:
     """Bring one of the calibration's blocks of observations, and what became of it, into a table."""
     block, fit = calibration.observations[index], calibration.fit
     rows = block.valid
@@ -207,7 +207,7 @@ def led_positions(chain: Chain, frames: Floats, leds: Floats) -> Floats:
     return result
 
 
-def row_offsets(calibration: Calibration, state: State) -> Floats:
+def row_offsets(calibration: FittedCalibration, state: State) -> Floats:
     """Offsets (n, 5) of the DH rows; zero where whole placements were estimated, the drawn rows riding on them."""
     if calibration.geometry is calibration.table:
         return state.offsets

@@ -12,7 +12,7 @@ from urdfcal.estimation.start import kabsch
 from urdfcal.robot.kinematics import tip_poses
 
 if TYPE_CHECKING:
-    from urdfcal.calibration import Calibration
+    from urdfcal.calibration import FittedCalibration
 
 # Enough for a map of 20 x 20 cells; drawing more takes longer and shows the same.
 _SAMPLES = 1500
@@ -39,7 +39,7 @@ class Workspace:
         return float(both.min()), float(both.max())
 
 
-def survey(calibration: Calibration) -> Workspace:
+def survey(calibration: FittedCalibration) -> Workspace:
     """Sample the workspace with the calibration's own seed."""
     chain = calibration.chain
     q = chain.random_values(_SAMPLES, np.random.default_rng(calibration.seed))

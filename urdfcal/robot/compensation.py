@@ -41,21 +41,21 @@ class Compensation:
     """Joint commands, and how near they bring the real tip to where the nominal model puts it.
 
     Attributes:
-        readings: (N, k) commands of the actuated joints. [rad or m]
-        position: (N,) distance left. [m]
-        angle: (N,) angle left. [rad]
+        q: (..., k) commands of the actuated joints. [rad or m]
+        position: (...) distance left. [m]
+        angle: (...) angle left. [rad]
     """
 
-    readings: Floats
+    q: Floats
     position: Floats
     angle: Floats
 
     def __post_init__(self) -> None:
-        for name in ("readings", "position", "angle"):
+        for name in ("q", "position", "angle"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
 
-def compensate(nominal: Chain, real: Chain, readings: ArrayLike) -> Compensation:
+def compensate(nominal: Chain, real: Chain, q: ArrayLike) -> Compensation:
     """Find joint commands with which the real arm's tip goes where the nominal arm's would go.
 
     Damped Gauss-Newton on the real arm from the nominal commands, position first: the orientation is corrected with
@@ -65,27 +65,30 @@ def compensate(nominal: Chain, real: Chain, readings: ArrayLike) -> Compensation
     Args:
         nominal: the arm as the controller believes it is.
         real: the same arm with calibrated placements.
-        readings: (N, k) commands of the actuated joints, made for the nominal arm. [rad or m]
+        q: (..., k) commands of the actuated joints, made for the nominal arm. [rad or m]
 
     Raises:
         RobotError: a command is not finite, or beyond the joint's limits.
     """
-    wanted = np.array(readings, dtype=float)
-    lower, upper = _checked_limits(nominal, wanted)
-    q, position, angle = np.empty_like(wanted), np.empty(len(wanted)), np.empty(len(wanted))
+    given = np.array(q, dtype=float)
+    lower, upper = _checked_limits(nominal, given)
+    wanted = given.reshape(-1, len(lower))
+    found, position, angle = np.empty_like(wanted), np.empty(len(wanted)), np.empty(len(wanted))
     for first in range(0, len(wanted), _BLOCK):
         poses = slice(first, first + _BLOCK)
         T = tip_poses(nominal, nominal.joint_values(wanted[poses]))
         least, most = np.maximum(lower, wanted[poses] - _FURTHEST), np.minimum(upper, wanted[poses] + _FURTHEST)
-        q[poses], error = _reach(real, T, wanted[poses], least, most)
+        found[poses], error = _reach(real, T, wanted[poses], least, most)
         position[poses], angle[poses] = np.linalg.norm(error[:, :3], axis=1), np.linalg.norm(error[:, 3:], axis=1)
-    return Compensation(q, position, angle)
+    shape = given.shape[:-1]
+    return Compensation(found.reshape(given.shape), position.reshape(shape), angle.reshape(shape))
 
 
-def _checked_limits(chain: Chain, readings: Floats) -> tuple[Floats, Floats]:
+def _checked_limits(chain: Chain, q: Floats) -> tuple[Floats, Floats]:
     joints = [joint for joint in chain.joints if joint.mimic is None]
-    if readings.ndim != 2 or readings.shape[1] != len(joints):
-        raise RobotError(f"commands of shape {readings.shape} are not (N, {len(joints)})", where=chain.name)
+    if not q.ndim or q.shape[-1] != len(joints):
+        raise RobotError(f"commands of shape {q.shape} are not (..., {len(joints)})", where=chain.name)
+    readings = q.reshape(-1, len(joints))
     lower, upper = (np.array([getattr(joint, side) for joint in joints]) for side in ("lower", "upper"))
     outside = (readings < lower - _LIMIT_ROUNDING) | (readings > upper + _LIMIT_ROUNDING) | ~np.isfinite(readings)
     if outside.any():

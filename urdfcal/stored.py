@@ -1,0 +1,170 @@
+"""The keys of calibration.json, checked strictly before anything is made of them."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from urdfcal.errors import OutputError
+
+# Rotations are written with all their digits.
+_RIGID = 1e-9
+
+
+def _rigid(T: list[list[float]]) -> list[list[float]]:
+    M = np.array(T)
+    if (
+        not np.allclose(M[:3, :3].T @ M[:3, :3], np.eye(3), rtol=0.0, atol=_RIGID)
+        or np.linalg.det(M[:3, :3]) < 0.0
+        or M[3].tolist() != [0.0, 0.0, 0.0, 1.0]
+    ):
+        raise ValueError("it is no rigid transform")
+    return T
+
+
+Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+Row = Annotated[list[float], Field(min_length=4, max_length=4)]
+Transform = Annotated[list[Row], Field(min_length=4, max_length=4), AfterValidator(_rigid)]
+Plain = dict[str, Any]
+
+
+class _Keys(BaseModel):
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class MimicKeys(_Keys):
+    """The joint that another one follows."""
+
+    joint: str
+    multiplier: float
+    offset: float
+
+
+class JointKeys(_Keys):
+    """A joint as drawn and as built, in the previous joint's frame."""
+
+    type: Literal["revolute", "continuous", "prismatic"]
+    axis: Vector
+    lower: float | None
+    upper: float | None
+    mimic: MimicKeys | None
+    drawn: Transform
+    built: Transform
+
+
+class RobotKeys(_Keys):
+    """The chain that was calibrated."""
+
+    name: str
+    urdf: str
+    base_link: str
+    tip_link: str
+    joints: Annotated[dict[str, JointKeys], Field(min_length=1)]
+    T_last_tip: Transform
+
+    @model_validator(mode="after")
+    def _mimics_follow(self) -> RobotKeys:
+        for name, joint in self.joints.items():
+            if joint.mimic is not None and joint.mimic.joint not in self.joints:
+                raise ValueError(f"joint {name!r} follows {joint.mimic.joint!r}, which is not there")
+        return self
+
+
+class RowKeys(_Keys):
+    """One parameter of one joint."""
+
+    joint: str
+    parameter: str
+    unit: Literal["m", "rad"]
+    nominal: float
+    offset: float
+    sigma: float | None = None
+    status: Literal["estimated", "fixed"]
+    reason: str | None = None
+
+
+class OriginKeys(_Keys):
+    """An origin as the corrected URDF has it."""
+
+    xyz: Vector
+    rpy: Vector
+
+
+class LedKeys(_Keys):
+    """Where an LED is in the tip frame."""
+
+    position: Vector
+    sigma: list[float | None]
+
+
+class CameraKeys(_Keys):
+    """A camera as it was used or found."""
+
+    intrinsics: Row
+    distortion_model: str
+    distortion: list[float]
+    T_cam_world: Transform
+
+
+class CalibrationKeys(_Keys):
+    """The whole file; what only people read is any plain data."""
+
+    format: str
+    robot: RobotKeys
+    dh: list[RowKeys]
+    placements: dict[str, OriginKeys]
+    T_world_base: Transform
+    leds: dict[str, LedKeys]
+    cameras: dict[str, CameraKeys]
+    fit: Plain
+    validation: Plain
+    models: list[Plain]
+    identifiability: Plain
+    solutions: list[Plain]
+    outliers: list[Plain]
+    warnings: list[str]
+    provenance: Plain
+
+    @model_validator(mode="after")
+    def _rows_of_joints(self) -> CalibrationKeys:
+        for row in self.dh:
+            if row.joint not in self.robot.joints:
+                raise ValueError(f"dh names joint {row.joint!r}, which the robot has not")
+        return self
+
+
+def check(text: str, where: str, file_format: str) -> Plain:
+    """Parse calibration.json and check every key.
+
+    Raises:
+        OutputError: it is no JSON, of another format, or a key is missing, unknown or makes no sense.
+    """
+    try:
+        document = json.loads(text, parse_constant=_no_number)
+    except ValueError as error:
+        raise OutputError(f"it is no JSON: {error}", where=where, remedy="Calibrate again.") from error
+    found = document.get("format") if isinstance(document, dict) else None
+    if found != file_format:
+        raise OutputError(
+            f"its format is {found!r}, not {file_format!r}",
+            where=where,
+            remedy="Read it with the urdfcal that wrote it, or calibrate again.",
+        )
+    try:
+        CalibrationKeys.model_validate(document)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"])
+        what = first["msg"].removeprefix("Value error, ")
+        raise OutputError(
+            f"{what[:1].lower()}{what[1:]}", where=f"{where}, {place}" if place else where, remedy="Calibrate again."
+        ) from error
+    checked: Plain = document
+    return checked
+
+
+def _no_number(constant: str) -> float:
+    raise ValueError(f"{constant} is no number")
