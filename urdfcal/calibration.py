@@ -19,12 +19,13 @@ from urdfcal.estimation.several import Candidate, several
 from urdfcal.estimation.start import first_state, triangulated
 from urdfcal.estimation.uncertainty import tip_covariance
 from urdfcal.result import FORMAT, Calibration, describe
-from urdfcal.robot.chain import Chain
 from urdfcal.robot.dh import DHTable
-from urdfcal.robot.kinematics import tip_poses
+from urdfcal.robot.kinematics import link_poses
 from urdfcal.robot.origins import origins_of
 from urdfcal.robot.placements import PlacementTable
 from urdfcal.robot.rpy import matrix_to_rpy
+from urdfcal.robot.tree import read_mechanism
+from urdfcal.robot.tree_dh import rows_of
 from urdfcal.robot.urdf import Urdf
 
 if TYPE_CHECKING:
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
     from urdfcal.estimation.parameters import Geometry
     from urdfcal.estimation.solver import Progress, Solution
     from urdfcal.estimation.state import State
+    from urdfcal.robot.mechanism import Mechanism
+    from urdfcal.robot.tree_dh import TreeTable
     from urdfcal.session.model import Session
 
 Method = Literal["pixels", "points"]
@@ -65,7 +68,7 @@ class FittedCalibration(Calibration):
     """
 
     session: Session
-    table: DHTable
+    table: DHTable | TreeTable
     geometry: Geometry
     observations: tuple[Observations, ...]
     comparison: Comparison
@@ -104,8 +107,8 @@ class FittedCalibration(Calibration):
         return self.fit.state
 
     @property
-    def chain(self) -> Chain:
-        """The chain that was calibrated, as drawn."""
+    def chain(self) -> Mechanism:
+        """The joints that were calibrated, as drawn."""
         return self.table.chain
 
     @cached_property
@@ -304,7 +307,7 @@ class FittedCalibration(Calibration):
         reasons = {packed[i]: why for i, why in self.fit.parameters.reasons.items() if i < len(packed)}
         entries = []
         drawn = self.table.nominal if self.geometry is self.table else np.zeros_like(sigmas)
-        for i, joint in enumerate(self.chain.names):
+        for i, joint in enumerate(self.geometry.labels):
             for k, name in enumerate(self.geometry.columns):
                 entry: dict[str, Any] = {
                     "joint": joint,
@@ -316,7 +319,7 @@ class FittedCalibration(Calibration):
                 if np.isfinite(sigmas[i, k]):
                     entry |= {"sigma": float(sigmas[i, k]), "status": "estimated"}
                 else:
-                    entry |= {"status": "fixed", "reason": reasons.get((i, name)) or _structural(self.table, i, name)}
+                    entry |= {"status": "fixed", "reason": reasons.get((i, name)) or self.geometry.reason(i, name)}
                 entries.append(entry)
         return entries
 
@@ -352,12 +355,15 @@ class FittedCalibration(Calibration):
         """Read the URDF again with two independent readers and compare their FK with the DH rows."""
         rng = np.random.default_rng(self.seed)
         q = self.chain.random_values(_CHECK_POSES, rng)
-        expected = tip_poses(self.chain, q, self.placements)
-        pinocchio = tip_poses(Chain.from_urdf(Urdf.parse(data), self.chain.tip_link, self.chain.base_link), q)
-        yourdfpy = _yourdfpy_tips(data, self.chain, q)
-        tips = {"Pinocchio": pinocchio, "yourdfpy": yourdfpy}
-        if self.geometry is self.table:
-            tips["the DH rows"] = np.array([self.table.forward(q_k, self.estimate.offsets) for q_k in q])
+        links = [tip.link for tip in self.chain.tips]
+        expected = np.array(link_poses(self.chain, q, self.chain.tips, self.placements))
+        again = read_mechanism(Urdf.parse(data), links, self.chain.base_link)
+        tips = {
+            "Pinocchio": np.array(link_poses(again, q, again.tips)),
+            "yourdfpy": _yourdfpy_links(data, self.chain, q),
+        }
+        if self.geometry is self.table and isinstance(self.table, DHTable):
+            tips["the DH rows"] = np.array([[self.table.forward(q_k, self.estimate.offsets) for q_k in q]])
         for reader, T in tips.items():
             error = float(np.abs(T - expected).max())
             if not error <= _AGREEMENT:
@@ -403,9 +409,9 @@ def calibrate(
             "detections and points are both named: the tracker's frame is not the first camera's",
             remedy="Name one of them; evaluate --points checks a result against the other.",
         )
-    table = DHTable.from_chain(session.chain)
-    geometry = PlacementTable(session.chain) if session.estimate.geometry == "full" else table
-    start = first_state(session, geometry, np.zeros((len(table.rows), len(geometry.columns))))
+    table = rows_of(session.chain)
+    geometry: Geometry = PlacementTable(session.chain) if session.estimate.geometry == "full" else table
+    start = first_state(session, geometry, np.zeros((len(geometry.labels), len(geometry.columns))))
     blocks = observe(session)
     if method == "points":
         blocks, start = _as_points(session), replace(start, cameras=(), T_cam_world=np.zeros((0, 4, 4)))
@@ -461,24 +467,12 @@ def _doubts(fit: Solution) -> list[str]:
     return doubts
 
 
-def _structural(table: DHTable, index: int, name: str) -> str:
-    """Why a parameter of a row is never a candidate."""
-    row = table.rows[index]
-    if index == len(table.rows) - 1:
-        return "it places the tip on the last link, which is no joint's origin"
-    if row.directed and (name in ("d", "a") or (name == "theta") == row.parallel):
-        return "the next joint slides: its axis has a direction but no place"
-    if row.parallel and name == "d":
-        return "the next axis is parallel: d of the two rows only appears as a sum"
-    return "the next axis is not parallel: the common normal needs no beta"
-
-
 def _rms(residual: Floats) -> float:
     return float(np.sqrt(np.mean(np.sum(residual**2, axis=-1)))) if residual.size else float("nan")
 
 
-def _yourdfpy_tips(data: bytes, chain: Chain, q: Floats) -> Floats:
-    """T_base_tip by yourdfpy, which shares no code with Pinocchio."""
+def _yourdfpy_links(data: bytes, chain: Mechanism, q: Floats) -> Floats:
+    """T_base_link (tips, N, 4, 4) by yourdfpy, which shares no code with Pinocchio."""
     import io
 
     import yourdfpy
@@ -488,9 +482,10 @@ def _yourdfpy_tips(data: bytes, chain: Chain, q: Floats) -> Floats:
         if joint.axis is not None and np.any(joint.axis):
             joint.axis = np.asarray(joint.axis) / np.linalg.norm(joint.axis)
     names = [joint.name for joint in robot.actuated_joints]
-    result = np.empty((len(q), 4, 4))
+    result = np.empty((len(chain.tips), len(q), 4, 4))
     for k, q_k in enumerate(q):
         values = dict(zip(chain.names, q_k, strict=True))
         robot.update_cfg([values.get(name, 0.0) for name in names])
-        result[k] = robot.get_transform(chain.tip_link, chain.base_link)
+        for i, tip in enumerate(chain.tips):
+            result[i, k] = robot.get_transform(tip.link, chain.base_link)
     return result

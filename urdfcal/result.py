@@ -15,9 +15,10 @@ from urdfcal import files
 from urdfcal.arrays import Floats, frozen
 from urdfcal.errors import OutputError
 from urdfcal.robot.applying import apply_to_model, apply_to_urdf
-from urdfcal.robot.chain import Chain, Joint
+from urdfcal.robot.chain import Chain
 from urdfcal.robot.compensation import Compensation, compensate
 from urdfcal.robot.dh import PARAMETERS
+from urdfcal.robot.mechanism import Joint
 from urdfcal.robot.urdf import Mimic
 
 if TYPE_CHECKING:

@@ -35,7 +35,7 @@ def test_gauge_freedoms_are_named(simulated: Callable) -> None:
     assert lost == (
         f"d of row 1 (shoulder_pan_joint) {stands}",
         f"theta of row 1 (shoulder_pan_joint) {stands}",
-        "theta of row 6 (wrist_3_joint) cannot be told from where the LEDs sit on the last link: it is held as drawn",
+        "theta of row 6 (wrist_3_joint) cannot be told from where the LEDs sit: it is held as drawn",
     )
 
 

@@ -14,8 +14,10 @@ from urdfcal.estimation.observations import arrange
 from urdfcal.estimation.parameters import choose_parameters
 from urdfcal.estimation.residuals import predict
 from urdfcal.estimation.state import State
-from urdfcal.robot.chain import Chain, Joint
+from urdfcal.robot.chain import Chain
 from urdfcal.robot.dh import DHTable, row_transform
+from urdfcal.robot.mechanism import Joint
+from urdfcal.session.frames import fasten
 from urdfcal.session.model import Detections, Led, Session
 from urdfcal.vision.camera import Camera
 from urdfcal.vision.rig import Rig
@@ -102,13 +104,16 @@ def identified(arm: str, leds: np.ndarray, cameras: int = 2, table_type: type[DH
     state = State(np.zeros((len(chain.joints), 5)), T_world_base, leds, lenses, np.array([np.eye(4), beside])[:cameras])
     q = chain.random_values(60, np.random.default_rng(0))
     pose, camera, led = (a.ravel() for a in np.meshgrid(np.arange(60), np.arange(cameras), np.arange(len(leds))))
-    empty = arrange(q, pose, led, camera, np.zeros((len(pose), 2)), np.broadcast_to(np.eye(2), (len(pose), 2, 2)))
+    rig = Rig(lenses, (np.eye(4), beside)[:cameras])
+    frames = fasten(chain, [None] * len(leds), rig, {})
+    unit = np.broadcast_to(np.eye(2), (len(pose), 2, 2))
+    empty = arrange(q, pose, led, camera, np.zeros((len(pose), 2)), unit, frames)
     session = Session(
         chain=chain,
         poses=tuple(map(str, range(60))),
         q=q,
         leds=tuple(Led(f"led{i}") for i in range(len(leds))),
-        rig=Rig(lenses, (np.eye(4), beside)[:cameras]),
+        rig=rig,
         detections=Detections(pose, camera, led, empty.by_row(predict(table, empty, state)), np.ones(len(pose))),
     )
     fixed = ("fixed",) * cameras

@@ -61,7 +61,13 @@ def test_points_have_the_same_derivatives_as_pixels(simulated: Callable, true_st
     table = DHTable.from_chain(session.chain)
     pose = np.arange(8)
     block = arrange(
-        session.q, pose, np.zeros(8, int), np.full(8, -1), np.zeros((8, 3)), np.broadcast_to(np.eye(3), (8, 3, 3))
+        session.q,
+        pose,
+        np.zeros(8, int),
+        np.full(8, -1),
+        np.zeros((8, 3)),
+        np.broadcast_to(np.eye(3), (8, 3, 3)),
+        session.frames,
     )
     parameters = choose_parameters(session, table, state, Freedoms("dh", ("fixed",) * 2, ("fixed",) * 2))
     J = Tangent.at(table, block, state, parameters).linearise(EVERY).J

@@ -7,7 +7,7 @@ import numpy as np
 
 from urdfcal.calibration import calibrate
 from urdfcal.estimation.observations import observe
-from urdfcal.estimation.residuals import led_positions, predict
+from urdfcal.estimation.residuals import predict, view
 from urdfcal.estimation.start import kabsch
 from urdfcal.robot.dh import DHTable
 from urdfcal.session.model import Estimate, Noise
@@ -41,7 +41,7 @@ def test_the_seeds_problem_a_3r_arm_from_wild_starts(simulated: Callable, true_s
 
     # The kept one predicts poses it has not seen.
     elsewhere = replace(block, q=table.chain.random_values(len(block.q), np.random.default_rng(9)))
-    true, found = (led_positions(table, elsewhere, s)[block.valid] for s in (true_state(data), calibration.estimate))
+    true, found = (view(table, elsewhere, s)[block.valid] for s in (true_state(data), calibration.estimate))
     T = kabsch(found, true)
     assert np.abs(found @ T[:3, :3].T + T[:3, 3] - true).max() < 1e-6
 

@@ -11,7 +11,7 @@ from urdfcal.estimation.evaluation import compare
 from urdfcal.estimation.freedoms import Freedoms
 from urdfcal.estimation.observations import observe
 from urdfcal.estimation.parameters import choose_parameters
-from urdfcal.estimation.residuals import led_positions, predict
+from urdfcal.estimation.residuals import predict, view
 from urdfcal.estimation.solver import solve
 from urdfcal.estimation.start import kabsch
 from urdfcal.robot.dh import DHTable
@@ -168,8 +168,8 @@ def test_whole_placements_can_be_estimated(simulated: Callable, true_state: Call
     # Where the tip sits beside the LED is shared out by tolerances: the LED itself is what must come out.
     (block,) = observe(session)
     elsewhere = replace(block, q=session.chain.random_values(len(block.q), np.random.default_rng(0)))
-    true = led_positions(DHTable.from_chain(session.chain), elsewhere, true_state(data))[block.valid]
-    found = led_positions(calibration.geometry, elsewhere, calibration.estimate)[block.valid]
+    true = view(DHTable.from_chain(session.chain), elsewhere, true_state(data))[block.valid]
+    found = view(calibration.geometry, elsewhere, calibration.estimate)[block.valid]
     T = kabsch(found, true)
     assert np.sqrt(np.mean(np.sum((found @ T[:3, :3].T + T[:3, 3] - true) ** 2, axis=1))) < 3e-4
     assert calibration.identifiability.rank == 15

@@ -39,7 +39,7 @@ def test_base_and_unknown_leds_are_found_from_anywhere(leds: int) -> None:
         in_base = (T_base_tip[pose] @ np.c_[places[led], np.ones(len(led))][..., None])[:, :3, 0]
         points = in_base @ T_world_base[:3, :3].T + T_world_base[:3, 3]
         T, found = place_base(
-            T_base_tip, pose, led, points, np.zeros((leds, 3)), np.ones(leds, bool), np.zeros(leds, bool)
+            T_base_tip[pose], led, points, np.zeros((leds, 3)), np.ones(leds, bool), np.zeros(leds, bool)
         )
         np.testing.assert_allclose(T, T_world_base, atol=1e-9)
         np.testing.assert_allclose(found, places, atol=1e-9)
@@ -48,7 +48,7 @@ def test_base_and_unknown_leds_are_found_from_anywhere(leds: int) -> None:
 def test_too_few_points_say_so() -> None:
     T, guess, flag = np.eye(4)[None].repeat(3, 0), np.zeros((1, 3)), np.ones(1, bool)
     with pytest.raises(CalibrationError, match="only 3 points"):
-        place_base(T, np.arange(3), np.zeros(3, int), np.eye(3), guess, flag, ~flag)
+        place_base(T, np.zeros(3, int), np.eye(3), guess, flag, ~flag)
 
 
 @pytest.mark.parametrize("rig", ["elbow3r", "ur5", "panda", "so101", "stanford"])

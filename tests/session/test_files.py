@@ -95,8 +95,8 @@ def rig(folder: Path) -> Path:
 
 def test_a_rig_is_a_session_without_measurements(tmp_path: Path) -> None:
     found = read_rig(rig(tmp_path))
-    assert found.stand_position.tolist() == [2.4, 0.3, 0.9]
-    assert found.stand_look_at.tolist() == [0.6, 0.0, 0.5]
+    assert found.stand.position.tolist() == [2.4, 0.3, 0.9]
+    assert found.stand.look_at.tolist() == [0.6, 0.0, 0.5]
     assert found.rig is not None
     assert found.rig.names == ("left", "right")
     assert found.chain.actuated == ("waist", "shoulder", "slide", "roll")

@@ -20,6 +20,7 @@ from urdfcal.session.model import (
     Points,
     RigDescription,
     Session,
+    Stand,
     Tolerances,
 )
 
@@ -192,10 +193,10 @@ def test_nothing_is_decided_for_the_calibration() -> None:
 
 def test_a_camera_cannot_look_at_itself(session: Session) -> None:
     here = np.ones(3)
-    rig = RigDescription(chain=session.chain, leds=session.leds, stand_position=here, stand_look_at=np.zeros(3))
-    assert not rig.stand_position.flags.writeable
+    rig = RigDescription(chain=session.chain, leds=session.leds, stand=Stand(here, np.zeros(3)))
+    assert not rig.stand.position.flags.writeable
     with pytest.raises(SessionError, match="looks at its own place"):
-        replace(rig, stand_look_at=here)
+        replace(rig.stand, look_at=here)
 
 
 def test_some_of_its_poses_are_a_session(session: Session, tracked: Session) -> None:

@@ -15,11 +15,12 @@ from urdfcal.errors import OutputError, SessionError
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.dh import PARAMETERS, DHTable
 from urdfcal.robot.kinematics import tip_poses
+from urdfcal.robot.mechanism import BASE
 from urdfcal.robot.urdf import Urdf, find_urdf, package_roots
 from urdfcal.session.clearance import Clearance
 from urdfcal.session.files import read_rig, read_session
 from urdfcal.session.manufacture import draw_offsets
-from urdfcal.session.model import Led
+from urdfcal.session.model import Led, Stand
 from urdfcal.session.rigs import find_rig, shipped_rigs
 from urdfcal.session.scene import look_at
 from urdfcal.session.simulate import simulate, write_simulated
@@ -171,7 +172,7 @@ def test_the_leds_and_the_stand_are_not_quite_where_they_were_meant_to_be(rig):
     runs = [simulate(rig, seed=seed, poses=3).truth for seed in range(12)]
     leds = np.array([truth.leds[0] - rig.leds[0].position for truth in runs])
     assert 0.6 < leds.std() / rig.leds[0].sigma < 1.4
-    drift = [look_at(rig.stand_position, rig.stand_look_at) @ truth.T_world_base for truth in runs]
+    drift = [look_at(rig.stand.position, rig.stand.look_at) @ truth.T_world_base for truth in runs]
     assert all(1e-4 < np.linalg.norm(T[:3, 3]) < 0.03 for T in drift)
     exact = replace(rig, leds=(Led("led", rig.leds[0].position, 0.0),))
     np.testing.assert_array_equal(simulate(exact, seed=1, poses=3).truth.leds, [rig.leds[0].position])
@@ -310,9 +311,10 @@ WALL = """<?xml version="1.0"?>
 """
 
 
-def clearance_of(text):
+def clearance_of(text, eyes=1):
     urdf = Urdf.parse(text.encode())
-    return Clearance(Chain.from_urdf(urdf, "hand", "base"), urdf, np.array([[0.0, 0.06, 0.1]]))
+    chain = Chain.from_urdf(urdf, "hand", "base")
+    return Clearance(chain, urdf, [(1, np.array([0.0, 0.06, 0.1]))], [(BASE, np.full(3, 9.0))] * eyes)
 
 
 def test_an_arm_keeps_clear_of_what_stands_beside_it_and_of_the_table():
@@ -336,7 +338,7 @@ def test_an_led_behind_the_wall_or_the_hand_is_not_seen():
     beside, beyond = np.array([[-0.5, 2.0, 0.5]]), np.array([[2.0, 0.0, 0.4]])
     assert clearance.sees(folded, beside)
     assert not clearance.sees(folded, beyond)
-    assert not clearance.sees(folded, np.concatenate([beside, beyond]))
+    assert not clearance_of(WALL, eyes=2).sees(folded, np.concatenate([beside, beyond]))
     upright = np.array([0.0, 0.0])
     assert clearance.sees(upright, np.array([[0.0, 2.0, 0.8]]))
     assert not clearance.sees(upright, np.array([[0.0, -2.0, 0.8]]))
@@ -410,7 +412,7 @@ def test_progress_is_told_of_every_pose(rig):
 
 
 def test_a_stand_that_looks_away_says_how_far_it_got(rig):
-    away = replace(rig, stand_look_at=2 * rig.stand_position - rig.stand_look_at)
+    away = replace(rig, stand=Stand(rig.stand.position, 2 * rig.stand.position - rig.stand.look_at))
     with pytest.raises(SessionError, match=r"0 of 50 poses found: of [\d]+ random ones .* in 0") as error:
         simulate(away, seed=19)
     assert "stand" in str(error.value)

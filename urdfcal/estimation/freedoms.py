@@ -26,7 +26,7 @@ class Freedoms:
     Attributes:
         geometry: of the arm.
         intrinsics: of each camera.
-        extrinsics: of each camera; the first one's is the world and fixed.
+        extrinsics: of each camera in the frame it is fixed in; the first one that stands still is the world and fixed.
         priors: whether tolerances hold the arm near its drawing and the LEDs near their given places.
     """
 
@@ -37,7 +37,7 @@ class Freedoms:
 
     def __str__(self) -> str:
         words = [_WORDS[self.geometry]]
-        for what, freedoms in (("intrinsics", self.intrinsics), ("camera poses", self.extrinsics[1:])):
+        for what, freedoms in (("intrinsics", self.intrinsics), ("camera poses", self.extrinsics)):
             words += [f"{word} {what}" for word in ("refine", "free") if word in freedoms]
         return ", ".join(words).replace("refine ", "refined ")
 
@@ -55,10 +55,16 @@ def nominal(session: Session, state: State, *, priors: bool = True) -> Freedoms:
         state: whose cameras take part: none where points are estimated from.
         priors: whether manufacturing tolerances act as priors.
     """
-    known = session.rig.T_cam_world if session.rig is not None and state.cameras else ()
-    intrinsics: tuple[Freedom, ...] = (_FIXED,) * len(known)
-    extrinsics: tuple[Freedom, ...] = tuple("fixed" if not c or T is not None else "free" for c, T in enumerate(known))
-    return Freedoms("none", intrinsics, extrinsics, priors)
+    frames, cameras = session.frames, state.cameras
+    refined = {mount.camera for mount in session.mounts if mount.sigma is not None}
+    extrinsics: list[Freedom] = []
+    for c, camera in enumerate(cameras):
+        leads, rides = frames.leader[c] == c, frames.camera[c] != 0
+        if leads and rides:
+            extrinsics.append("refine" if camera.name in refined else "free")
+        else:
+            extrinsics.append("free" if frames.T_cam_leader[c] is None else "fixed")
+    return Freedoms("none", (_FIXED,) * len(cameras), tuple(extrinsics), priors)
 
 
 def candidates(session: Session, state: State, *, priors: bool = True) -> tuple[Freedoms, ...]:
@@ -70,7 +76,7 @@ def candidates(session: Session, state: State, *, priors: bool = True) -> tuple[
     base, estimate = nominal(session, state, priors=priors), session.estimate
     names = session.rig.names if base.intrinsics and session.rig is not None else ()
     extrinsics = tuple(
-        estimate.of("extrinsics", name) or drawn if c else drawn
+        drawn if c in session.frames.standing[:1] else estimate.of("extrinsics", name) or drawn
         for c, (name, drawn) in enumerate(zip(names, base.extrinsics, strict=True))
     )
     geometries: tuple[Geometry, ...] = (estimate.geometry,) if estimate.geometry else ("none", "offsets", "dh")

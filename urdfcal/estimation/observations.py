@@ -10,6 +10,7 @@ import numpy as np
 from urdfcal.arrays import Bools, Floats, Ints, frozen
 
 if TYPE_CHECKING:
+    from urdfcal.session.frames import Frames
     from urdfcal.session.model import Session
 
 
@@ -27,6 +28,7 @@ class Observations:
         camera: (N, m) camera index; -1 for points, which are given in the world frame.
         value: (N, m, D) pixels, or metres.
         covariance: (N, m, D, D) of the measurement alone; identity for padding.
+        frames: what the LEDs and the cameras are fastened to.
     """
 
     pose: Ints
@@ -36,6 +38,7 @@ class Observations:
     camera: Ints
     value: Floats
     covariance: Floats
+    frames: Frames
 
     @property
     def dimension(self) -> int:
@@ -46,6 +49,18 @@ class Observations:
     def valid(self) -> Bools:
         """(N, m) whether a slot holds a sighting."""
         return self.row >= 0
+
+    @property
+    def led_frame(self) -> Ints:
+        """(N, m) the frame that each LED is fixed in."""
+        return self.frames.led[self.led]
+
+    @property
+    def view_frame(self) -> Ints:
+        """(N, m) the frame that each camera is fixed in; for points the world."""
+        if self.dimension == 3:
+            return np.zeros_like(self.camera)
+        return self.frames.camera[self.camera]
 
     @property
     def count(self) -> int:
@@ -59,7 +74,9 @@ class Observations:
         return result
 
 
-def arrange(q: Floats, pose: Ints, led: Ints, camera: Ints, value: Floats, covariance: Floats) -> Observations:
+def arrange(
+    q: Floats, pose: Ints, led: Ints, camera: Ints, value: Floats, covariance: Floats, frames: Frames
+) -> Observations:
     """Group S sightings by pose.
 
     Args:
@@ -69,6 +86,7 @@ def arrange(q: Floats, pose: Ints, led: Ints, camera: Ints, value: Floats, covar
         camera: (S,) camera of each, -1 for points.
         value: (S, D) what was measured.
         covariance: (S, D, D) how well.
+        frames: what LEDs and cameras are fastened to.
     """
     order = np.argsort(pose, kind="stable")
     poses, counts = np.unique(pose, return_counts=True)
@@ -91,6 +109,7 @@ def arrange(q: Floats, pose: Ints, led: Ints, camera: Ints, value: Floats, covar
         camera=frozen(cameras, np.intp),
         value=frozen(values),
         covariance=frozen(covariances),
+        frames=frames,
     )
 
 
@@ -99,10 +118,11 @@ def observe(session: Session) -> tuple[Observations, ...]:
     blocks = []
     if session.detections is not None:
         d = session.detections
-        blocks.append(arrange(session.q, d.pose, d.led, d.camera, d.uv, _isotropic(d.sigma, 2)))
+        blocks.append(arrange(session.q, d.pose, d.led, d.camera, d.uv, _isotropic(d.sigma, 2), session.frames))
     if session.points is not None:
         p = session.points
-        blocks.append(arrange(session.q, p.pose, p.led, np.full_like(p.led, -1), p.xyz, _isotropic(p.sigma, 3)))
+        nowhere = np.full_like(p.led, -1)
+        blocks.append(arrange(session.q, p.pose, p.led, nowhere, p.xyz, _isotropic(p.sigma, 3), session.frames))
     return tuple(blocks)
 
 

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 import pinocchio as pin
 
-from urdfcal.arrays import Bools, Floats, frozen
+from urdfcal.arrays import Bools, Floats, frozen, inverse
 from urdfcal.estimation.state import State
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from urdfcal.estimation.freedoms import Freedoms
-    from urdfcal.robot.chain import Chain
+    from urdfcal.robot.mechanism import Mechanism
     from urdfcal.session.model import Freedom, Led, Session, Tolerances
     from urdfcal.vision.rig import Rig
 
@@ -42,23 +42,30 @@ class Geometry(Protocol):
     """The arm's parameters: DH rows, or whole placements."""
 
     @property
-    def chain(self) -> Chain:
-        """The arm as drawn."""
+    def chain(self) -> Mechanism:
+        """The joints as drawn."""
 
     @property
     def columns(self) -> tuple[str, ...]:
         """What each column of an offsets array adds to."""
 
     @property
+    def labels(self) -> tuple[str, ...]:
+        """What each row of an offsets array belongs to: a joint, or the mount of a branch."""
+
+    @property
     def parameters(self) -> tuple[tuple[int, str], ...]:
-        """(joint index, column name) of every parameter."""
+        """(row index, column name) of every parameter."""
 
     @property
     def zeros(self) -> tuple[tuple[int, str], ...]:
         """Those of them that are joints' zero offsets."""
 
+    def reason(self, row: int, name: str) -> str:
+        """Why a parameter of a row is never a candidate."""
+
     def placements(self, offsets: Floats) -> Floats:
-        """Joint placements (n, 4, 4) under offsets (n, columns)."""
+        """Joint placements (n, 4, 4) under offsets (rows, columns)."""
 
     def twists(self, offsets: Floats, parameters: Iterable[tuple[int, str]]) -> Floats:
         """Body twists (6 n, p) of the placements for each parameter."""
@@ -75,7 +82,8 @@ class Parameters:
         rows: (row index, parameter) of each of the arm's offsets.
         columns: the parameters' order in an offsets array.
         leds: number of LEDs, three coordinates each.
-        cameras: indices of the cameras whose pose is a parameter.
+        cameras: indices of the cameras whose pose in the frame they are fixed in is a parameter.
+        leader: (C,) for each camera the first one in the same frame: where that goes, the others go with it.
         lenses: indices of the cameras whose intrinsics are parameters.
         lens_sizes: number of intrinsics of each of them.
         names: of every entry of the full vector.
@@ -91,6 +99,7 @@ class Parameters:
     columns: tuple[str, ...]
     leds: int
     cameras: tuple[int, ...]
+    leader: tuple[int, ...]
     lenses: tuple[int, ...]
     lens_sizes: tuple[int, ...]
     names: tuple[str, ...]
@@ -152,7 +161,11 @@ class Parameters:
         leds = state.leds + full[self.base.stop : self.base.stop + 3 * self.leds].reshape(-1, 3)
         T_cam_world = np.array(state.T_cam_world)
         for position, c in enumerate(self.cameras):
-            T_cam_world[c] = pin.exp6(full[self.camera(position)]).homogeneous @ T_cam_world[c]
+            motion = pin.exp6(full[self.camera(position)]).homogeneous
+            if self.leader[c] == c:
+                led = [k for k, leader in enumerate(self.leader) if leader == c and k != c]
+                T_cam_world[led] = T_cam_world[led] @ inverse(T_cam_world[c]) @ motion @ T_cam_world[c]
+            T_cam_world[c] = motion @ T_cam_world[c]
         cameras = list(state.cameras)
         for position, c in enumerate(self.lenses):
             cameras[c] = cameras[c].with_parameters(cameras[c].parameters + full[self.lens(position)])
@@ -176,7 +189,8 @@ class Parameters:
         full[self.base.stop : self.base.stop + 3 * self.leds] = (state.leds - self.centre.leds).ravel()
         blocks: list[tuple[slice, Floats]] = []
         for position, c in enumerate(self.cameras):
-            difference = pin.SE3(state.T_cam_world[c]) * pin.SE3(self.centre.T_cam_world[c]).inverse()
+            now, centre = (_by_leader(of.T_cam_world, c, self.leader[c]) for of in (state, self.centre))
+            difference = pin.SE3(now @ inverse(centre))
             full[self.camera(position)] = pin.log6(difference).vector
             # exp6(step) stands to the left: log6(exp6(s) D) moves by Jlog6(D) Ad(D^-1) s.
             blocks.append((self.camera(position), pin.Jlog6(difference) @ difference.inverse().action))
@@ -218,13 +232,16 @@ def choose_parameters(session: Session, table: Geometry, centre: State, freedoms
     chosen = {"none": (), "offsets": table.zeros}.get(freedoms.geometry, table.parameters)
     zeros = set(table.zeros)
     for i, name in chosen:
-        joint = table.chain.joints[i].name
+        joint = table.labels[i]
         tolerance = _tolerance(session.tolerances, joint, name, zero=(i, name) in zeros)
         if tolerance == 0.0:
             held[len(rows)] = "fixed by the session's tolerances"
         rows.append((i, name))
         names.append(f"{joint}.{name}")
         prior.append(tolerance if freedoms.priors and tolerance > 0.0 else np.inf)
+    frames = session.frames
+    if centre.cameras and not len(frames.standing):
+        held |= {len(names) + k: "all cameras ride on the robot: its base is the world" for k in range(6)}
     names += [f"T_world_base.{axis}" for axis in _POSE_AXES]
     prior += [np.inf] * 6
     for led in session.leds:
@@ -234,10 +251,11 @@ def choose_parameters(session: Session, table: Geometry, centre: State, freedoms
                 held[len(names)] = "its position is given as exact"
             names.append(f"{led.name}.{axis}")
             prior.append(sigma if freedoms.priors and sigma > 0.0 else np.inf)
-    moving = [c for c, freedom in enumerate(freedoms.extrinsics) if c and freedom != "fixed"]
+    world = frames.standing[:1]  # where the first camera stands is what the world is
+    moving = [c for c, freedom in enumerate(freedoms.extrinsics) if c not in world and freedom != "fixed"]
     for c in moving:
         names += [f"{centre.cameras[c].name}.{axis}" for axis in _POSE_AXES]
-        prior += [np.inf] * 6 if freedoms.extrinsics[c] == "free" else list(_pose_sigma(session.rig, c))
+        prior += [np.inf] * 6 if freedoms.extrinsics[c] == "free" else list(_pose_sigma(session, c))
     lenses = [c for c, freedom in enumerate(freedoms.intrinsics) if freedom != "fixed"]
     for c in lenses:
         camera = centre.cameras[c]
@@ -248,6 +266,7 @@ def choose_parameters(session: Session, table: Geometry, centre: State, freedoms
         columns=table.columns,
         leds=len(session.leds),
         cameras=tuple(moving),
+        leader=tuple(frames.leader.tolist()) if centre.cameras else (),
         lenses=tuple(lenses),
         lens_sizes=tuple(len(centre.cameras[c].parameters) for c in lenses),
         names=tuple(names),
@@ -269,9 +288,14 @@ def _as_given(session: Session, state: State) -> State:
     given = replace(state, offsets=np.zeros_like(state.offsets), leds=np.array(leds))
     if not state.cameras or session.rig is None:
         return given
-    rig = session.rig
-    places = [at if T is None else T for T, at in zip(rig.T_cam_world, state.T_cam_world, strict=True)]
-    return replace(given, cameras=rig.cameras, T_cam_world=np.array(places))
+    places = [at if T is None else T for T, at in zip(session.frames.T_cam_frame, state.T_cam_world, strict=True)]
+    return replace(given, cameras=session.rig.cameras, T_cam_world=np.array(places))
+
+
+def _by_leader(T: Floats, c: int, leader: int) -> Floats:
+    """A camera's place by the one that leads it; a leader's own in the frame that it is fixed in."""
+    result: Floats = T[c] if c == leader else T[c] @ inverse(T[leader])
+    return result
 
 
 def _tolerance(tolerances: Tolerances, joint: str, name: str, *, zero: bool) -> float:
@@ -286,8 +310,11 @@ def _led_sigma(led: Led) -> float:
     return LED_TOLERANCE if led.sigma is None else led.sigma
 
 
-def _pose_sigma(rig: Rig | None, c: int) -> Floats:
-    known = rig.sigmas[c] if rig is not None else None
+def _pose_sigma(session: Session, c: int) -> Floats:
+    for mount in session.mounts:
+        if session.frames.leader[c] == c and session.rig is not None and mount.camera == session.rig.names[c]:
+            return np.array(REFINED_POSE) if mount.sigma is None else mount.sigma
+    known = session.rig.sigmas[c] if session.rig is not None else None
     return np.array(REFINED_POSE) if known is None or known.pose is None else known.pose
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.errors import CalibrationError
-from urdfcal.estimation.residuals import led_positions
+from urdfcal.estimation.residuals import view
 from urdfcal.estimation.solver import solve
 from urdfcal.estimation.start import first_state, kabsch
 
@@ -139,12 +139,14 @@ def _strangeness(session: Session, solution: Solution) -> float:
 
 
 def _same_arm(table: Geometry, blocks: Sequence[Observations], a: Solution, b: Solution) -> bool:
-    """Whether two solutions move the LEDs alike, at the measured poses and at others, up to where the base stands."""
+    """Whether two solutions move the LEDs alike, wherever the arm goes, up to where base and cameras are."""
     for block in blocks:
         elsewhere = replace(block, q=table.chain.random_values(len(block.q), np.random.default_rng(0)))
-        p, r = (led_positions(table, elsewhere, solution.state)[block.valid] for solution in (a, b))
-        T = kabsch(p, r)
-        apart = np.linalg.norm(p @ T[:3, :3].T + T[:3, 3] - r, axis=1)
-        if np.sqrt(np.mean(apart**2)) > _SAME * table.chain.reach:
-            return False
+        p, r = (view(table, elsewhere, solution.state) for solution in (a, b))
+        for frame in np.unique(block.view_frame[block.valid]):
+            here = block.valid & (block.view_frame == frame)
+            T = kabsch(p[here], r[here])
+            apart = np.linalg.norm(p[here] @ T[:3, :3].T + T[:3, 3] - r[here], axis=1)
+            if np.sqrt(np.mean(apart**2)) > _SAME * table.chain.reach:
+                return False
     return True

@@ -18,11 +18,11 @@ class State:
     """One hypothesis about the robot, the LEDs and the cameras.
 
     Attributes:
-        offsets: (n, 5) added to the DH rows, columns as ``dh.PARAMETERS``. [rad, m]
+        offsets: (rows, 5) added to the DH rows, columns as ``dh.PARAMETERS``. [rad, m]
         T_world_base: (4, 4) the base link in the world. [m]
-        leds: (L, 3) LED positions in the tip frame. [m]
+        leds: (L, 3) LED positions, each in the frame of what it is fastened to. [m]
         cameras: lenses, in the rig's order.
-        T_cam_world: (C, 4, 4) the world in each camera. [m]
+        T_cam_world: (C, 4, 4) in each camera the frame that it is fixed in: the world, or the link it rides on. [m]
     """
 
     offsets: Floats

@@ -38,7 +38,11 @@ def sentence(table: Geometry, parameters: Parameters, victim: int, partners: Seq
     if not arm and len(base) == len(partners):
         return f"{name} cannot be told from where the robot stands (T_world_base): {outcome}"
     if not arm and len(leds) == len(partners):
-        return f"{name} cannot be told from where the LEDs sit on the last link: {outcome}"
+        return f"{name} cannot be told from where the LEDs sit: {outcome}"
+    cameras = [k for k in partners if k >= parameters.base.stop + 3 * parameters.leds]
+    if len(cameras) == len(partners):
+        named = " and ".join(sorted({parameters.names[k].rpartition(".")[0] for k in cameras}))
+        return f"{name} cannot be told from where {named} is fastened: {outcome}"
     same = [k for k in arm if victim < len(parameters.rows) and parameters.rows[k][1] == parameters.rows[victim][1]]
     if same and len(same) == len(arm) and len(arm) == len(partners):
         others = " and ".join(_name(table, parameters, k) for k in same)
@@ -51,7 +55,7 @@ def sentence(table: Geometry, parameters: Parameters, victim: int, partners: Seq
 def _name(table: Geometry, parameters: Parameters, index: int) -> str:
     if index < len(parameters.rows):
         row, name = parameters.rows[index]
-        return f"{name} of row {row + 1} ({table.chain.names[row]})"
+        return f"{name} of row {row + 1} ({table.labels[row]})"
     return parameters.names[index]
 
 

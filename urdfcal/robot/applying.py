@@ -10,13 +10,14 @@ import pinocchio as pin
 
 from urdfcal.arrays import Floats, inverse
 from urdfcal.errors import RobotError
-from urdfcal.robot.chain import Chain, se3
+from urdfcal.robot.chain import Chain
+from urdfcal.robot.mechanism import se3
 from urdfcal.robot.origins import origins_of, rewrite_origins
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from urdfcal.robot.chain import Joint
+    from urdfcal.robot.mechanism import Joint
     from urdfcal.robot.urdf import Urdf
 
 # Placements that differ by no more are the same drawing through different roundings. [m, entries of the rotation]

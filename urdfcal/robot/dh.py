@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
-    from urdfcal.robot.chain import Chain, JointType
+    from urdfcal.robot.chain import Chain
+    from urdfcal.robot.mechanism import JointType
 
 Parameter = Literal["theta", "d", "a", "alpha", "beta"]
 Convention = Literal["standard", "modified"]
@@ -143,7 +144,7 @@ class DHTable:
             # Every row but the last may choose its height along parallel axes; the last reaches the tip.
             height = float((inverse(F) @ L[-1])[2, 3]) if last else 0.0
             p, w = (inverse(F) @ [*point, 1.0])[:3], F[:3, :3].T @ axes[i + 1]
-            values = _hayati_row(p, w, height) if parallel else _common_normal_row(p, w)
+            values = _hayati_row(p, w, height) if parallel else line_row(p, w)
             theta, d, a, alpha, beta = map(float, values)
             rows.append(DHRow(joint.name, joint.type, theta, d, a, alpha, beta, parallel, directed))
             F = F @ row_transform(values)
@@ -164,6 +165,22 @@ class DHTable:
     def zeros(self) -> tuple[tuple[int, Parameter], ...]:
         """(row, name) of every joint's zero offset."""
         return tuple((i, row.variable) for i, row in enumerate(self.rows))
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """What each row of an offsets array belongs to: the joints' names."""
+        return self.chain.names
+
+    def reason(self, row: int, name: str) -> str:
+        """Why a parameter of a row is never a candidate."""
+        shape = self.rows[row]
+        if row == len(self.rows) - 1:
+            return "it places the tip on the last link, which is no joint's origin"
+        if shape.directed and (name in ("d", "a") or (name == "theta") == shape.parallel):
+            return "the next joint slides: its axis has a direction but no place"
+        if shape.parallel and name == "d":
+            return "the next axis is parallel: d of the two rows only appears as a sum"
+        return "the next axis is not parallel: the common normal needs no beta"
 
     @property
     def nominal(self) -> Floats:
@@ -238,13 +255,9 @@ class DHTable:
         offsets = np.asarray(offsets, dtype=float)
         own, shape = self._split(offsets)
         every = np.arange(len(self.rows))
-        xi = np.empty((len(every), 5, 6))  # of each row's parameters, in the placement that holds them
         # To the right of a row's factors stand the next joint's zero offset and K; none has a use for the last row's.
         Q = np.roll(self._zero_transforms(own, offsets) @ self.K, -1, axis=0)
-        values = self.nominal + shape
-        for factor in reversed(PARAMETERS):
-            xi[:, _COLUMN[factor]] = _carried(_MOTIONS[factor], Q)
-            Q = _factor(factor, values[:, _COLUMN[factor]]) @ Q
+        xi = parameter_twists(self.nominal + shape, Q)  # of each row's parameters, in the placement that holds them
         xi[every, own] = _carried(np.array([_MOTIONS[row.variable] for row in self.rows]), self.K)
         parameters = list(parameters)
         G = np.zeros((len(every), 6, len(parameters)))
@@ -318,6 +331,18 @@ def row_transform(values: ArrayLike) -> Floats:
     return T
 
 
+def parameter_twists(values: Floats, Q: Floats) -> Floats:
+    """The body twists (linear, angular) of B(values) Q for each parameter: (..., 5) and (..., 4, 4) to (..., 5, 6).
+
+    Each parameter is one factor; with Q' what stands to its right, xi = Ad(Q'^-1) e.
+    """
+    xi = np.empty((*values.shape, 6))
+    for factor in reversed(PARAMETERS):
+        xi[..., _COLUMN[factor], :] = _carried(_MOTIONS[factor], Q)
+        Q = _factor(factor, values[..., _COLUMN[factor]]) @ Q
+    return xi
+
+
 def _factor(name: Parameter, value: Floats | float) -> Floats:
     value = np.asarray(value, dtype=float)
     T: Floats = np.broadcast_to(np.eye(4), (*value.shape, 4, 4)).copy()
@@ -349,7 +374,7 @@ def _align_z(axis: Floats) -> Floats:
     return T
 
 
-def _common_normal_row(p: Floats, w: Floats) -> Floats:
+def line_row(p: Floats, w: Floats) -> Floats:
     """Row to the line through p along w, not parallel to z: d and a reach the common normal; intersecting, a = 0."""
     x = np.array([-w[1], w[0], 0.0]) / np.hypot(w[0], w[1])
     d, a, _ = np.linalg.solve(np.column_stack([[0.0, 0.0, 1.0], x, -w]), p)

@@ -1,4 +1,4 @@
-"""Poses to tip placements and their derivatives: Pinocchio in the loop (DESIGN section 4)."""
+"""Poses to link placements and their derivatives: Pinocchio in the loop (DESIGN section 4)."""
 
 from __future__ import annotations
 
@@ -8,21 +8,23 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
-from urdfcal.robot.chain import se3
+from urdfcal.robot.mechanism import BASE, se3
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from urdfcal.arrays import Floats
-    from urdfcal.robot.chain import Chain
+    from urdfcal.robot.mechanism import Mechanism, Tip
 
 
 @dataclass(frozen=True, eq=False)
-class TipMotion:
-    """Where the tip link is at N poses, and how it moves with every joint's placement.
+class LinkMotion:
+    """Where a link is at N poses, and how it moves with every joint's placement.
 
     Attributes:
-        R: (N, 3, 3) rotation part of T_base_tip.
-        p: (N, 3) translation part of T_base_tip. [m]
-        regressor: (N, 6, 6 n) velocity (linear, angular) of the tip frame, in axes parallel to the base
+        R: (N, 3, 3) rotation part of T_base_link.
+        p: (N, 3) translation part of T_base_link. [m]
+        regressor: (N, 6, 6 n) velocity (linear, angular) of the link's frame, in axes parallel to the base
             link's, for placements moving as M_j <- M_j exp6(xi_j).
     """
 
@@ -31,56 +33,88 @@ class TipMotion:
     regressor: Floats
 
 
-def tip_motion(chain: Chain, model: pin.Model, q: Floats) -> TipMotion:
-    """Run forward kinematics and Pinocchio's joint kinematic regressor at every pose.
+def link_motions(mechanism: Mechanism, model: pin.Model, q: Floats, tips: Sequence[Tip]) -> tuple[LinkMotion, ...]:
+    """Run forward kinematics, and Pinocchio's joint kinematic regressor for some links, at every pose.
 
     Args:
-        chain: the chain; its own placements are not used.
-        model: of the chain with the placements to use, see ``Chain.build_model``.
+        mechanism: the joints; their own placements are not used.
+        model: of them with the placements to use, see ``Mechanism.build_model``.
         q: (N, n) joint values. [rad or m]
+        tips: the links.
     """
-    data, last = model.createData(), model.njoints - 1
-    tip = se3(chain.T_last_tip)
-    R, p = np.empty((len(q), 3, 3)), np.empty((len(q), 3))
-    regressor = np.empty((len(q), 6, 6 * len(chain.joints)))
+    data, columns = model.createData(), 6 * len(mechanism.joints)
+    moving = [tip for tip in tips if tip.joint != BASE]
+    R, p = np.empty((len(moving), len(q), 3, 3)), np.empty((len(moving), len(q), 3))
+    regressor = np.empty((len(moving), len(q), 6, columns))
     aligned = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
     # Views of what every pass writes: asking Pinocchio for them each time costs a third of the loop.
-    rotation, translation = data.oMi[last].rotation, data.oMi[last].translation
+    views = [
+        (tip.joint + 1, se3(tip.T_joint_link), data.oMi[tip.joint + 1].rotation, data.oMi[tip.joint + 1].translation)
+        for tip in moving
+    ]
     for k, q_k in enumerate(q):
         pin.forwardKinematics(model, data, q_k)
-        regressor[k] = pin.computeJointKinematicRegressor(model, data, last, aligned, tip)
-        R[k], p[k] = rotation, translation
-    return TipMotion(R @ tip.rotation, p + R @ tip.translation, regressor)
+        for i, (joint, link, rotation, translation) in enumerate(views):
+            regressor[i, k] = pin.computeJointKinematicRegressor(model, data, joint, aligned, link)
+            R[i, k], p[i, k] = rotation, translation
+    motions = (
+        LinkMotion(R[i] @ link.rotation, p[i] + R[i] @ link.translation, regressor[i])
+        for i, (_, link, _, _) in enumerate(views)
+    )
+    return tuple(_at_rest(tip, len(q), columns) if tip.joint == BASE else next(motions) for tip in tips)
 
 
-def tip_poses(chain: Chain, q: Floats, placements: Floats | None = None) -> Floats:
-    """T_base_tip at every pose, without derivatives.
+def tip_motion(mechanism: Mechanism, model: pin.Model, q: Floats) -> LinkMotion:
+    """The motion of the tip link; see :func:`link_motions`."""
+    return link_motions(mechanism, model, q, mechanism.tips[:1])[0]
+
+
+def link_poses(
+    mechanism: Mechanism, q: Floats, tips: Sequence[Tip], placements: Floats | None = None
+) -> tuple[Floats, ...]:
+    """T_base_link of some links at every pose, without derivatives.
 
     Args:
-        chain: the chain.
+        mechanism: the joints.
         q: (N, n) joint values. [rad or m]
-        placements: (n, 4, 4) to use instead of the chain's own.
+        tips: the links.
+        placements: (n, 4, 4) to use instead of the mechanism's own.
 
     Returns:
-        (N, 4, 4).
+        (N, 4, 4) for each link. [m]
     """
-    model = chain.build_model(placements)
-    data, last = model.createData(), model.njoints - 1
-    T = np.empty((len(q), 4, 4))
+    model = mechanism.build_model(placements)
+    data = model.createData()
+    # Pinocchio's joint 0 is the base link.
+    T = np.empty((len(tips), len(q), 4, 4))
     for k, q_k in enumerate(q):
         pin.forwardKinematics(model, data, q_k)
-        T[k] = data.oMi[last].homogeneous
-    result: Floats = T @ chain.T_last_tip
-    return result
+        for i, tip in enumerate(tips):
+            T[i, k] = data.oMi[tip.joint + 1].homogeneous
+    return tuple(T[i] @ tip.T_joint_link for i, tip in enumerate(tips))
 
 
-def joint_axes(chain: Chain) -> Floats:
+def tip_poses(mechanism: Mechanism, q: Floats, placements: Floats | None = None) -> Floats:
+    """T_base_tip (N, 4, 4) of the tip link at every pose; see :func:`link_poses`."""
+    return link_poses(mechanism, q, mechanism.tips[:1], placements)[0]
+
+
+def joint_axes(mechanism: Mechanism) -> Floats:
     """The body twists (linear, angular) of the joints' motions, block by block: (6 n, n).
 
-    A joint's motion stands to the right of its placement, so ``regressor @ joint_axes`` is the tip's Jacobian.
+    A joint's motion stands to the right of its placement, so ``regressor @ joint_axes`` is a link's Jacobian.
     """
-    S = np.zeros((6 * len(chain.joints), len(chain.joints)))
-    for i, joint in enumerate(chain.joints):
+    S = np.zeros((6 * len(mechanism.joints), len(mechanism.joints)))
+    for i, joint in enumerate(mechanism.joints):
         first = 6 * i + (0 if joint.prismatic else 3)
         S[first : first + 3, i] = joint.axis
     return S
+
+
+def _at_rest(tip: Tip, count: int, columns: int) -> LinkMotion:
+    """The motion of what is fastened to the base link: none."""
+    return LinkMotion(
+        np.broadcast_to(tip.T_joint_link[:3, :3], (count, 3, 3)),
+        np.broadcast_to(tip.T_joint_link[:3, 3], (count, 3)),
+        np.broadcast_to(0.0, (count, 6, columns)),
+    )

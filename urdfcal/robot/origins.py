@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from urdfcal.arrays import Floats
-    from urdfcal.robot.chain import Chain
     from urdfcal.robot.markup import Element
+    from urdfcal.robot.mechanism import Mechanism
 
 # Entries that differ by no more are the same number through different roundings: the text stays.
 SAME = 1e-15
@@ -28,7 +28,7 @@ SAME = 1e-15
 READ_BACK = 1e-12
 
 
-def origins_of(urdf: Urdf, chain: Chain, placements: ArrayLike) -> dict[str, Floats]:
+def origins_of(urdf: Urdf, chain: Mechanism, placements: ArrayLike) -> dict[str, Floats]:
     """Turn new placements of a chain's joints into origins of the URDF that the chain was read from.
 
     A chain's placement folds in the fixed joints before it; the correction, multiplied from the right, does not

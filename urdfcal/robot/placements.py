@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from urdfcal.arrays import Floats
-    from urdfcal.robot.chain import Chain
+    from urdfcal.robot.mechanism import Mechanism
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 
@@ -28,12 +28,17 @@ class PlacementTable:
         chain: as drawn.
     """
 
-    chain: Chain
+    chain: Mechanism
 
     @property
     def columns(self) -> tuple[str, ...]:
         """What each column of an offsets array adds to."""
         return AXES
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """What each row of an offsets array belongs to: the joints' names."""
+        return self.chain.names
 
     @property
     def parameters(self) -> tuple[tuple[int, str], ...]:
@@ -44,6 +49,10 @@ class PlacementTable:
     def zeros(self) -> tuple[tuple[int, str], ...]:
         """No single one: a joint whose axis is no coordinate axis has its zero offset spread over three."""
         return ()
+
+    def reason(self, row: int, name: str) -> str:
+        """Why a parameter of a row is never a candidate; every one is."""
+        return f"{name} of {self.labels[row]} is not asked for"
 
     def placements(self, offsets: Floats) -> Floats:
         """Turn (n, 6) offsets into (n, 4, 4) joint placements; a joint without offset keeps its own bit for bit."""

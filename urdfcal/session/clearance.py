@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from urdfcal.arrays import Floats
-    from urdfcal.robot.chain import Chain
+    from urdfcal.robot.mechanism import Mechanism
     from urdfcal.robot.urdf import Urdf
 
 # What stands on a table may reach below its own origin: mounting plates, cables, a table that is not flat. [m]
@@ -40,36 +40,41 @@ class Clearance:
         empty: whether the description has no collision geometry at all.
     """
 
-    def __init__(self, chain: Chain, urdf: Urdf, leds: Floats) -> None:
+    def __init__(
+        self, chain: Mechanism, urdf: Urdf, leds: Sequence[tuple[int, Floats]], eyes: Sequence[tuple[int, Floats]]
+    ) -> None:
         """Load the geometry.
 
         Args:
             chain: the arm.
             urdf: the description that the chain was read from.
-            leds: (L, 3) places of the LEDs in the tip link's frame. [m]
+            leds: index of the joint that carries each LED, ``BASE`` for none, and its place (3,) there. [m]
+            eyes: the same of the cameras' centres.
 
         Raises:
             RobotError: a mesh cannot be found or read.
         """
         self._model = chain.build_model()
         self._data = self._model.createData()
-        tip = self._model.njoints - 1
         self._geometry = pin.GeometryModel()
         for solid in _solids(chain, urdf):
             self._geometry.addGeometryObject(solid)
         solids = range(self._geometry.ngeoms)
-        self._leds = [chain.T_last_tip[:3, :3] @ led + chain.T_last_tip[:3, 3] for led in leds]
-        for i, led in enumerate(self._leds):
+        self._leds = [(joint + 1, place) for joint, place in leds]
+        for i, (joint, place) in enumerate(self._leds):
             self._geometry.addGeometryObject(
-                pin.GeometryObject(f"LED {i}", tip, pin.SE3(np.eye(3), led), coal.Sphere(_BULB))
+                pin.GeometryObject(f"LED {i}", joint, pin.SE3(np.eye(3), place), coal.Sphere(_BULB))
             )
         table = coal.Halfspace(np.array([0.0, 0.0, 1.0]), _TABLE)
         self._geometry.addGeometryObject(pin.GeometryObject("table", 0, pin.SE3.Identity(), table))
         self._add_pairs(chain)
         self._placed = self._geometry.createData()
-        # A solid that holds the LED carries it: it cannot be told from here on which side the LED sits.
+        # A solid that holds an LED or a camera carries it: it cannot be told from here on which side that sits.
+        ends = [*self._leds, *((joint + 1, place) for joint, place in eyes)]
+        held = [{i for i in solids if self._joint(i) == joint and self._holds(i, place)} for joint, place in ends]
         self._screens = [
-            [i for i in solids if not (self._joint(i) == tip and self._holds(i, led))] for led in self._leds
+            [[i for i in solids if i not in by_led | by_eye] for by_eye in held[len(leds) :]]
+            for by_led in held[: len(leds)]
         ]
         self.empty = not solids
 
@@ -80,11 +85,10 @@ class Clearance:
     def sees(self, q: Floats, eyes: Floats) -> bool:
         """Whether the arm at ``q`` (n,) hides no LED from any of the ``eyes`` (C, 3), in the base link's frame."""
         pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._placed, q)
-        tip = self._data.oMi[self._model.njoints - 1]
         return not any(
-            self._blocked(tip.act(led), eye, screens)
-            for led, screens in zip(self._leds, self._screens, strict=True)
-            for eye in eyes
+            self._blocked(self._data.oMi[joint].act(place), eye, screens)
+            for (joint, place), by_eye in zip(self._leds, self._screens, strict=True)
+            for eye, screens in zip(eyes, by_eye, strict=True)
         )
 
     def _blocked(self, led: Floats, eye: Floats, screens: Sequence[int]) -> bool:
@@ -104,13 +108,17 @@ class Clearance:
     def _joint(self, i: int) -> int:
         return int(self._geometry.geometryObjects[i].parentJoint)
 
-    def _add_pairs(self, chain: Chain) -> None:
+    def _neighbours(self, i: int, j: int) -> bool:
+        a, b = self._joint(i), self._joint(j)
+        return bool(self._model.parents[max(a, b)] == min(a, b))
+
+    def _add_pairs(self, chain: Mechanism) -> None:
         table = self._geometry.ngeoms - 1
         # Neighbours touch by design. The table is on the base link's side, but nobody's neighbour.
         pairs = [
             pin.CollisionPair(i, j)
             for i, j in combinations(range(self._geometry.ngeoms), 2)
-            if abs(self._joint(i) - self._joint(j)) >= (1 if j == table else 2)
+            if self._joint(i) != self._joint(j) and (j == table or not self._neighbours(i, j))
         ]
         for pair in pairs:
             self._geometry.addCollisionPair(pair)
@@ -122,7 +130,7 @@ class Clearance:
             self._geometry.removeCollisionPair(pairs[k])
 
 
-def _solids(chain: Chain, urdf: Urdf) -> list[pin.GeometryObject]:
+def _solids(chain: Mechanism, urdf: Urdf) -> list[pin.GeometryObject]:
     """Load the robot's collision geometry; joint i is the chain's i-th, 0 the base link."""
     try:
         text = urdf.data.decode("utf-8-sig")

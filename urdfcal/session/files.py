@@ -6,16 +6,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from urdfcal.errors import SessionError
-from urdfcal.robot.chain import Chain
+from urdfcal.robot.tree import read_mechanism
+from urdfcal.robot.tree_dh import MOUNT
 from urdfcal.robot.urdf import Urdf, find_urdf
 from urdfcal.session import tables
-from urdfcal.session.model import Detections, Led, Points, Positions, RigDescription, Session
+from urdfcal.session.frames import WORLD
+from urdfcal.session.model import Detections, Led, Points, Positions, RigDescription, Session, Stand
 from urdfcal.session.names import suggest
 from urdfcal.session.plausibility import Inputs, check, check_positions
 from urdfcal.session.source import Source
 from urdfcal.session.writing import write_session
 
 if TYPE_CHECKING:
+    from urdfcal.robot.mechanism import Mechanism
     from urdfcal.session.schema import Document, SessionFile, SetupFile
 
 __all__ = [
@@ -142,11 +145,16 @@ def read_rig(path: str | Path) -> RigDescription:
 
     document = Document.read(_yaml_file(Path(path), _RIG))
     keys = document.validate(RigFile)
-    return RigDescription(
-        **_read_setup(document, keys),
-        stand_position=keys.stand.position,  # type: ignore[arg-type]
-        stand_look_at=keys.stand.look_at,  # type: ignore[arg-type]
-    )
+    stand = None if keys.stand is None else Stand(keys.stand.position, keys.stand.look_at)  # type: ignore[arg-type]
+    setup = _read_setup(document, keys)
+    riding = {mount.camera for mount in setup["mounts"]}
+    if stand is None and not set(setup["rig"].names) <= riding:
+        raise SessionError(
+            "the key 'stand' is missing",
+            where=document.place(),
+            remedy="It says where the first camera stands that rides on no link.",
+        )
+    return RigDescription(**setup, stand=stand)
 
 
 def read_points(path: str | Path, session: Session) -> tuple[Points, tuple[Led, ...]]:
@@ -203,9 +211,28 @@ def _yaml_file(path: Path, name: str) -> Path:
     raise SessionError(f"there is no {name} in this folder", where=str(path), remedy=remedy)
 
 
-def _file(document: Document, key: str) -> Path:
+def _read_mechanism(document: Document, keys: SetupFile, urdf: Urdf) -> Mechanism:
+    """The joints to the tip link and to every other link that carries an LED or a camera."""
+    links = {keys.robot.tip_link: ("robot", "tip_link")}
+    for name, led in keys.leds.items():
+        links.setdefault(led.link or WORLD, ("leds", name))
+    for mount in keys.cameras.mounts if keys.cameras is not None else ():
+        links.setdefault(mount.link, ("cameras", mount.camera))
+    base = keys.robot.base_link or urdf.root
+    wanted = [link for link in links if link not in (WORLD, base) or link == keys.robot.tip_link]
+    for link in wanted[1:]:
+        if link not in urdf.links:
+            raise SessionError(
+                f"there is no link {link!r}",
+                where=document.place(*links[link]),
+                remedy=suggest(link, tuple(urdf.links), "links"),
+            )
+    return read_mechanism(urdf, wanted, keys.robot.base_link)
+
+
+def _file(document: Document, key: str, name: str | None = None) -> Path:
     """The file that ``key`` names, relative to the YAML file."""
-    name, folder = document.data[key], document.source.path.parent
+    name, folder = name or document.data[key], document.source.path.parent
     path: Path = folder / name
     if path.is_file():
         return path
@@ -221,15 +248,22 @@ def _read_setup(document: Document, keys: SetupFile) -> dict[str, Any]:
 
     folder = document.source.path.parent
     urdf = Urdf.read(find_urdf(keys.robot.urdf, folder))
-    chain = Chain.from_urdf(urdf, keys.robot.tip_link, keys.robot.base_link)
+    chain = _read_mechanism(document, keys, urdf)
     hashes = {document.source.path.name: document.source.sha256, keys.robot.urdf: Source(folder, urdf.data).sha256}
     rig = None
     if keys.cameras is not None:
-        path = _file(document, "cameras")
+        path = _file(document, "cameras", keys.cameras.file)
         rig = read_kalibr(path)
-        hashes[keys.cameras] = Source.read(path).sha256
+        hashes[keys.cameras.file] = Source.read(path).sha256
+        for mount in keys.cameras.mounts:
+            if mount.camera not in rig.names:
+                raise SessionError(
+                    f"there is no camera {mount.camera!r}",
+                    where=document.place("cameras", mount.camera),
+                    remedy=suggest(mount.camera, rig.names, "cameras"),
+                )
     for joint in keys.tolerances.joints:
-        if joint not in chain.names:
+        if joint.removesuffix(MOUNT) not in chain.names:
             raise SessionError(
                 f"there is no joint {joint!r} between {chain.base_link!r} and {chain.tip_link!r}",
                 where=document.place("tolerances", joint),

@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.robot.dh import PARAMETERS
+from urdfcal.robot.dh import PARAMETERS, DHTable
 
 if TYPE_CHECKING:
     from urdfcal.arrays import Floats
-    from urdfcal.robot.dh import DHRow, DHTable, Parameter
+    from urdfcal.robot.dh import DHRow, Parameter
+    from urdfcal.robot.tree_dh import TreeTable
 
 # Root mean squares over five Universal Robots (two UR5, a UR5e, two UR3) of the factory's calibration less the
 # data sheet, as their owners published them. Rows 1 to 5: the factory leaves the last row's a and alpha alone.
@@ -27,7 +28,7 @@ _ZERO_ANGLE = (1e-3, 5e-3)
 _ZERO_LENGTH = (0.2e-3, 0.8e-3)
 
 
-def draw_offsets(table: DHTable, rng: np.random.Generator) -> Floats:
+def draw_offsets(table: DHTable | TreeTable, rng: np.random.Generator) -> Floats:
     """Draw how the rows of a robot that was really built differ from the drawn ones.
 
     Zero offsets are uniform in magnitude, 1-5 mrad (a sliding joint's 0.2-0.8 mm), with either sign; the
@@ -41,15 +42,29 @@ def draw_offsets(table: DHTable, rng: np.random.Generator) -> Floats:
         rng: the source of randomness; what is drawn for a row does not depend on the other rows.
 
     Returns:
-        (n, 5) offsets, columns as ``PARAMETERS``. [rad, m]
+        (n, 5) offsets, columns as ``PARAMETERS``; of a tree a row for every label. [rad, m]
     """
+    if isinstance(table, DHTable):
+        return _draw_rows(table, rng, placed=False)
+    rows: list[Floats] = []
+    for branch in table.branches:
+        if branch.mount is not None:
+            spread = {"theta": _ALPHA, "d": _D, "a": _A, "alpha": _ALPHA, "beta": 0.0}
+            free = [spread[name] * (name in branch.mount.free) for name in PARAMETERS]
+            rows.append((rng.standard_normal(len(PARAMETERS)) * free)[None])
+        rows.append(_draw_rows(branch.table, rng, placed=branch.mount is not None))
+    return np.concatenate(rows)
+
+
+def _draw_rows(table: DHTable, rng: np.random.Generator, *, placed: bool) -> Floats:
+    """Draw the rows of joints in a row; theta and d of the first one too where its base is ``placed``."""
     shape = (len(table.rows), len(PARAMETERS))
     normal, magnitude, sign = rng.standard_normal(shape), rng.random(shape[0]), rng.integers(0, 2, shape[0])
     offsets = np.zeros(shape)
     for i, row in enumerate(table.rows[:-1]):
         for name in row.free:
             column = PARAMETERS.index(name)
-            if i == 0 and name in ("theta", "d"):
+            if i == 0 and not placed and name in ("theta", "d"):
                 continue
             if name == row.variable:
                 least, most = _ZERO_LENGTH if row.type == "prismatic" else _ZERO_ANGLE

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, get_args
 
@@ -11,6 +12,8 @@ import numpy as np
 from urdfcal.arrays import Floats, Ints, frozen
 from urdfcal.errors import SessionError
 from urdfcal.robot.dh import PARAMETERS
+from urdfcal.robot.tree_dh import MOUNT
+from urdfcal.session.frames import CameraMount, Frames, fasten
 from urdfcal.session.names import check_names, suggest
 
 if TYPE_CHECKING:
@@ -19,7 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
-    from urdfcal.robot.chain import Chain
+    from urdfcal.robot.mechanism import Mechanism
     from urdfcal.robot.urdf import Urdf
     from urdfcal.vision.rig import Rig
 
@@ -36,17 +39,19 @@ _MIMIC_ROUNDING = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Led:
-    """A light on the tip link.
+    """A light on a link of the robot, or one that stands still.
 
     Attributes:
         name: in the tables.
-        position: (3,) in the tip link's frame, None where unknown. [m]
+        position: (3,) in its link's frame, None where unknown. [m]
         sigma: how well the position is known, one standard deviation: 0 exactly, None not said. [m]
+        link: what it is fastened to; "world" for nothing of the robot, None for the tip link.
     """
 
     name: str
     position: Floats | None = None
     sigma: float | None = None
+    link: str | None = None
 
     def __post_init__(self) -> None:
         where = f"LED {self.name!r}"
@@ -220,10 +225,11 @@ class Setup:
     """What a rig and a session share: a robot, its LEDs, its cameras, and what is thought of them.
 
     Attributes:
-        chain: the joints that are calibrated.
-        leds: on the tip link.
+        chain: the joints that are calibrated; a tree of them where LEDs and cameras are on different links.
+        leds: on links of the robot, or in the world.
         led_distances: measured between them.
         rig: the cameras; None where points were measured instead.
+        mounts: of the cameras that ride on the robot.
         urdf: the robot description; None for a chain from elsewhere.
         urdf_reference: how the file names it: a path or ``package://``.
         noise: of the measurements.
@@ -233,10 +239,11 @@ class Setup:
         folder: where it was read from.
     """
 
-    chain: Chain
+    chain: Mechanism
     leds: tuple[Led, ...]
     led_distances: tuple[LedDistance, ...] = ()
     rig: Rig | None = None
+    mounts: tuple[CameraMount, ...] = ()
     urdf: Urdf | None = None
     urdf_reference: str = ""
     noise: Noise = field(default_factory=Noise)
@@ -258,16 +265,32 @@ class Setup:
             raise SessionError("there is no LED", remedy="Name at least one.")
         check_names("LEDs", [led.name for led in self.leds])
         for joint in self.tolerances.joints:
-            if joint not in self.chain.names:
+            if joint.removesuffix(MOUNT) not in self.chain.names:
                 raise SessionError(
                     f"there is no joint {joint!r} between {self.chain.base_link!r} and {self.chain.tip_link!r}",
                     where="tolerances",
                     remedy=suggest(joint, self.chain.names, "joints"),
                 )
+        object.__setattr__(self, "mounts", tuple(self.mounts))
+        names = self.rig.names if self.rig is not None else ()
+        for mount in self.mounts:
+            if mount.camera not in names:
+                raise SessionError(
+                    f"there is no camera {mount.camera!r}",
+                    where="cameras",
+                    remedy=suggest(mount.camera, names, "cameras"),
+                )
+        check_names("cameras on links", [mount.camera for mount in self.mounts])
+        _ = self.frames  # a link that is none of the robot's is told now, not when it is first needed
 
     def __reduce__(self) -> tuple[Any, ...]:
         values = {f.name: getattr(self, f.name) for f in fields(self)}
         return _rebuilt, (type(self), {**values, "sha256": dict(self.sha256)})
+
+    @cached_property
+    def frames(self) -> Frames:
+        """What LEDs and cameras are fastened to."""
+        return fasten(self.chain, [led.link for led in self.leds], self.rig, {m.camera: m for m in self.mounts})
 
     @property
     def led_names(self) -> tuple[str, ...]:
@@ -275,24 +298,39 @@ class Setup:
         return tuple(led.name for led in self.leds)
 
 
+@dataclass(frozen=True, eq=False)
+class Stand:
+    """Where a camera stands and looks.
+
+    Attributes:
+        position: (3,) in the base link's frame. [m]
+        look_at: (3,) point on its optical axis, in the base link's frame. [m]
+    """
+
+    position: Floats
+    look_at: Floats
+
+    def __post_init__(self) -> None:
+        for name in ("position", "look_at"):
+            object.__setattr__(self, name, _finite(getattr(self, name), (3,), name, "stand"))
+        if np.array_equal(self.position, self.look_at):
+            raise SessionError("the camera looks at its own place", where="stand")
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RigDescription(Setup):
     """A rig: a setup and where it stands, enough to simulate a session.
 
     Attributes:
-        stand_position: (3,) of the first camera in the base link's frame. [m]
-        stand_look_at: (3,) point on its optical axis, in the base link's frame. [m]
+        stand: of the first camera that stands still; None where all ride on the robot.
     """
 
-    stand_position: Floats
-    stand_look_at: Floats
+    stand: Stand | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("stand_position", "stand_look_at"):
-            object.__setattr__(self, name, _finite(getattr(self, name), (3,), name, "stand"))
-        if np.array_equal(self.stand_position, self.stand_look_at):
-            raise SessionError("the camera looks at its own place", where="stand")
+        if self.stand is None and len(self.frames.standing):
+            raise SessionError("where the first camera stands is not given", where="stand")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from urdfcal.arrays import Floats
-    from urdfcal.robot.chain import Chain, Joint
+    from urdfcal.robot.mechanism import Joint, Mechanism
     from urdfcal.session.model import Led, Noise
     from urdfcal.session.schema import Document
     from urdfcal.session.tables import JointTable, SightingTable
@@ -58,7 +58,7 @@ class Inputs:
     """
 
     document: Document
-    chain: Chain
+    chain: Mechanism
     leds: tuple[Led, ...]
     rig: Rig | None
     noise: Noise
@@ -70,6 +70,12 @@ class Inputs:
     def scale(self) -> float:
         """Size of the arm in m, for comparison with lengths that should be of its order."""
         return max(self.chain.reach, _SMALLEST_ARM)
+
+    @property
+    def cameras_file(self) -> str:
+        """The camera file's name, as the session gives it."""
+        named = self.document.data["cameras"]
+        return str(named if isinstance(named, str) else named["file"])
 
     @property
     def sightings(self) -> Iterator[SightingTable]:
@@ -301,11 +307,11 @@ def _check_images(inputs: Inputs, rig: Rig, table: SightingTable, rays: Rays) ->
         # Nothing here depends on the resolution, and without the cameras' places both explanations stand.
         yield (
             f"{where}: {what}. With u and v exchanged all would fit: either they are exchanged, or in "
-            f"{inputs.document.data['cameras']} width and height are, and with them perhaps the intrinsics"
+            f"{inputs.cameras_file} width and height are, and with them perhaps the intrinsics"
         )
         return
     if turned.all() and rays is Rays.MEET:
-        where = f"{inputs.document.source.path.parent / inputs.document.data['cameras']}, camera {camera.name!r}"
+        where = f"{inputs.document.source.path.parent / inputs.cameras_file}, camera {camera.name!r}"
         what += "; the rays meet, so the pixels are right"
         remedy = f"Write the resolution as [width, height]: [{height}, {width}]?"
     elif turned.all():
@@ -315,7 +321,7 @@ def _check_images(inputs: Inputs, rig: Rig, table: SightingTable, rays: Rays) ->
     else:
         reach = table.values[camera_of == camera_of[first]].max(axis=0)
         remedy = (
-            f"Were the images taken at the resolution of {inputs.document.data['cameras']}? "
+            f"Were the images taken at the resolution of {inputs.cameras_file}? "
             f"They reach to ({reach[0]:g}, {reach[1]:g})."
         )
     raise SessionError(what, where=where, remedy=remedy)

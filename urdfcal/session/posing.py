@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from urdfcal.arrays import Floats, Ints
-    from urdfcal.robot.chain import Chain, Joint
+    from urdfcal.robot.mechanism import Joint, Mechanism
     from urdfcal.session.clearance import Clearance
     from urdfcal.session.scene import Scene
 
@@ -57,14 +57,14 @@ def choose_poses(
         SessionError: there are not enough such poses, with what stands in the way.
     """
     found = _in_view(scene, count, rng)
-    cells, eyes = _cells(scene, found), scene.eyes
+    cells, eyes = _cells(scene, found), scene.eyes(found.q)
     filled = np.zeros(cells.max(initial=0) + 1)
     open_, score = np.ones(len(cells), dtype=bool), np.full(len(cells), 1.0)
     chosen: list[int] = []
     while len(chosen) < count and open_.any():
         best = int(np.argmax(np.where(open_, score, -1.0)))
         open_[best] = False
-        if clearance and not (clearance.free(found.q[best]) and clearance.sees(found.q[best], eyes)):
+        if clearance and not (clearance.free(found.q[best]) and clearance.sees(found.q[best], eyes[best])):
             continue
         chosen.append(best)
         filled[cells[best]] += 1.0
@@ -125,7 +125,7 @@ def _bin(share: Floats, count: int) -> Ints:
     return np.clip((share * count).astype(np.intp), 0, count - 1)
 
 
-def _limits(chain: Chain) -> tuple[Floats, Floats]:
+def _limits(chain: Mechanism) -> tuple[Floats, Floats]:
     """The range of every joint that poses are drawn from, (n,) and (n,)."""
     lower, upper = np.array([_range(joint) for joint in chain.joints]).T
     margin = _LIMIT_MARGIN * (upper - lower)

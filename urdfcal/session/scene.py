@@ -1,4 +1,4 @@
-"""An arm before its cameras, as planned or as it truly is: from joint values to images."""
+"""A robot and its cameras, as planned or as they truly are: from joint values to images."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.arrays import Floats, inverse
-from urdfcal.robot.kinematics import tip_poses
+from urdfcal.robot.kinematics import link_poses
+from urdfcal.robot.mechanism import BASE, Tip
 
 if TYPE_CHECKING:
-    from urdfcal.robot.chain import Chain
+    from urdfcal.robot.mechanism import Mechanism
+    from urdfcal.session.frames import Frames
     from urdfcal.vision.camera import Camera
 
 
@@ -22,23 +24,35 @@ class Scene:
     Attributes:
         chain: the arm.
         placements: (n, 4, 4) its joint placements, used instead of the chain's own. [m]
-        leds: (L, 3) in the tip link's frame. [m]
-        T_world_base: (4, 4) where the arm stands; the world is the first camera's frame. [m]
+        frames: what LEDs and cameras are fastened to.
+        leds: (L, 3) in the frames they are fixed in. [m]
+        T_world_base: (4, 4) where the arm stands. [m]
         cameras: C of them.
-        T_cam_world: (C, 4, 4) where they stand. [m]
+        T_cam_frame: (C, 4, 4) in each camera the frame that it is fixed in. [m]
     """
 
-    chain: Chain
+    chain: Mechanism
     placements: Floats
+    frames: Frames
     leds: Floats
     T_world_base: Floats
     cameras: tuple[Camera, ...]
-    T_cam_world: Floats
+    T_cam_frame: Floats
 
-    @property
-    def eyes(self) -> Floats:
-        """The cameras' centres (C, 3) in the base link's frame, m."""
-        return inverse(self.T_cam_world @ self.T_world_base)[:, :3, 3]
+    def eyes(self, q: Floats) -> Floats:
+        """The cameras' centres (N, C, 3) in the base link's frame at joint values ``q`` (N, n), m."""
+        T_base_frame = self._frames(q)[self.frames.camera]
+        return np.asarray(np.swapaxes((T_base_frame @ inverse(self.T_cam_frame)[:, None])[..., :3, 3], 0, 1))
+
+    def fastened(self) -> tuple[list[tuple[int, Floats]], list[tuple[int, Floats]]]:
+        """The LEDs, and the cameras' centres: index of the joint that carries each, and its place (3,) there, m."""
+        tips = [Tip("world", BASE, inverse(self.T_world_base)), *self.frames.tips]
+        centres = inverse(self.T_cam_frame)[:, :3, 3]
+        leds, cameras = (
+            [(tips[f].joint, tips[f].T_joint_link[:3, :3] @ p + tips[f].T_joint_link[:3, 3]) for f, p in pairs]
+            for pairs in (zip(self.frames.led, self.leds, strict=True), zip(self.frames.camera, centres, strict=True))
+        )
+        return leds, cameras
 
     def images(self, q: Floats, *, mirrored: bool = False) -> Floats:
         """Project the LEDs: joint values ``q`` (N, n) -> (N, C, L, 2) px, NaN where a camera cannot see.
@@ -54,14 +68,19 @@ class Scene:
 
     def _points(self, q: Floats, *, mirrored: bool = False) -> Floats:
         """(N, C, L, 3) the LEDs in the cameras' frames, m."""
-        T_base_tip = tip_poses(self.chain, q, self.placements)
-        if mirrored:
-            T_base_tip = np.diag([1.0, 1.0, -1.0, 1.0]) @ T_base_tip
+        T_base_frame = self._frames(q)
         leds = np.concatenate([self.leds, np.ones((len(self.leds), 1))], axis=1)
-        T_world_tip = self.T_world_base @ T_base_tip
-        # (N, 1, 1, 4, 4) @ (L, 4, 1), and (C, 1, 4, 4) in between
-        points = self.T_cam_world[:, None] @ T_world_tip[:, None, None] @ leds[..., None]
+        p_base = (T_base_frame[self.frames.led] @ leds[:, None, :, None])[..., 0]  # (L, N, 4)
+        if mirrored:
+            p_base = p_base * [1.0, 1.0, -1.0, 1.0]
+        T_cam_base = self.T_cam_frame[:, None] @ inverse(T_base_frame)[self.frames.camera]  # (C, N, 4, 4)
+        points = T_cam_base.swapaxes(0, 1)[:, :, None] @ p_base.swapaxes(0, 1)[:, None, :, :, None]
         return np.asarray(points[..., :3, 0])
+
+    def _frames(self, q: Floats) -> Floats:
+        """T_base_frame (F, N, 4, 4) of the world and of the links that carry LEDs or cameras, m."""
+        links = link_poses(self.chain, q, self.frames.tips, self.placements)
+        return np.array([np.broadcast_to(inverse(self.T_world_base), (len(q), 4, 4)), *links])
 
 
 def look_at(position: Floats, target: Floats) -> Floats:

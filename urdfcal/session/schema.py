@@ -7,6 +7,7 @@ import reprlib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_args
 
+import numpy as np
 import yaml
 from pydantic import (
     AfterValidator,
@@ -21,6 +22,8 @@ from pydantic import (
 
 from urdfcal.errors import SessionError
 from urdfcal.robot.dh import Parameter  # noqa: TC001  # pydantic needs it at run time
+from urdfcal.robot.rpy import rpy_to_matrix
+from urdfcal.session.frames import CameraMount
 from urdfcal.session.model import Estimate, Freedom, Geometry, Led, LedDistance, Noise, Tolerances
 from urdfcal.session.names import flaw, listed, suggest
 from urdfcal.session.source import Source
@@ -57,8 +60,9 @@ class RobotKeys(_Keys):
 
 
 class LedKeys(_Keys):
-    """Where an LED sits in the tip frame, and how well that is known, in m."""
+    """Where an LED sits on its link (the tip link, if none is named), and how well that is known, in m."""
 
+    link: Name | None = None
     position: Vector | None = None
     sigma: NotNegative | None = None
 
@@ -75,6 +79,50 @@ class LedDistanceKeys(_Keys):
     leds: tuple[Name, Name] = Field(strict=False)
     distance: Positive
     sigma: Positive
+
+
+class MountKeys(_Keys):
+    """The link that a camera rides on, where on it (m, rad; the camera's z looks forward, y down), and how surely."""
+
+    link: Name
+    position: Vector | None = None
+    rpy: Vector | None = None
+    sigma: tuple[Positive, Positive] | None = Field(default=None, strict=False)
+
+    @model_validator(mode="after")
+    def _whole(self) -> MountKeys:
+        if (self.position is None) != (self.rpy is None):
+            raise ValueError("position and rpy are given together, or neither")
+        if self.sigma is not None and self.position is None:
+            raise ValueError("sigma is given without a position")
+        return self
+
+    def mount(self, camera: str) -> CameraMount:
+        """The same in arrays."""
+        if self.position is None or self.rpy is None:
+            return CameraMount(camera, self.link)
+        T_link_camera = np.eye(4)
+        T_link_camera[:3, :3], T_link_camera[:3, 3] = rpy_to_matrix(np.array(self.rpy)), self.position
+        sigma = None if self.sigma is None else np.repeat(self.sigma, 3)
+        return CameraMount(camera, self.link, T_link_camera, sigma)
+
+
+class CamerasKeys(_Keys):
+    """The camera file; every other key is a camera that rides on the robot."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, MountKeys] = Field(init=False)
+
+    file: Name
+
+    @property
+    def mounts(self) -> tuple[CameraMount, ...]:
+        """The cameras that ride on the robot."""
+        return tuple(keys.mount(camera) for camera, keys in self.__pydantic_extra__.items())
+
+
+def _file_alone(value: Any) -> Any:
+    return {"file": value} if isinstance(value, str) else value
 
 
 class NoiseKeys(_Keys):
@@ -127,7 +175,7 @@ class SetupFile(_Keys):
     robot: RobotKeys
     leds: dict[Name, Annotated[LedKeys, BeforeValidator(_nothing_is_empty)]]
     led_distances: list[LedDistanceKeys] = []
-    cameras: Name | None = None
+    cameras: Annotated[CamerasKeys, BeforeValidator(_file_alone)] | None = None
     noise: NoiseKeys = NoiseKeys()
     estimate: EstimateKeys = EstimateKeys()
     tolerances: TolerancesKeys = TolerancesKeys()
@@ -147,7 +195,8 @@ class SetupFile(_Keys):
     def setup(self) -> dict[str, Any]:
         """The parts that need no other file, as arguments of :class:`~urdfcal.session.model.Setup`."""
         return {
-            "leds": tuple(Led(name, led.position, led.sigma) for name, led in self.leds.items()),  # type: ignore[arg-type]
+            "leds": tuple(Led(name, led.position, led.sigma, led.link) for name, led in self.leds.items()),  # type: ignore[arg-type]
+            "mounts": self.cameras.mounts if self.cameras is not None else (),
             "led_distances": tuple(LedDistance(d.leds, d.distance, d.sigma) for d in self.led_distances),
             "noise": Noise(**self.noise.model_dump()),
             "estimate": Estimate(**self.estimate.model_dump()),
@@ -160,13 +209,13 @@ class SetupFile(_Keys):
 class RigFile(SetupFile):
     """rig.yaml."""
 
-    cameras: Name
-    stand: StandKeys
+    cameras: Annotated[CamerasKeys, BeforeValidator(_file_alone)]
+    stand: StandKeys | None = None
 
     @field_validator("stand")
     @classmethod
-    def _looks_somewhere(cls, stand: StandKeys) -> StandKeys:
-        if stand.position == stand.look_at:
+    def _looks_somewhere(cls, stand: StandKeys | None) -> StandKeys | None:
+        if stand is not None and stand.position == stand.look_at:
             raise ValueError("position and look_at are the same place")
         return stand
 

@@ -10,8 +10,8 @@ import pinocchio as pin
 
 from urdfcal.arrays import Floats, Ints, frozen, inverse
 from urdfcal.errors import RobotError, SessionError
-from urdfcal.robot.dh import DHTable
 from urdfcal.robot.origins import origins_of, rewrite_origins
+from urdfcal.robot.tree_dh import rows_of
 from urdfcal.session.clearance import Clearance
 from urdfcal.session.manufacture import draw_offsets
 from urdfcal.session.model import MIN_POSES, Detections, Session, Setup
@@ -68,17 +68,18 @@ def simulate(
     planned = _planned(rig)
     robot, stand, bulbs, posing, encoders, pixels, blunders = np.random.default_rng(seed).spawn(7)
 
-    table = DHTable.from_chain(rig.chain)
+    table = rows_of(rig.chain)
     offsets = error_scale * draw_offsets(table, robot)
     sigma = [_LED_SIGMA if led.sigma is None else led.sigma for led in rig.leds]
     true = replace(
         planned,
         placements=table.placements(offsets),
-        T_world_base=planned.T_world_base @ _nudge(stand.normal(0.0, _STAND_SIGMA)),
+        T_world_base=_stood(rig, planned.T_world_base, stand.normal(0.0, _STAND_SIGMA)),
         leds=planned.leds + bulbs.standard_normal(planned.leds.shape) * np.array(sigma)[:, None],
+        T_cam_frame=_fastened(rig, planned.T_cam_frame, bulbs),
     )
 
-    clearance, warnings = _clearance(rig, planned.leds)
+    clearance, warnings = _clearance(rig, planned)
     q = choose_poses(planned, clearance, poses, posing, progress)
     noise = rig.noise if not pixel else replace(rig.noise, pixel=pixel)
     pixel = rig.noise.pixel if pixel is None else pixel
@@ -101,6 +102,7 @@ def simulate(
         placements=frozen(true.placements),
         T_world_base=frozen(true.T_world_base),
         leds=frozen(true.leds),
+        T_cam_frame=frozen(true.T_cam_frame),
         q=frozen(q),
         outliers=frozen(outlying, np.intp),
         urdf=_true_urdf(rig, true.placements),
@@ -126,13 +128,13 @@ def _planned(rig: RigDescription) -> Scene:
     """The scene as drawn and as the stand was meant."""
     if rig.rig is None:
         raise SessionError("the rig has no cameras", where="cameras")
-    placed = [T for T in rig.rig.T_cam_world if T is not None]
+    placed = [T for T in rig.frames.T_cam_frame if T is not None]
     if len(placed) < len(rig.rig.cameras):
-        unknown = next(name for name, T in zip(rig.rig.names, rig.rig.T_cam_world, strict=True) if T is None)
+        unknown = next(name for name, T in zip(rig.rig.names, rig.frames.T_cam_frame, strict=True) if T is None)
         raise SessionError(
             f"where {unknown!r} stands is not given",
             where="cameras",
-            remedy="Simulating needs T_cn_cnm1 of every camera but the first.",
+            remedy="Simulating needs T_cn_cnm1 of every camera but the first, or its place on its link.",
         )
     positions = [led.position for led in rig.leds if led.position is not None]
     if len(positions) < len(rig.leds):
@@ -143,19 +145,46 @@ def _planned(rig: RigDescription) -> Scene:
     return Scene(
         chain=rig.chain,
         placements=rig.chain.placements,
+        frames=rig.frames,
         leds=np.array(positions),
-        T_world_base=inverse(look_at(rig.stand_position, rig.stand_look_at)),
+        T_world_base=_planned_stand(rig),
         cameras=rig.rig.cameras,
-        T_cam_world=np.array(placed),
+        T_cam_frame=np.array(placed),
     )
 
 
-def _clearance(rig: RigDescription, leds: Floats) -> tuple[Clearance | None, tuple[str, ...]]:
+def _planned_stand(rig: RigDescription) -> Floats:
+    """T_world_base (4, 4); where all cameras ride on the robot, its base is the world."""
+    if not len(rig.frames.standing):
+        return np.eye(4)
+    if rig.stand is None:
+        raise SessionError("where the first camera stands is not given", where="stand")
+    return inverse(look_at(rig.stand.position, rig.stand.look_at))
+
+
+def _stood(rig: RigDescription, T_world_base: Floats, motion: Floats) -> Floats:
+    """Where the robot truly stands before cameras that were put up by hand."""
+    return T_world_base @ _nudge(motion) if len(rig.frames.standing) else T_world_base
+
+
+def _fastened(rig: RigDescription, T_cam_frame: Floats, rng: np.random.Generator) -> Floats:
+    """How riding cameras are truly fastened to their links; the others in a frame go with the first."""
+    frames, names = rig.frames, rig.rig.names if rig.rig is not None else ()
+    sigma = {mount.camera: _STAND_SIGMA if mount.sigma is None else mount.sigma for mount in rig.mounts}
+    true = np.array(T_cam_frame)
+    for c in np.flatnonzero((frames.camera != 0) & (frames.leader == np.arange(len(names)))):
+        moved = _nudge(rng.normal(0.0, sigma[names[c]])) @ T_cam_frame[c]
+        for k in np.flatnonzero(frames.leader == c):
+            true[k] = T_cam_frame[k] @ inverse(T_cam_frame[c]) @ moved
+    return true
+
+
+def _clearance(rig: RigDescription, planned: Scene) -> tuple[Clearance | None, tuple[str, ...]]:
     """The arm's collision geometry, and what to warn of when it is not to be had."""
     if rig.urdf is None:
         return None, ("no URDF: the poses were not checked for collisions",)
     try:
-        clearance = Clearance(rig.chain, rig.urdf, leds)
+        clearance = Clearance(rig.chain, rig.urdf, *planned.fastened())
     except RobotError as error:
         return None, (f"the poses were not checked for collisions: {error}",)
     if clearance.empty:

@@ -140,10 +140,23 @@ def write_simulated_images(
 def _scene(simulated: Simulated) -> Scene:
     """The arm as it truly is before the cameras."""
     session, truth = simulated.session, simulated.truth
-    placed = [T for T in session.rig.T_cam_world if T is not None] if session.rig is not None else []
-    if session.rig is None or len(placed) < len(session.rig.cameras):
-        raise SessionError("images need cameras whose places are known", where="simulate")
-    return Scene(session.chain, truth.placements, truth.leds, truth.T_world_base, session.rig.cameras, np.array(placed))
+    if session.rig is None:
+        raise SessionError("images need cameras", where="simulate")
+    if len(session.frames.standing) < len(session.rig.cameras):
+        raise SessionError(
+            "images of cameras that ride on the robot cannot be made",
+            where="simulate",
+            remedy="Simulate without --images: sightings are computed for them as for any camera.",
+        )
+    return Scene(
+        session.chain,
+        truth.placements,
+        session.frames,
+        truth.leds,
+        truth.T_world_base,
+        session.rig.cameras,
+        truth.T_cam_frame,
+    )
 
 
 def _sceneries(scene: Scene, exposure: Exposure, rng: np.random.Generator) -> list[Scenery]:
@@ -172,7 +185,7 @@ def _lamps(scene: Scene, exposure: Exposure, rng: np.random.Generator) -> list[t
     )
     peak = exposure.peak * rng.uniform(*_LAMP_PEAK, count)
     lights = []
-    for camera, T in zip(scene.cameras, scene.T_cam_world, strict=True):
+    for camera, T in zip(scene.cameras, scene.T_cam_frame, strict=True):
         uv = camera.project(points @ T[:3, :3].T + T[:3, 3])
         lights.append(tuple(Light(uv[i], peak[i], sigma[i]) for i in range(count) if np.isfinite(uv[i, 0])))
     return lights

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
     from pathlib import Path
 
-    from urdfcal.robot.chain import Chain
+    from urdfcal.robot.mechanism import Mechanism
 
 _SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars"}
 _MISSING_SIGHTING = "Leave the row out where an LED was not seen."
@@ -234,7 +234,7 @@ class SightingTable:
         return self.table.place(int(self.rows[sighting]), column)
 
 
-def read_joints(path: Path, chain: Chain, robot_joints: Collection[str]) -> JointTable:
+def read_joints(path: Path, chain: Mechanism, robot_joints: Collection[str]) -> JointTable:
     """Read joints.csv.
 
     Args:

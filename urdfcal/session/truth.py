@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from urdfcal.errors import OutputError
 from urdfcal.files import write_bytes, write_text
-from urdfcal.robot.dh import PARAMETERS, DHTable
+from urdfcal.robot.dh import PARAMETERS
+from urdfcal.robot.tree_dh import rows_of
 from urdfcal.session.writing import write_session
 
 if TYPE_CHECKING:
@@ -31,7 +32,8 @@ class Truth:
         offsets: (n, 5) of the DH rows, columns as ``PARAMETERS``. [rad, m]
         placements: (n, 4, 4) of the joints. [m]
         T_world_base: (4, 4) where the arm stands; the world is the first camera's frame. [m]
-        leds: (L, 3) in the tip link's frame. [m]
+        leds: (L, 3) in the frames of what they are fastened to. [m]
+        T_cam_frame: (C, 4, 4) in each camera the frame that it is fixed in: the world, or the link it rides on. [m]
         q: (N, n) joint values. [rad or m]
         outliers: (K,) rows of the session's detections that are none of the LED.
         urdf: the true robot's description: the drawn one with other ``<origin>`` values.
@@ -45,6 +47,7 @@ class Truth:
     placements: Floats
     T_world_base: Floats
     leds: Floats
+    T_cam_frame: Floats
     q: Floats
     outliers: Ints
     urdf: bytes
@@ -87,7 +90,7 @@ def write_simulated(folder: str | Path, simulated: Simulated, *, sightings: bool
 
 def _truth_to_dict(simulated: Simulated) -> dict[str, Any]:
     session, truth = simulated.session, simulated.truth
-    table = DHTable.from_chain(session.chain)
+    table = rows_of(session.chain)
     seen = session.detections
     return {
         "seed": truth.seed,
@@ -97,17 +100,18 @@ def _truth_to_dict(simulated: Simulated) -> dict[str, Any]:
         "noise": {"pixel": truth.pixel, "joint": session.noise.joint},
         "dh": [
             {
-                "joint": row.joint,
+                "joint": label,
                 "parameter": name,
                 "unit": "m" if name in ("d", "a") else "rad",
                 "nominal": value + 0.0,  # no "-0.0"
                 "offset": float(offset),
             }
-            for row, row_offsets in zip(table.rows, truth.offsets, strict=True)
-            for name, value, offset in zip(PARAMETERS, row.values, row_offsets, strict=True)
+            for label, row, row_offsets in zip(table.labels, table.nominal.tolist(), truth.offsets, strict=True)
+            for name, value, offset in zip(PARAMETERS, row, row_offsets, strict=True)
         ],
         "T_world_base": truth.T_world_base.tolist(),
         "leds": dict(zip(session.led_names, truth.leds.tolist(), strict=True)),
+        "T_cam_frame": dict(zip(session.rig.names if session.rig else (), truth.T_cam_frame.tolist(), strict=True)),
         "outliers": [
             {
                 "pose": session.poses[seen.pose[row]],

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from urdfcal.errors import OutputError
+from urdfcal.robot.rpy import matrix_to_rpy
 from urdfcal.session.model import Session
 from urdfcal.session.names import check_names
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
     from urdfcal.arrays import Floats, Ints
     from urdfcal.robot.urdf import Urdf
+    from urdfcal.session.frames import CameraMount
     from urdfcal.session.model import Detections, Led, Positions, Setup
 
 _SESSION = "session.yaml"
@@ -115,7 +117,8 @@ def _write_files(folder: Path, session: Positions, urdf: Urdf) -> None:
             {"leds": list(d.leds), "distance": d.distance, "sigma": d.sigma} for d in session.led_distances
         ]
     if session.rig is not None:
-        content["cameras"] = _CAMERAS
+        mounts = {mount.camera: _mount_keys(mount) for mount in session.mounts}
+        content["cameras"] = {"file": _CAMERAS, **mounts} if mounts else _CAMERAS
         write_kalibr(folder / _CAMERAS, session.rig)
     content["joints"] = _JOINTS
     time = [] if session.time is None else [session.time.tolist()]
@@ -135,10 +138,22 @@ def _write_files(folder: Path, session: Positions, urdf: Urdf) -> None:
 
 
 def _led_keys(led: Led) -> dict[str, Any]:
-    if led.position is None:
-        return {}
-    position = {"position": led.position.tolist()}
-    return position if led.sigma is None else {**position, "sigma": led.sigma}
+    keys = {
+        "link": led.link,
+        "position": None if led.position is None else led.position.tolist(),
+        "sigma": led.sigma,
+    }
+    return {key: value for key, value in keys.items() if value is not None}
+
+
+def _mount_keys(mount: CameraMount) -> dict[str, Any]:
+    keys: dict[str, Any] = {"link": mount.link}
+    if mount.T_link_camera is not None:
+        keys["position"] = mount.T_link_camera[:3, 3].tolist()
+        keys["rpy"] = matrix_to_rpy(mount.T_link_camera[:3, :3]).tolist()
+    if mount.sigma is not None:
+        keys["sigma"] = mount.sigma[::3].tolist()
+    return keys
 
 
 def _expectations(setup: Setup) -> dict[str, Any]:
