@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import io
 import json
+import shutil
 import subprocess
 import sys
 from typing import TYPE_CHECKING
@@ -14,6 +15,8 @@ import yourdfpy
 from tests.session.broken import BROKEN, Broken
 from tests.session.making import write_valid
 from urdfcal.cli import run
+from urdfcal.vision.formats import read_kalibr, write_kalibr
+from urdfcal.vision.rig import CameraSigma, Rig
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -92,6 +95,32 @@ def test_calibrate_never_reads_the_truth(demo: Path, tmp_path: Path) -> None:
             (session / path.name).write_bytes(path.read_bytes())
     assert run(["calibrate", str(session), "-o", str(tmp_path / "out")]) == 0
     assert (tmp_path / "out" / "calibration.json").read_bytes() == (demo / "result" / "calibration.json").read_bytes()
+
+
+def test_cameras_with_standard_deviations_are_refined_within_them(demo: Path, tmp_path: Path) -> None:
+    session = tmp_path / "session"
+    shutil.copytree(demo / "session", session)
+    truth = read_kalibr(session / "cameras.yaml")
+    # The second camera 2 mm and 2 mrad off, and its calibration says so.
+    T = pin.exp6(pin.Motion(np.full(6, 2e-3))).homogeneous @ truth.T_cam_world[1]
+    lens = np.array([0.5, 0.5, 0.5, 0.5, 1e-3, 1e-3, 1e-5, 1e-5])
+    sigmas = CameraSigma(lens), CameraSigma(lens, np.full(6, 2e-3))
+    write_kalibr(session / "cameras.yaml", Rig(truth.cameras, (np.eye(4), T), sigmas))
+    assert run(["calibrate", str(session), "-o", str(tmp_path / "out")]) == 0
+    result = json.loads((tmp_path / "out" / "calibration.json").read_text())
+    chosen = next(model["model"] for model in result["models"] if model["chosen"])
+    assert chosen == "DH rows, refined intrinsics, refined camera poses"
+    second = result["cameras"][truth.names[1]]
+    turned = np.array(second["T_cam_world"])[:3, :3] @ truth.T_cam_world[1][:3, :3].T
+    assert np.arccos((np.trace(turned) - 1.0) / 2.0) < 1e-3
+    refined = np.concatenate([second["sigma"][key] for key in ("intrinsics", "distortion", "T_cam_world")])
+    assert (refined < [*lens, *[2e-3] * 6]).all()
+    assert set(result["cameras"][truth.names[0]]["sigma"]) == {"intrinsics", "distortion"}
+    # What is said to be exact is held, and then it is refuted.
+    text = (session / "session.yaml").read_text()
+    (session / "session.yaml").write_text(text + "estimate: {intrinsics: fixed, extrinsics: fixed}\n")
+    assert run(["calibrate", str(session), "-o", str(tmp_path / "fixed")]) == 1
+    assert not (tmp_path / "fixed").exists()
 
 
 def test_evaluate_two_urdfs(demo: Path, capsys: pytest.CaptureFixture[str]) -> None:

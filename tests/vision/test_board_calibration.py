@@ -93,9 +93,7 @@ def test_standard_deviations_are_true() -> None:
     np.testing.assert_array_equal(np.concatenate([lens, pose]), np.sqrt(np.diag(found.covariance))[8:])
     assert found.rig.sigmas[0].pose is None
     scale = np.sqrt(np.diag(found.covariance))
-    np.testing.assert_allclose(
-        found.rig.covariance / np.outer(scale, scale), found.covariance / np.outer(scale, scale), rtol=0, atol=1e-14
-    )
+    np.testing.assert_allclose(found.rig.correlation, found.covariance / np.outer(scale, scale), rtol=0, atol=1e-14)
 
 
 LENSES = [

@@ -332,14 +332,14 @@ def test_files_of_different_formats_are_not_mixed(tmp_path: Path) -> None:
 def known(rig: Rig, seed: int = 0) -> Rig:
     """The rig with standard deviations."""
     rng = np.random.default_rng(seed)
+    correlation = np.corrcoef(rng.normal(size=(60, 100)))
+    correlation = 0.5 * (correlation + correlation.T)
     sigmas, before = [], 0
     for i, (camera, T) in enumerate(zip(rig.cameras, rig.T_cam_world, strict=True)):
         pose = None if i == 0 or T is None else rng.uniform(0, 1e-3, 6)
-        own = len(camera.parameters) + (6 if pose is not None else 0)
-        symmetric = rng.uniform(-1, 1, (own, own))
-        correlations = np.hstack([rng.uniform(-1, 1, (own, before)), 0.5 * (symmetric + symmetric.T)])
-        sigmas.append(CameraSigma(rng.uniform(0, 0.1, len(camera.parameters)), pose, correlations))
-        before += own
+        end = before + len(camera.parameters) + (6 if pose is not None else 0)
+        sigmas.append(CameraSigma(rng.uniform(0, 0.1, len(camera.parameters)), pose, correlation[before:end, :end]))
+        before = end
     return Rig(rig.cameras, rig.T_cam_world, tuple(sigmas))
 
 
@@ -357,6 +357,12 @@ def test_standard_deviations_come_back_from_kalibr_files(tmp_path: Path, rig: Ri
     assert read_kalibr(path).sigmas == (None,) * len(rig.cameras)
 
 
+def contradict(sigma: dict) -> None:
+    """The first two go together, the third with one of them and against the other."""
+    for i, j, value in ((0, 1, 0.9), (0, 2, 0.9), (1, 2, -0.9)):
+        sigma["correlations"][i][j] = sigma["correlations"][j][i] = value
+
+
 BROKEN_SIGMA: dict[str, tuple[Callable[[dict], object], str]] = {
     "three": (lambda s: s["intrinsics"].pop(), r"cam.urdfcal_sigma.intrinsics\): intrinsics must be 4 standard dev"),
     "negative": (lambda s: s["intrinsics"].__setitem__(0, -1.0), "4 standard deviations, none negative"),
@@ -368,6 +374,7 @@ BROKEN_SIGMA: dict[str, tuple[Callable[[dict], object], str]] = {
     "ragged correlations": (lambda s: s["correlations"][0].pop(), "must have rows of equally many numbers"),
     "large correlation": (lambda s: s["correlations"][3].__setitem__(3, 1.1), "numbers from -1 to 1"),
     "lopsided correlations": (lambda s: s["correlations"][3].__setitem__(2, 0.123), "symmetric"),
+    "contradictory correlations": (contradict, "correlations contradict each other"),
     "place of the world": (lambda s: s.__setitem__("T_cn_c0", [0.0] * 6), "T_cn_c0"),
 }
 
@@ -396,9 +403,9 @@ def test_a_rig_refuses_standard_deviations_of_something_else() -> None:
         Rig(PAIR.cameras, PAIR.T_cam_world, (CameraSigma(eight, six), None))
     with pytest.raises(CameraError, match="camera 'right': its place is not known"):
         Rig(PAIR.cameras, (np.eye(4), None), (None, CameraSigma(eight, six)))
-    assert PAIR.covariance is None
-    loose = Rig(PAIR.cameras, PAIR.T_cam_world, (CameraSigma(eight), CameraSigma(2 * eight, 3 * six))).covariance
-    np.testing.assert_array_equal(loose, np.diag([1.0] * 8 + [4.0] * 8 + [9.0] * 6))
+    assert PAIR.correlation.shape == (0, 0)
+    loose = Rig(PAIR.cameras, PAIR.T_cam_world, (CameraSigma(eight), CameraSigma(2 * eight, 3 * six)))
+    np.testing.assert_array_equal(loose.correlation, np.eye(22))
     for parameters, pose in ((-eight, None), (eight * np.nan, None), (eight, np.ones(5))):
         with pytest.raises(CameraError, match="make no sense"):
             CameraSigma(parameters, pose)

@@ -38,7 +38,9 @@ _BLOCK = 1024
 
 @dataclass(frozen=True, eq=False)
 class Identifiability:
-    """What the sightings alone, without priors, tell about the active parameters.
+    """What was measured tells about the active parameters: sightings, LED distances, cameras calibrated before.
+
+    Tolerances are no measurement.
 
     Attributes:
         parameters: the packing, with what only a nominal value can tell held at it.
@@ -135,8 +137,7 @@ def _observability(singular: Floats, measurements: int) -> tuple[float, float, f
 
 def _triangle(table: Geometry, blocks: Sequence[Observations], state: State, parameters: Parameters) -> Floats:
     """R of the whitened Jacobian's QR, block by block: squaring it would hide singular values below 1e-8."""
-    # How far apart LEDs are was measured; tolerances were not.
-    R = parameters.distance_residuals(state)[1][:, parameters.active]
+    R = parameters.measured_jacobian(state)
     for block in blocks:
         W = np.linalg.inv(np.linalg.cholesky(block.covariance))
         tangent = Tangent.at(table, block, state, parameters)

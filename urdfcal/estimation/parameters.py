@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from urdfcal.arrays import Bools, Floats, frozen, inverse
+from urdfcal.estimation.camera_prior import CameraPrior
 from urdfcal.estimation.state import State
 
 if TYPE_CHECKING:
@@ -17,23 +18,10 @@ if TYPE_CHECKING:
 
     from urdfcal.estimation.freedoms import Freedoms
     from urdfcal.robot.mechanism import Mechanism
-    from urdfcal.session.model import Freedom, Led, Session, Tolerances
-    from urdfcal.vision.rig import Rig
+    from urdfcal.session.model import Led, Session, Tolerances
 
 LED_TOLERANCE = 0.02
 """Standard deviation of an LED position given without one: a hand-held ruler on a gripper. [m]"""
-
-FREE_LENS = (0.2, 0.3, 1.0, 0.1)
-"""Standard deviations of a free lens: focal length (share of it), principal point (share of the longer image side),
-radial and decentring coefficients. Next to no prior: it spans any real lens and keeps k3 from running off where
-sightings leave the picture's corners empty; the principal points of ../shared/data/motoman_right are a quarter of the
-image off."""
-
-REFINED_LENS = (0.005, 0.005, 0.02, 0.001)
-"""The same for a lens to be refined whose calibration gave no standard deviations: a careful board calibration."""
-
-REFINED_POSE = (0.002, 0.002, 0.002, 0.002, 0.002, 0.002)
-"""Standard deviations of a camera pose to be refined that was calibrated without any. [m, rad]"""
 
 _POSE_AXES = ("x", "y", "z", "rx", "ry", "rz")
 
@@ -89,6 +77,8 @@ class Parameters:
         names: of every entry of the full vector.
         active: (P,) bool.
         prior: (P,) standard deviation about the centre; inf where there is no prior. [unit of the entry]
+        correlation: (P, P) of the priors' errors: cameras calibrated together err together.
+        measured: (P,) bool, whose prior is a calibration of the cameras and no tolerance.
         centre: the state the priors are centred at.
         distances: (LED, LED, distance, standard deviation) of each measured LED distance. [m]
         zeros: indices of the joints' zero offsets.
@@ -105,6 +95,8 @@ class Parameters:
     names: tuple[str, ...]
     active: Bools
     prior: Floats
+    correlation: Floats
+    measured: Bools
     centre: State
     distances: tuple[tuple[int, int, float, float], ...]
     zeros: frozenset[int]
@@ -177,32 +169,55 @@ class Parameters:
             T_cam_world=T_cam_world,
         )
 
+    @cached_property
+    def _whitening(self) -> tuple[Floats, Bools]:
+        """W (p, P), what makes deviations from the centre independent and of unit variance; its rows that are measured.
+
+        There is a row for every active entry with a prior. Held ones stand first in the Cholesky factor: the others'
+        rows then are what the prior says of them once those have their value.
+        """
+        known = np.isfinite(self.prior)
+        held, told = np.flatnonzero(known & ~self.active), np.flatnonzero(known & self.active)
+        order = np.concatenate([held, told])
+        factor = np.linalg.cholesky(self.correlation[np.ix_(order, order)])
+        W = np.zeros((len(told), self.size))
+        W[:, order] = np.linalg.inv(factor)[len(held) :] / self.prior[order]
+        return W, self.measured[told]
+
     def prior_residuals(self, state: State) -> tuple[Floats, Floats]:
         """Deviation from the priors' centre in standard deviations, and its derivative.
 
         Returns:
-            r (p,) and J (p, count), a row for every active entry with a prior and for every LED distance.
+            r (p,) and J (p, count), a row for every active entry with a prior and for every LED distance; errors
+            that go together are told apart (whitened).
         """
+        deviation, J = self._deviation(state)
+        W, _ = self._whitening
+        distances, J_distances = self.distance_residuals(state)
+        return np.concatenate([W @ deviation, distances]), np.vstack([W @ J, J_distances])[:, self.active]
+
+    def measured_jacobian(self, state: State) -> Floats:
+        """Derivative (k, count) of what was measured beside the sightings: LED distances and calibrated cameras."""
+        W, measured = self._whitening
+        return np.vstack([W[measured] @ self._deviation(state)[1], self.distance_residuals(state)[1]])[:, self.active]
+
+    def _deviation(self, state: State) -> tuple[Floats, Floats]:
+        """How far every entry is from the priors' centre (P,), and its derivative (P, P); the base has no centre."""
         full = np.zeros(self.size)
         for i, (row, name) in enumerate(self.rows):
             full[i] = state.offsets[row, self.columns.index(name)] - self.centre.offsets[row, self.columns.index(name)]
         full[self.base.stop : self.base.stop + 3 * self.leds] = (state.leds - self.centre.leds).ravel()
-        blocks: list[tuple[slice, Floats]] = []
+        J = np.eye(self.size)
         for position, c in enumerate(self.cameras):
             now, centre = (_by_leader(of.T_cam_world, c, self.leader[c]) for of in (state, self.centre))
             difference = pin.SE3(now @ inverse(centre))
-            full[self.camera(position)] = pin.log6(difference).vector
+            where = self.camera(position)
+            full[where] = pin.log6(difference).vector
             # exp6(step) stands to the left: log6(exp6(s) D) moves by Jlog6(D) Ad(D^-1) s.
-            blocks.append((self.camera(position), pin.Jlog6(difference) @ difference.inverse().action))
+            J[where, where] = pin.Jlog6(difference) @ difference.inverse().action
         for position, c in enumerate(self.lenses):
             full[self.lens(position)] = state.cameras[c].parameters - self.centre.cameras[c].parameters
-        J = np.eye(self.size)
-        for where, block in blocks:
-            J[where, where] = block
-        used = self.active & np.isfinite(self.prior)
-        r, J = full[used] / self.prior[used], (J / self.prior[:, None])[used]
-        distances, J_distances = self.distance_residuals(state)
-        return np.concatenate([r, distances]), np.vstack([J, J_distances])[:, self.active]
+        return full, J
 
     def distance_residuals(self, state: State) -> tuple[Floats, Floats]:
         """Deviation from the measured LED distances in standard deviations, and its derivative by the full vector."""
@@ -253,14 +268,15 @@ def choose_parameters(session: Session, table: Geometry, centre: State, freedoms
             prior.append(sigma if freedoms.priors and sigma > 0.0 else np.inf)
     world = frames.standing[:1]  # where the first camera stands is what the world is
     moving = [c for c, freedom in enumerate(freedoms.extrinsics) if c not in world and freedom != "fixed"]
-    for c in moving:
-        names += [f"{centre.cameras[c].name}.{axis}" for axis in _POSE_AXES]
-        prior += [np.inf] * 6 if freedoms.extrinsics[c] == "free" else list(_pose_sigma(session, c))
     lenses = [c for c, freedom in enumerate(freedoms.intrinsics) if freedom != "fixed"]
-    for c in lenses:
-        camera = centre.cameras[c]
-        names += [f"{camera.name}.{name}" for name in camera.parameter_names]
-        prior += list(_lens_sigma(session.rig, c, freedoms.intrinsics[c]))
+    cameras = len(names)
+    names += [f"{centre.cameras[c].name}.{axis}" for c in moving for axis in _POSE_AXES]
+    names += [f"{centre.cameras[c].name}.{name}" for c in lenses for name in centre.cameras[c].parameter_names]
+    known = CameraPrior.of(session, freedoms, moving, lenses)
+    held |= {cameras + int(k): "its calibration gives it as exact" for k in np.flatnonzero(known.sigma == 0.0)}
+    prior += np.where(known.sigma > 0.0, known.sigma, np.inf).tolist()
+    correlation, measured = np.eye(len(names)), np.zeros(len(names), bool)
+    correlation[cameras:, cameras:], measured[cameras:] = known.correlation, known.measured
     return Parameters(
         rows=tuple(rows),
         columns=table.columns,
@@ -272,6 +288,8 @@ def choose_parameters(session: Session, table: Geometry, centre: State, freedoms
         names=tuple(names),
         active=frozen(np.ones(len(names)), bool),
         prior=frozen(prior),
+        correlation=frozen(correlation),
+        measured=frozen(measured, bool),
         centre=_as_given(session, centre),
         distances=tuple(
             (session.led_names.index(d.leds[0]), session.led_names.index(d.leds[1]), d.distance, d.sigma)
@@ -308,24 +326,3 @@ def _led_sigma(led: Led) -> float:
     if led.position is None:
         return np.inf
     return LED_TOLERANCE if led.sigma is None else led.sigma
-
-
-def _pose_sigma(session: Session, c: int) -> Floats:
-    for mount in session.mounts:
-        if session.frames.leader[c] == c and session.rig is not None and mount.camera == session.rig.names[c]:
-            return np.array(REFINED_POSE) if mount.sigma is None else mount.sigma
-    known = session.rig.sigmas[c] if session.rig is not None else None
-    return np.array(REFINED_POSE) if known is None or known.pose is None else known.pose
-
-
-def _lens_sigma(rig: Rig | None, c: int, freedom: Freedom) -> Floats:
-    if rig is None:
-        raise ValueError("lenses without a rig")
-    known, camera = rig.sigmas[c], rig.cameras[c]
-    if freedom == "refine" and known is not None:
-        return np.where(known.parameters > 0.0, known.parameters, np.inf)
-    focal, centre, bend, decentring = FREE_LENS if freedom == "free" else REFINED_LENS
-    f, width = camera.intrinsics[0], max(camera.resolution)
-    by_name = {"fx": focal * f, "fy": focal * f, "cx": centre * width, "cy": centre * width}
-    by_name |= {"p1": decentring, "p2": decentring}
-    return np.array([by_name.get(name, bend) for name in camera.parameter_names])

@@ -164,7 +164,7 @@ def _preferred(trial: Trial, rival: Trial, blocks: Sequence[Observations]) -> bo
         ]
     )
     certain = _CERTAIN * float(np.std(difference) / np.sqrt(len(difference)))
-    freer = trial.fit.parameters.count > rival.fit.parameters.count
+    freer = trial.freedoms.free_lenses > rival.freedoms.free_lenses
     return float(np.mean(difference)) < (-certain if freer else certain)
 
 

@@ -29,6 +29,8 @@ _MIN_ANGLE = 1e-5
 # sigma smaller than any real one, by less than a hundred times a pixel's rounding error.
 _CONVERGED = 1e-6
 _ROUNDING = 1e-10
+# Of the correlations of cameras that boards calibrated, the smallest is 1e-6; rounding leaves 1e-15.
+_LEAST_EIGENVALUE = 1e-12
 # Pairs of one LED take 3 steps at 0.1 px of noise and 9 at 50 px; of random pairs 0.8 % still walk after 20.
 _MAX_STEPS = 20
 
@@ -176,22 +178,19 @@ class Rig:
         return self.names.index(name)
 
     @property
-    def covariance(self) -> Floats | None:
-        """(P, P) of what is known of all cameras, camera by camera: parameters, then pose if it has one.
+    def correlation(self) -> Floats:
+        """(P, P) of the errors of all cameras that have standard deviations, camera by camera: parameters, then pose.
 
-        None unless every camera has standard deviations. What has no correlations counts as independent.
+        What has no correlations counts as independent.
         """
         known = [sigma for sigma in self.sigmas if sigma is not None]
-        if len(known) < len(self.cameras):
-            return None
-        sigma = np.concatenate([one.values for one in known])
-        correlation, end = np.eye(len(sigma)), 0
+        correlation, end = np.eye(sum(len(one.values) for one in known)), 0
         for one in known:
             start, end = end, end + len(one.values)
             if one.correlations is not None:
                 correlation[start:end, :end] = one.correlations
                 correlation[:start, start:end] = one.correlations[:, :start].T
-        return correlation * np.outer(sigma, sigma)
+        return correlation
 
     def triangulate(self, uv: Floats, sigma: ArrayLike) -> Triangulation:
         """Find the points whose projections come closest to the pixels, each weighted by its sigma.
@@ -236,6 +235,13 @@ class Rig:
                 raise CameraError(
                     f"its correlations are not {count} x {before} numbers from -1 to 1, its own ones symmetric",
                     where=where,
+                )
+            ones = np.allclose(np.diag(own), 1.0, rtol=0.0, atol=_ROUNDING)
+            if not ones or np.linalg.eigvalsh(self.correlation[:before, :before])[0] < _LEAST_EIGENVALUE:
+                raise CameraError(
+                    "its correlations contradict each other (not a positive definite matrix with ones on its diagonal)",
+                    where=where,
+                    remedy="Write all of their digits, or leave correlations out.",
                 )
 
     def _checked_sightings(self, uv: Floats, sigma: ArrayLike) -> tuple[Floats, Floats]:
