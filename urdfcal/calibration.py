@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -18,7 +17,7 @@ from urdfcal.estimation.selection import Comparison, Trial, compare_models, with
 from urdfcal.estimation.several import Candidate, several
 from urdfcal.estimation.start import first_state, triangulated
 from urdfcal.estimation.uncertainty import tip_covariance
-from urdfcal.result import FORMAT, Calibration, describe
+from urdfcal.result import FORMAT, Calibration, corrected_name, describe
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.dh import DHTable
 from urdfcal.robot.kinematics import tip_poses
@@ -128,9 +127,8 @@ class FittedCalibration(Calibration):
 
     @property
     def urdf_name(self) -> str:
-        """File name of the corrected URDF: the drawn one's with ``_calibrated``."""
-        drawn = PurePosixPath(self.session.urdf_reference)
-        return f"{drawn.stem}_calibrated{drawn.suffix}"
+        """File name of the corrected URDF."""
+        return corrected_name(self.session.urdf_reference)
 
     def calibrated_urdf(self) -> bytes:
         """The session's URDF with the calibrated joint origins, nothing else changed.

@@ -6,7 +6,7 @@ import json
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -154,6 +154,12 @@ class _Loaded(Calibration):
     def to_dict(self) -> dict[str, Any]:
         document: dict[str, Any] = json.loads(self.text)
         return document
+
+
+def corrected_name(urdf_reference: str) -> str:
+    """File name of the corrected URDF: the drawn one's with ``_calibrated``."""
+    drawn = PurePosixPath(urdf_reference)
+    return f"{drawn.stem}_calibrated{drawn.suffix}"
 
 
 def describe(chain: Chain, placements: Floats, urdf_reference: str) -> dict[str, Any]:
