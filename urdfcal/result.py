@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
@@ -73,7 +74,16 @@ class Calibration(ABC):
 
     def save(self, path: str | Path) -> None:
         """Write the result as JSON, format ``urdfcal/1``; numbers read back exactly."""
-        files.write_text(Path(path), json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n")
+        files.write_text(Path(path), self.to_json())
+
+    def to_json(self) -> str:
+        """What ``save`` writes."""
+        return json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n"
+
+    @cached_property
+    def sha256(self) -> str:
+        """Hash of what ``save`` writes, in hexadecimal: tells which calibration something was made from."""
+        return hashlib.sha256(self.to_json().encode()).hexdigest()
 
     @cached_property
     def calibrated(self) -> Chain:
