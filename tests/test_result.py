@@ -91,14 +91,13 @@ def test_threads_share_a_loaded_calibration(saved: tuple[urdfcal.FittedCalibrati
     drawn = pin.buildModelFromXML(fitted.session.urdf.data.decode())
     q = fitted.session.readings
     expected = urdfcal.Calibration.load(path).compensate(q).q
-    for _ in range(3):
-        loaded = urdfcal.Calibration.load(path)
-        with ThreadPoolExecutor(8) as pool:
-            models = list(pool.map(lambda _: loaded.apply(drawn), range(16)))
-            commands = list(pool.map(lambda _: loaded.compensate(q).q, range(16)))
-        assert all(model == models[0] for model in models)
-        for found in commands:
-            np.testing.assert_array_equal(found, expected)
+    loaded = urdfcal.Calibration.load(path)  # what it computes once is computed by whichever thread comes first
+    with ThreadPoolExecutor(8) as pool:
+        models = list(pool.map(lambda _: loaded.apply(drawn), range(16)))
+        commands = list(pool.map(lambda _: loaded.compensate(q).q, range(16)))
+    assert all(model == models[0] for model in models)
+    for found in commands:
+        np.testing.assert_array_equal(found, expected)
 
 
 @pytest.mark.parametrize(
