@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+import urdfcal
 from urdfcal.cli import run
+from urdfcal.robot.urdf import find_urdf
 
 if TYPE_CHECKING:
     import pytest
@@ -29,6 +34,15 @@ def test_what_people_do_and_the_library_example_work_as_written(
     for line in lines:
         if line[1] != "view":  # needs a screen
             assert run(line[1:]) == 0, line
+    chain = urdfcal.Calibration.load(tmp_path / "result").chain
+    shutil.copy(find_urdf("package://example-robot-data/robots/panda_description/urdf/panda.urdf"), "other.urdf")
+    q = chain.random_values(3, np.random.default_rng(0)).tolist()
+    rows = [["time", *chain.names], *([k, *row] for k, row in enumerate(q))]
+    Path("path.csv").write_text("\n".join(",".join(map(str, row)) for row in rows) + "\n")
+    lines = [line.split("#")[0].split() for line in blocks("sh")[3].splitlines()]
+    assert [line[1] for line in lines] == ["apply", "compensate", "export"]
+    for line in lines:
+        assert run(line[1:]) == 0, line
     (example,) = blocks("python")
     ended = subprocess.run([sys.executable, "-c", example], cwd=tmp_path, capture_output=True, text=True)
     assert ended.returncode == 0, ended.stderr

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -83,6 +84,20 @@ def test_commands_are_compensated_on_the_calibrated_arm(saved: tuple[urdfcal.Fit
     one = loaded.compensate(q[0, actuated])
     assert one.q.shape == (len(loaded.chain.actuated),)
     assert one.position.shape == ()
+
+
+def test_threads_share_a_loaded_calibration(saved: tuple[urdfcal.FittedCalibration, Path]) -> None:
+    fitted, path = saved
+    drawn = pin.buildModelFromXML(fitted.session.urdf.data.decode())
+    q = fitted.session.readings
+    expected = urdfcal.Calibration.load(path).compensate(q).q
+    loaded = urdfcal.Calibration.load(path)  # what it computes once is computed by whichever thread comes first
+    with ThreadPoolExecutor(8) as pool:
+        models = list(pool.map(lambda _: loaded.apply(drawn), range(16)))
+        commands = list(pool.map(lambda _: loaded.compensate(q).q, range(16)))
+    assert all(model == models[0] for model in models)
+    for found in commands:
+        np.testing.assert_array_equal(found, expected)
 
 
 @pytest.mark.parametrize(

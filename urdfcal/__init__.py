@@ -4,6 +4,9 @@
     calibration = urdfcal.calibrate(session)
     model = calibration.apply(pin.buildModelFromUrdf("robot.urdf"))
 
+A session can be built in memory, too: a ``Setup`` of ``Chain``, ``Led``s and a ``Rig`` of ``Camera``s, to which a
+``Recorder`` adds poses and sightings one by one.
+
 Names are loaded when they are first used: ``import urdfcal`` and ``urdfcal --help`` wait for nothing.
 """
 
@@ -16,8 +19,12 @@ if TYPE_CHECKING:
     from urdfcal.result import Calibration
     from urdfcal.robot.chain import Chain
     from urdfcal.robot.dh import DHTable
-    from urdfcal.session.files import read_session, write_session
-    from urdfcal.session.model import Detections, Led, Noise, Points, Session
+    from urdfcal.robot.urdf import Urdf
+    from urdfcal.session.files import read_rig, read_session, write_session
+    from urdfcal.session.model import Detections, Estimate, Led, LedDistance, Noise, Points, Session, Setup, Tolerances
+    from urdfcal.session.recorder import Recorder
+    from urdfcal.vision.camera import Camera
+    from urdfcal.vision.rig import Rig
 
 _HOMES = {
     "urdfcal.calibration": ("FittedCalibration", "calibrate"),
@@ -25,23 +32,46 @@ _HOMES = {
     "urdfcal.result": ("Calibration",),
     "urdfcal.robot.chain": ("Chain",),
     "urdfcal.robot.dh": ("DHTable",),
-    "urdfcal.session.files": ("read_session", "write_session"),
-    "urdfcal.session.model": ("Detections", "Led", "Noise", "Points", "Session"),
+    "urdfcal.robot.urdf": ("Urdf",),
+    "urdfcal.session.files": ("read_rig", "read_session", "write_session"),
+    "urdfcal.session.model": (
+        "Detections",
+        "Estimate",
+        "Led",
+        "LedDistance",
+        "Noise",
+        "Points",
+        "Session",
+        "Setup",
+        "Tolerances",
+    ),
+    "urdfcal.session.recorder": ("Recorder",),
+    "urdfcal.vision.camera": ("Camera",),
+    "urdfcal.vision.rig": ("Rig",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
     "Calibration",
+    "Camera",
     "Chain",
     "DHTable",
     "Detections",
+    "Estimate",
     "FittedCalibration",
     "Led",
+    "LedDistance",
     "Noise",
     "Points",
+    "Recorder",
+    "Rig",
     "Session",
+    "Setup",
+    "Tolerances",
+    "Urdf",
     "UrdfcalError",
     "calibrate",
+    "read_rig",
     "read_session",
     "write_session",
 ]

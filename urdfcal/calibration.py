@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import pinocchio as pin
 
-from urdfcal.arrays import Bools, Floats, frozen
+from urdfcal.arrays import Bools, Floats, frozen, inverse
 from urdfcal.errors import CalibrationError, OutputError, SessionError
 from urdfcal.estimation.observations import Observations, observe
 from urdfcal.estimation.residuals import predict
@@ -18,7 +17,7 @@ from urdfcal.estimation.selection import Comparison, Trial, compare_models, with
 from urdfcal.estimation.several import Candidate, several
 from urdfcal.estimation.start import first_state, triangulated
 from urdfcal.estimation.uncertainty import tip_covariance
-from urdfcal.result import FORMAT, Calibration, describe
+from urdfcal.result import FORMAT, Calibration, corrected_name, describe
 from urdfcal.robot.dh import DHTable
 from urdfcal.robot.kinematics import link_poses
 from urdfcal.robot.origins import origins_of
@@ -131,9 +130,8 @@ class FittedCalibration(Calibration):
 
     @property
     def urdf_name(self) -> str:
-        """File name of the corrected URDF: the drawn one's with ``_calibrated``."""
-        drawn = PurePosixPath(self.session.urdf_reference)
-        return f"{drawn.stem}_calibrated{drawn.suffix}"
+        """File name of the corrected URDF."""
+        return corrected_name(self.session.urdf_reference)
 
     def calibrated_urdf(self) -> bytes:
         """The session's URDF with the calibrated joint origins, nothing else changed.
@@ -174,16 +172,7 @@ class FittedCalibration(Calibration):
             "placements": self._placements(),
             "T_world_base": self.estimate.T_world_base.tolist(),
             "leds": self._leds(),
-            "cameras": {
-                camera.name: {
-                    "intrinsics": camera.intrinsics.tolist(),
-                    "distortion_model": camera.distortion_model,
-                    "distortion": camera.distortion.tolist(),
-                    "T_cam_world": T.tolist(),
-                    "sigma": self._camera_sigma(c),
-                }
-                for c, (camera, T) in enumerate(zip(self.estimate.cameras, self.estimate.T_cam_world, strict=True))
-            },
+            "cameras": {camera.name: self._camera(c) for c, camera in enumerate(self.estimate.cameras)},
             "fit": self.summary(),
             "validation": self.validation(),
             "models": [
@@ -339,19 +328,34 @@ class FittedCalibration(Calibration):
         for i, led in enumerate(self.session.leds):
             sigma = self._sigma[self.fit.parameters.led(i)]
             result[led.name] = {
+                "link": self.session.frames.names[self.session.frames.led[i]],
                 "position": self.estimate.leds[i].tolist(),
                 "sigma": [float(s) if np.isfinite(s) else 0.0 if led.sigma == 0.0 else None for s in sigma],
             }
         return result
 
-    def _camera_sigma(self, c: int) -> dict[str, list[float | None]]:
-        """Standard deviations of what was estimated of a camera; T_cam_world's of a small motion exp6(s) after it."""
+    def _camera(self, c: int) -> dict[str, Any]:
+        """A camera's lens, and where it is: in the world, or on the link that it rides on."""
+        camera, T, frames = self.estimate.cameras[c], self.estimate.T_cam_world[c], self.session.frames
+        frame = int(frames.camera[c])
+        place = {"T_cam_world": T.tolist()} if frame == 0 else {"T_link_camera": inverse(T).tolist()}
+        return {
+            "intrinsics": camera.intrinsics.tolist(),
+            "distortion_model": camera.distortion_model,
+            "distortion": camera.distortion.tolist(),
+            "link": frames.names[frame],
+            **place,
+            "sigma": self._camera_sigma(c, next(iter(place))),
+        }
+
+    def _camera_sigma(self, c: int, place: str) -> dict[str, list[float | None]]:
+        """Standard deviations of what was estimated of a camera; its place's of a small motion in its own frame."""
         parameters, result = self.fit.parameters, {}
         if c in parameters.lenses:
             lens = self._sigma[parameters.lens(parameters.lenses.index(c))]
             result = {"intrinsics": lens[:4], "distortion": lens[4:]}
         if c in parameters.cameras:
-            result["T_cam_world"] = self._sigma[parameters.camera(parameters.cameras.index(c))]
+            result[place] = self._sigma[parameters.camera(parameters.cameras.index(c))]
         return {key: [float(s) if np.isfinite(s) else None for s in values] for key, values in result.items()}
 
     def _suspect(self, points: Observations) -> Bools:

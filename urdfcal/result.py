@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +19,9 @@ from urdfcal.robot.applying import apply_to_model, apply_to_urdf
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.compensation import Compensation, compensate
 from urdfcal.robot.dh import PARAMETERS
-from urdfcal.robot.mechanism import Joint
+from urdfcal.robot.mechanism import BASE, Joint, Mechanism, Tip
+from urdfcal.robot.tree import Tree, with_placements
+from urdfcal.robot.tree_dh import rows_of
 from urdfcal.robot.urdf import Mimic
 
 if TYPE_CHECKING:
@@ -36,13 +39,13 @@ class Calibration(ABC):
 
     @property
     @abstractmethod
-    def chain(self) -> Chain:
-        """The chain that was calibrated, as drawn."""
+    def chain(self) -> Mechanism:
+        """The joints that were calibrated, as drawn: a chain, or a tree of them."""
 
     @property
     @abstractmethod
     def placements(self) -> Floats:
-        """(n, 4, 4) calibrated placement of each joint in the previous joint's frame. [m]."""
+        """(n, 4, 4) calibrated placement of each joint in the frame of the one it hangs on. [m]."""
 
     @abstractmethod
     def to_dict(self) -> dict[str, Any]:
@@ -70,26 +73,36 @@ class Calibration(ABC):
                 f"cannot be read: {reason}", where=str(file), remedy="Name a folder that `urdfcal calibrate` wrote."
             ) from error
         document = check(text, str(file), FORMAT)
-        return _Loaded(_chain_from(document["robot"]), _matrices(document["robot"], "built"), text)
+        return _Loaded(_mechanism_from(document["robot"]), _matrices(document["robot"], "built"), text)
 
     def save(self, path: str | Path) -> None:
         """Write the result as JSON, format ``urdfcal/1``; numbers read back exactly."""
-        files.write_text(Path(path), json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n")
+        files.write_text(Path(path), self.to_json())
+
+    def to_json(self) -> str:
+        """What ``save`` writes."""
+        return json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n"
 
     @cached_property
-    def calibrated(self) -> Chain:
-        """The chain with its calibrated placements."""
-        return replace(self.chain, placements=self.placements)
+    def sha256(self) -> str:
+        """Hash of what ``save`` writes, in hexadecimal: tells which calibration something was made from."""
+        return hashlib.sha256(self.to_json().encode()).hexdigest()
+
+    @cached_property
+    def calibrated(self) -> Mechanism:
+        """The joints with their calibrated placements."""
+        return with_placements(self.chain, self.placements)
 
     @cached_property
     def dh_offsets(self) -> Floats | None:
-        """(n, 5) added to the DH rows, columns as ``dh.PARAMETERS`` [rad, m]; None where whole placements were."""
+        """(rows, 5) added to the DH rows, columns as ``dh.PARAMETERS`` [rad, m]; None where whole placements were."""
         entries = [entry for entry in self.to_dict()["dh"] if entry["parameter"] in PARAMETERS]
         if not entries:
             return None
-        offsets = np.zeros((len(self.chain.joints), len(PARAMETERS)))
+        labels = rows_of(self.chain).labels
+        offsets = np.zeros((len(labels), len(PARAMETERS)))
         for entry in entries:
-            offsets[self.chain.names.index(entry["joint"]), PARAMETERS.index(entry["parameter"])] = entry["offset"]
+            offsets[labels.index(entry["joint"]), PARAMETERS.index(entry["parameter"])] = entry["offset"]
         return frozen(offsets)
 
     def apply(self, model: pin.Model, *, in_place: bool = False) -> pin.Model:
@@ -140,12 +153,12 @@ class Calibration(ABC):
 class _Loaded(Calibration):
     """A calibration as its file tells it; the text was checked when it was read."""
 
-    drawn: Chain
+    drawn: Mechanism
     built: Floats
     text: str
 
     @property
-    def chain(self) -> Chain:
+    def chain(self) -> Mechanism:
         return self.drawn
 
     @property
@@ -157,8 +170,14 @@ class _Loaded(Calibration):
         return document
 
 
-def describe(chain: Chain, placements: Floats, urdf_reference: str) -> dict[str, Any]:
-    """The ``robot`` part of calibration.json: the chain as drawn, and how its joints were built."""
+def corrected_name(urdf_reference: str) -> str:
+    """File name of the corrected URDF: the drawn one's with ``_calibrated``."""
+    drawn = PurePosixPath(urdf_reference)
+    return f"{drawn.stem}_calibrated{drawn.suffix}"
+
+
+def describe(chain: Mechanism, placements: Floats, urdf_reference: str) -> dict[str, Any]:
+    """The ``robot`` part of calibration.json: the joints as drawn, and how they were built."""
     return {
         "name": chain.name,
         "urdf": urdf_reference,
@@ -166,6 +185,7 @@ def describe(chain: Chain, placements: Floats, urdf_reference: str) -> dict[str,
         "tip_link": chain.tip_link,
         "joints": {
             joint.name: {
+                "parent": None if parent == BASE else chain.names[parent],
                 "type": joint.type,
                 "axis": joint.axis.tolist(),
                 "lower": joint.lower if np.isfinite(joint.lower) else None,
@@ -180,13 +200,21 @@ def describe(chain: Chain, placements: Floats, urdf_reference: str) -> dict[str,
                 "drawn": drawn.tolist(),
                 "built": built.tolist(),
             }
-            for joint, drawn, built in zip(chain.joints, chain.placements, placements, strict=True)
+            for joint, parent, drawn, built in zip(
+                chain.joints, chain.parents, chain.placements, placements, strict=True
+            )
         },
-        "T_last_tip": chain.T_last_tip.tolist(),
+        "tips": {
+            tip.link: {
+                "joint": None if tip.joint == BASE else chain.names[tip.joint],
+                "T_joint_link": tip.T_joint_link.tolist(),
+            }
+            for tip in chain.tips
+        },
     }
 
 
-def _chain_from(robot: dict[str, Any]) -> Chain:
+def _mechanism_from(robot: dict[str, Any]) -> Mechanism:
     joints = tuple(
         Joint(
             name=name,
@@ -198,14 +226,13 @@ def _chain_from(robot: dict[str, Any]) -> Chain:
         )
         for name, joint in robot["joints"].items()
     )
-    return Chain(
-        robot["name"],
-        robot["base_link"],
-        robot["tip_link"],
-        joints,
-        _matrices(robot, "drawn"),
-        frozen(robot["T_last_tip"]),
-    )
+    index = {None: BASE} | {name: i for i, name in enumerate(robot["joints"])}
+    parents = tuple(index[joint["parent"]] for joint in robot["joints"].values())
+    tips = tuple(Tip(link, index[tip["joint"]], tip["T_joint_link"]) for link, tip in robot["tips"].items())
+    name, base_link, drawn = robot["name"], robot["base_link"], _matrices(robot, "drawn")
+    if len(tips) == 1:
+        return Chain(name, base_link, tips[0].link, joints, drawn, tips[0].T_joint_link)
+    return Tree(name, base_link, joints, parents, drawn, tips)
 
 
 def _matrices(robot: dict[str, Any], which: str) -> Floats:

@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from urdfcal.errors import OutputError
+from urdfcal.robot.tree_dh import MOUNT
 
 # Rotations are written with all their digits.
 _RIGID = 1e-9
@@ -44,8 +45,9 @@ class MimicKeys(_Keys):
 
 
 class JointKeys(_Keys):
-    """A joint as drawn and as built, in the previous joint's frame."""
+    """A joint as drawn and as built, in the frame of the joint it hangs on, or of the base link."""
 
+    parent: str | None
     type: Literal["revolute", "continuous", "prismatic"]
     axis: Vector
     lower: float | None
@@ -55,21 +57,39 @@ class JointKeys(_Keys):
     built: Transform
 
 
+class TipKeys(_Keys):
+    """A link that carries something, in the frame of the last joint before it."""
+
+    joint: str | None
+    T_joint_link: Transform
+
+
 class RobotKeys(_Keys):
-    """The chain that was calibrated."""
+    """The joints that were calibrated."""
 
     name: str
     urdf: str
     base_link: str
     tip_link: str
     joints: Annotated[dict[str, JointKeys], Field(min_length=1)]
-    T_last_tip: Transform
+    tips: Annotated[dict[str, TipKeys], Field(min_length=1)]
 
     @model_validator(mode="after")
-    def _mimics_follow(self) -> RobotKeys:
+    def _hang_together(self) -> RobotKeys:
+        before: set[str | None] = {None}
         for name, joint in self.joints.items():
+            if joint.parent not in before:
+                raise ValueError(f"joint {name!r} hangs on {joint.parent!r}, which does not come before it")
+            before.add(name)
             if joint.mimic is not None and joint.mimic.joint not in self.joints:
                 raise ValueError(f"joint {name!r} follows {joint.mimic.joint!r}, which is not there")
+        for link, tip in self.tips.items():
+            if tip.joint not in before:
+                raise ValueError(f"link {link!r} hangs on {tip.joint!r}, which is not there")
+        if next(iter(self.tips)) != self.tip_link:
+            raise ValueError(f"tip_link is {self.tip_link!r}, but the first of the tips another")
+        if len(self.tips) == 1 and [joint.parent for joint in self.joints.values()] != [None, *self.joints][:-1]:
+            raise ValueError("to a single tip its joints are no chain")
         return self
 
 
@@ -94,19 +114,29 @@ class OriginKeys(_Keys):
 
 
 class LedKeys(_Keys):
-    """Where an LED is in the tip frame."""
+    """Where an LED is on its link, or in the world."""
 
+    link: str
     position: Vector
     sigma: list[float | None]
 
 
 class CameraKeys(_Keys):
-    """A camera as it was used or found."""
+    """A camera as it was used or found: standing in the world, or riding on a link."""
 
     intrinsics: Row
     distortion_model: str
     distortion: list[float]
-    T_cam_world: Transform
+    link: str
+    T_cam_world: Transform | None = None
+    T_link_camera: Transform | None = None
+    sigma: dict[Literal["intrinsics", "distortion", "T_cam_world", "T_link_camera"], list[float | None]]
+
+    @model_validator(mode="after")
+    def _somewhere(self) -> CameraKeys:
+        if (self.T_cam_world is None) == (self.T_link_camera is None):
+            raise ValueError("one of T_cam_world and T_link_camera is needed")
+        return self
 
 
 class CalibrationKeys(_Keys):
@@ -131,7 +161,7 @@ class CalibrationKeys(_Keys):
     @model_validator(mode="after")
     def _rows_of_joints(self) -> CalibrationKeys:
         for row in self.dh:
-            if row.joint not in self.robot.joints:
+            if row.joint.removesuffix(MOUNT) not in self.robot.joints:
                 raise ValueError(f"dh names joint {row.joint!r}, which the robot has not")
         return self
 

@@ -89,8 +89,6 @@ def test_a_camera_without_standard_deviations_has_assumed_ones(data: Simulated) 
     rig = data.session.rig
     one = replace(data.session, rig=Rig(rig.cameras, rig.T_cam_world, (rig.sigmas[0], None)))
     prior = CameraPrior.of(one, Freedoms("dh", ("refine",) * 2, ("fixed", "refine")), [1], [0, 1])
-        replace(data.session, rig=one), Freedoms("dh", ("refine",) * 2, ("fixed", "refine")), [1], [0, 1]
-    )
     np.testing.assert_array_equal(prior.sigma[:6], REFINED_POSE)
     np.testing.assert_allclose(covariance_of(prior)[6:14, 6:14], COVARIANCE[:8, :8], rtol=1e-12)
     np.testing.assert_array_equal(prior.correlation[14:, :14], np.zeros((8, 14)))

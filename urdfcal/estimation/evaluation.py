@@ -15,12 +15,12 @@ from urdfcal.estimation.parameters import choose_parameters
 from urdfcal.estimation.residuals import predict
 from urdfcal.estimation.solver import solve
 from urdfcal.estimation.start import first_state, kabsch
-from urdfcal.robot.dh import DHTable
 from urdfcal.robot.kinematics import tip_poses
+from urdfcal.robot.tree_dh import rows_of
 
 if TYPE_CHECKING:
     from urdfcal.estimation.solver import Progress, Solution
-    from urdfcal.robot.chain import Chain
+    from urdfcal.robot.mechanism import Mechanism
     from urdfcal.session.model import Freedom, Session
 
 
@@ -79,7 +79,7 @@ class Difference:
     T_a_b: Floats
 
 
-def compare(a: Chain, b: Chain, q: Floats) -> Difference:
+def compare(a: Mechanism, b: Mechanism, q: Floats) -> Difference:
     """Compare two versions of one robot over joint configurations.
 
     The alignment minimises the tips' distances (Kabsch): how a robot is bolted down is nothing its URDF could know.
@@ -123,7 +123,7 @@ class Explanation:
     fit: Solution
 
 
-def explain(chain: Chain, session: Session, progress: Progress | None = None) -> Explanation:
+def explain(chain: Mechanism, session: Session, progress: Progress | None = None) -> Explanation:
     """Fit base pose, LED places and, for pixels, camera poses to a session; the arm stays as ``chain`` draws it.
 
     Args:
@@ -135,7 +135,7 @@ def explain(chain: Chain, session: Session, progress: Progress | None = None) ->
         CalibrationError: no start from these sightings.
     """
     session = replace(session, chain=chain)
-    table = DHTable.from_chain(chain)
+    table = rows_of(chain)
     blocks = observe(session)
     start = first_state(session, table, np.zeros_like(table.nominal))
     freedoms = nominal(session, start)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,21 +9,21 @@ import pinocchio as pin
 
 from urdfcal.arrays import Floats, inverse
 from urdfcal.errors import RobotError
-from urdfcal.robot.chain import Chain
 from urdfcal.robot.mechanism import se3
 from urdfcal.robot.origins import origins_of, rewrite_origins
+from urdfcal.robot.tree import read_mechanism
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from urdfcal.robot.mechanism import Joint
+    from urdfcal.robot.mechanism import Joint, Mechanism
     from urdfcal.robot.urdf import Urdf
 
 # Placements that differ by no more are the same drawing through different roundings. [m, entries of the rotation]
 _SAME = 1e-6
 
 
-def apply_to_model(model: pin.Model, chain: Chain, built: Floats) -> None:
+def apply_to_model(model: pin.Model, chain: Mechanism, built: Floats) -> None:
     """Give a Pinocchio model the placements that a chain's joints were built with.
 
     The model may have more joints than the chain, in another order, on another base; some of the chain's may have
@@ -34,15 +33,17 @@ def apply_to_model(model: pin.Model, chain: Chain, built: Floats) -> None:
     Args:
         model: found joint by joint by name; it is changed, unless an error is raised.
         chain: as drawn.
-        built: (n, 4, 4) each joint's placement in the previous joint's frame. [m]
+        built: (n, 4, 4) each joint's placement in the frame of the one it hangs on. [m]
 
     Raises:
         RobotError: a joint is missing, or is not placed as it was drawn when it was calibrated.
     """
     joints: dict[int, Floats] = {}
     locked: dict[int, Floats] = {}  # by frame: what a correction does to everything behind it
-    support, before, after = _base(model, chain)
-    for joint, drawn_k, built_k in zip(chain.joints, chain.placements, built, strict=True):
+    # What each joint hangs on: a joint of the model, and the way from there, as drawn and as built.
+    carriers = [_base(model, chain)]
+    for joint, parent, drawn_k, built_k in zip(chain.joints, chain.parents, chain.placements, built, strict=True):
+        support, before, after = carriers[parent + 1]
         drawn_T, built_T = before @ drawn_k, after @ built_k
         if model.existJointName(joint.name):
             index = model.getJointId(joint.name)
@@ -50,7 +51,7 @@ def apply_to_model(model: pin.Model, chain: Chain, built: Floats) -> None:
             if model.parents[index] != support:
                 raise _other_robot(joint.name, model.name)
             joints[index] = built_T
-            support, before, after = index, np.eye(4), np.eye(4)
+            carriers.append((index, np.eye(4), np.eye(4)))
             continue
         frame = _locked_frame(model, joint.name)
         before = model.frames[frame].placement.homogeneous
@@ -59,6 +60,7 @@ def apply_to_model(model: pin.Model, chain: Chain, built: Floats) -> None:
             raise _other_robot(joint.name, model.name)
         after = built_T @ turned
         locked[frame] = after @ inverse(before)
+        carriers.append((support, before, after))
     frames = dict(_moved_frames(model, locked)) if locked else {}
     for index in range(1, model.njoints):
         own = model.getFrameId(model.names[index], pin.FrameType.JOINT)
@@ -71,13 +73,13 @@ def apply_to_model(model: pin.Model, chain: Chain, built: Floats) -> None:
         model.frames[index].placement = se3(correction @ model.frames[index].placement.homogeneous)
 
 
-def apply_to_urdf(urdf: Urdf, chain: Chain, built: Floats) -> bytes:
+def apply_to_urdf(urdf: Urdf, chain: Mechanism, built: Floats) -> bytes:
     """Write the placements that a chain's joints were built with into a description of the same robot.
 
     Args:
         urdf: the one the chain was read from, or another or regenerated one.
         chain: as drawn.
-        built: (n, 4, 4) each joint's placement in the previous joint's frame. [m]
+        built: (n, 4, 4) each joint's placement in the frame of the one it hangs on. [m]
 
     Returns:
         The corrected file; nothing but values of ``<origin>`` has changed.
@@ -87,8 +89,8 @@ def apply_to_urdf(urdf: Urdf, chain: Chain, built: Floats) -> bytes:
             was calibrated.
     """
     where = str(urdf.path or urdf.name)
-    other = Chain.from_urdf(urdf, chain.tip_link, chain.base_link)
-    if other.names != chain.names:
+    other = read_mechanism(urdf, [tip.link for tip in chain.tips], chain.base_link)
+    if (other.names, other.parents) != (chain.names, chain.parents):
         missing = [name for name in chain.names if name not in other.names] or [
             name for name in other.names if name not in chain.names
         ]
@@ -107,16 +109,17 @@ def apply_to_urdf(urdf: Urdf, chain: Chain, built: Floats) -> bytes:
                 where=where,
                 remedy="Its type, axis or mimic differs: calibrate this robot.",
             )
-    if not np.allclose(other.T_last_tip, chain.T_last_tip, rtol=0.0, atol=_SAME):
-        raise RobotError(
-            f"link {chain.tip_link!r} is elsewhere on joint {chain.names[-1]!r} than when it was calibrated",
-            where=where,
-            remedy="Apply the calibration to a description of the same robot.",
-        )
-    return rewrite_origins(urdf, origins_of(urdf, replace(chain, placements=other.placements), built))
+    for tip, same in zip(chain.tips, other.tips, strict=True):
+        if tip.joint != same.joint or not np.allclose(tip.T_joint_link, same.T_joint_link, rtol=0.0, atol=_SAME):
+            raise RobotError(
+                f"link {tip.link!r} is elsewhere on joint {chain.names[tip.joint]!r} than when it was calibrated",
+                where=where,
+                remedy="Apply the calibration to a description of the same robot.",
+            )
+    return rewrite_origins(urdf, origins_of(urdf, other, built))
 
 
-def _base(model: pin.Model, chain: Chain) -> tuple[int, Floats, Floats]:
+def _base(model: pin.Model, chain: Mechanism) -> tuple[int, Floats, Floats]:
     """The joint that the chain hangs on, and its base link's frame there; a model without that link is trusted."""
     if model.existFrame(chain.base_link, pin.FrameType.BODY):
         frame = model.frames[model.getFrameId(chain.base_link, pin.FrameType.BODY)]

@@ -14,7 +14,7 @@ from urdfcal.robot.kinematics import joint_axes, tip_motion, tip_poses
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from urdfcal.robot.chain import Chain
+    from urdfcal.robot.mechanism import Mechanism
 
 # Away from singularities three steps arrive from centimetres off; beside one, or at a limit, steps shrink slowly and
 # what is left is reported.
@@ -55,7 +55,7 @@ class Compensation:
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
 
-def compensate(nominal: Chain, real: Chain, q: ArrayLike) -> Compensation:
+def compensate(nominal: Mechanism, real: Mechanism, q: ArrayLike) -> Compensation:
     """Find joint commands with which the real arm's tip goes where the nominal arm's would go.
 
     Damped Gauss-Newton on the real arm from the nominal commands, position first: the orientation is corrected with
@@ -84,7 +84,7 @@ def compensate(nominal: Chain, real: Chain, q: ArrayLike) -> Compensation:
     return Compensation(found.reshape(given.shape), position.reshape(shape), angle.reshape(shape))
 
 
-def _checked_limits(chain: Chain, q: Floats) -> tuple[Floats, Floats]:
+def _checked_limits(chain: Mechanism, q: Floats) -> tuple[Floats, Floats]:
     joints = [joint for joint in chain.joints if joint.mimic is None]
     if not q.ndim or q.shape[-1] != len(joints):
         raise RobotError(f"commands of shape {q.shape} are not (..., {len(joints)})", where=chain.name)
@@ -102,7 +102,7 @@ def _checked_limits(chain: Chain, q: Floats) -> tuple[Floats, Floats]:
     return lower, upper
 
 
-def _reach(chain: Chain, T: Floats, start: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
+def _reach(chain: Mechanism, T: Floats, start: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
     """Bring the tip to the placements T (N, 4, 4); returns commands (N, k) and the error left (N, 6).
 
     ``start``, ``lower`` and ``upper`` are (N, k).
@@ -162,7 +162,7 @@ def _inverse(J: Floats, damping: Floats) -> Floats:
     return result
 
 
-def _worth(error: Floats, chain: Chain) -> Floats:
+def _worth(error: Floats, chain: Mechanism) -> Floats:
     """Size of an error, position first: an orientation that cannot be had must not outweigh a position that can."""
     result: Floats = np.linalg.norm(error[:, :3], axis=1) / chain.reach + _ORIENTATION * np.linalg.norm(
         error[:, 3:], axis=1

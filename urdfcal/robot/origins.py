@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from urdfcal.arrays import inverse
 from urdfcal.errors import RobotError
 from urdfcal.robot import markup
 from urdfcal.robot.rpy import matrix_to_rpy
+from urdfcal.robot.tags import Edit, apply_edits, changed_attributes, start_tag
 from urdfcal.robot.urdf import Urdf, UrdfJoint, alternatives
 
 if TYPE_CHECKING:
@@ -78,26 +79,12 @@ def rewrite_origins(urdf: Urdf, placements: Mapping[str, ArrayLike]) -> bytes:
     ]
     if not edits:
         return urdf.data
-    data = _apply(urdf.data, edits)
+    data = apply_edits(urdf.data, edits)
     _check_read_back(urdf, Urdf.parse(data, urdf.path), wanted)
     return data
 
 
-class _Edit(NamedTuple):
-    start: int
-    stop: int
-    text: bytes
-
-
-def _apply(data: bytes, edits: list[_Edit]) -> bytes:
-    pieces, position = [], 0
-    for edit in sorted(edits):
-        pieces += [data[position : edit.start], edit.text]
-        position = edit.stop
-    return b"".join([*pieces, data[position:]])
-
-
-def _edits(data: bytes, element: Element, joint: UrdfJoint, T: Floats, source: str) -> Iterator[_Edit]:
+def _edits(data: bytes, element: Element, joint: UrdfJoint, T: Floats, source: str) -> Iterator[Edit]:
     old = joint.T_parent_joint
     values = {"xyz": _text(T[:3, 3]), "rpy": _text(matrix_to_rpy(T[:3, :3]))}
     changed = {
@@ -116,52 +103,11 @@ def _edits(data: bytes, element: Element, joint: UrdfJoint, T: Floats, source: s
             where=f"{source}:{origin.line}, joint {joint.name!r}",
             remedy="Replace it by rpy, then calibrate again.",
         )
-    yield from _changed_origin(data, origin, {name: values[name] for name in values if changed[name]})
+    yield from changed_attributes(data, origin, {name: values[name] for name in values if changed[name]})
 
 
 def _text(values: Floats) -> bytes:
     return " ".join(repr(float(value) + 0.0) for value in values).encode()  # + 0.0: no "-0.0"
-
-
-# In a start tag that expat has accepted; a quoted value may hold ">", line ends and the other quote.
-_NAME = re.compile(rb"<[^\s/>]+")
-_ATTRIBUTE = re.compile(rb"(?P<gap>\s+)(?P<name>[^\s=]+)\s*=\s*(?P<quote>[\"'])(?P<value>.*?)(?P=quote)", re.DOTALL)
-_CLOSE = re.compile(rb"\s*/?>")
-
-
-class _Tag(NamedTuple):
-    attributes: dict[str, re.Match[bytes]]
-    end_of_attributes: int
-    end: int
-
-
-def _tag(data: bytes, element: Element) -> _Tag:
-    """Take a start tag apart."""
-    name = _NAME.match(data, element.offset)
-    end = name.end() if name else element.offset
-    attributes: dict[str, re.Match[bytes]] = {}
-    while found := _ATTRIBUTE.match(data, end):
-        attributes[found["name"].decode("latin-1")] = found
-        end = found.end()
-    close = _CLOSE.match(data, end)
-    if not name or not close:
-        raise RobotError(f"<{element.tag}> cannot be rewritten", where=f"line {element.line}")
-    return _Tag(attributes, end, close.end())
-
-
-def _changed_origin(data: bytes, origin: Element, values: Mapping[str, bytes]) -> Iterator[_Edit]:
-    tag = _tag(data, origin)
-    last = list(tag.attributes.values())[-1] if tag.attributes else None
-    # A new attribute follows the last one in its style: same quotes, on a line of its own if that is.
-    gap, quote = (last["gap"], last["quote"]) if last else (b" ", b'"')
-    added = b""
-    for name, value in values.items():
-        if name in tag.attributes:
-            yield _Edit(*tag.attributes[name].span("value"), value)
-        else:
-            added += gap + name.encode() + b"=" + quote + value + quote
-    if added:
-        yield _Edit(tag.end_of_attributes, tag.end_of_attributes, added)
 
 
 # A comment beside the opening tag belongs to that line, not to what is inserted below it.
@@ -169,15 +115,15 @@ _REST_OF_LINE = re.compile(rb"[ \t]*<!--(?:(?!-->)[^\r\n])*-->(?=[ \t]*[\r\n])")
 _INDENTATION = re.compile(rb"(?:\r\n|\n|\r)[ \t]*\Z")
 
 
-def _inserted_origin(data: bytes, joint: Element, values: Mapping[str, bytes]) -> _Edit:
-    start = _tag(data, joint).end
+def _inserted_origin(data: bytes, joint: Element, values: Mapping[str, bytes]) -> Edit:
+    start = start_tag(data, joint).end
     beside = _REST_OF_LINE.match(data, start)
     start = beside.end() if beside else start
     first_child = next(iter(joint.first.values())).offset
     # Line end and indentation as before the joint's first element; nothing when they share a line.
     indentation = _INDENTATION.search(data[start:first_child])
     line = indentation[0] if indentation else b""
-    return _Edit(
+    return Edit(
         start,
         start,
         line + b'<origin xyz="%(xyz)s" rpy="%(rpy)s"/>' % {k.encode(): v for k, v in values.items()},

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from urdfcal.arrays import Floats, frozen
@@ -83,6 +83,13 @@ class Tree(Mechanism):
             continued.add(parent)
             run_of[joint].append(joint)
         return tuple(map(tuple, runs))
+
+
+def with_placements(mechanism: Mechanism, placements: Floats) -> Mechanism:
+    """The same joints placed otherwise: (n, 4, 4), m."""
+    if isinstance(mechanism, (Chain, Tree)):
+        return replace(mechanism, placements=placements)
+    raise TypeError(f"{type(mechanism).__name__} is no mechanism that can be copied")
 
 
 def read_mechanism(urdf: Urdf, tip_links: Sequence[str], base_link: str | None = None) -> Mechanism:

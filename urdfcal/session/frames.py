@@ -79,6 +79,11 @@ class Frames:
     T_leader_frame: tuple[Floats | None, ...]
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """What each frame is: the world, or a link."""
+        return (WORLD, *(tip.link for tip in self.tips))
+
+    @property
     def standing(self) -> Ints:
         """Indices of the cameras that stand still."""
         return np.flatnonzero(self.camera == 0)

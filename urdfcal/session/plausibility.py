@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from urdfcal.vision.rig import Rig
 
 # Encoders are read to 1e-4 rad or m, and controllers let joints overrun their limits by less than this.
-_OVERRUN = 1e-3
+OVERRUN = 1e-3
 # A wrist that turns without limits may have been wound up twice; in degrees it goes to hundreds.
 _WOUND_UP = 4.0 * np.pi
 # One bad row is a typing error; a wrong unit shows in most poses.
@@ -130,7 +130,7 @@ def _check_reading_units(inputs: Inputs) -> None:
     lower, upper = np.array([(j.lower, j.upper) for j in joints]).T
     prismatic = np.array([j.prismatic for j in joints])
     boundless = np.where(prismatic, _TOO_WIDE * inputs.scale, _WOUND_UP)
-    lower, upper = np.maximum(lower, -boundless) - _OVERRUN, np.minimum(upper, boundless) + _OVERRUN
+    lower, upper = np.maximum(lower, -boundless) - OVERRUN, np.minimum(upper, boundless) + OVERRUN
     factor = np.where(prismatic, 1e-3, np.pi / 180.0)
     outside = (readings < lower) | (readings > upper)
     # No radian reading is beyond a whole turn by mistake; most readings in degrees are.
@@ -154,7 +154,7 @@ def _check_reading_units(inputs: Inputs) -> None:
 def _check_limits(inputs: Inputs) -> None:
     joints, readings = _actuated(inputs), inputs.joints.readings
     lower, upper = np.array([(j.lower, j.upper) for j in joints]).T
-    outside = np.argwhere((readings < lower - _OVERRUN) | (readings > upper + _OVERRUN))
+    outside = np.argwhere((readings < lower - OVERRUN) | (readings > upper + OVERRUN))
     if not outside.size:
         return
     row, column = (int(i) for i in outside[0])

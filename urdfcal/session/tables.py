@@ -40,7 +40,7 @@ class Table:
 
     @classmethod
     def read(
-        cls, path: Path, required: Sequence[str], optional: Sequence[str] = (), ignored: Collection[str] = ()
+        cls, path: Path, required: Sequence[str], optional: Sequence[str] = (), ignored: Collection[str] | None = ()
     ) -> Table:
         """Read ``path``.
 
@@ -48,7 +48,7 @@ class Table:
             path: a file of comma-separated values in UTF-8, its first line naming the columns.
             required: names of columns that must be there, in any order.
             optional: names of columns that may be.
-            ignored: names of columns that may be, and do not matter.
+            ignored: names of columns that may be, and do not matter; None for any others.
 
         Raises:
             SessionError: the file cannot be read, its header is not as expected, or rows are ragged or missing.
@@ -367,7 +367,7 @@ def _check_header(
     header: Sequence[str],
     required: Sequence[str],
     optional: Sequence[str],
-    ignored: Collection[str],
+    ignored: Collection[str] | None,
 ) -> None:
     where = f"{path}:1"
     expected = [*required, *optional]
@@ -379,7 +379,7 @@ def _check_header(
     for i, name in enumerate(header):
         if name in header[:i]:
             raise SessionError(f"the column {name!r} is named twice", where=where, remedy=needs)
-        if name not in expected and name not in ignored:
+        if ignored is not None and name not in expected and name not in ignored:
             raise SessionError(f"unknown column {name!r}", where=where, remedy=suggest(name, expected, "columns"))
     missing = [name for name in required if name not in header]
     if missing:

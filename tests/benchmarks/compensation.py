@@ -1,0 +1,52 @@
+"""How many joint commands are compensated in a second on one core, and what is left of the error.
+
+Run by hand, from the project's folder: ``python -m tests.benchmarks.compensation``. At least 20,000 poses a second are
+asked for; beside them stands what forward kinematics of the same poses costs, by Pinocchio from Python.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from urdfcal.robot.compensation import compensate
+from urdfcal.robot.kinematics import tip_poses
+from urdfcal.session.files import read_rig
+from urdfcal.session.rigs import find_rig
+from urdfcal.session.simulate import simulate
+
+RIGS = ("ur5", "panda", "elbow3r", "so101", "stanford")
+POSES, REPEATS = 20_000, 3
+
+
+def main() -> None:
+    sys.stdout.write("rig        poses/s   FK poses/s   as given    left: median     95 %      max (mm)\n")
+    for rig in RIGS:
+        simulated = simulate(read_rig(find_rig(rig)), poses=10, seed=0)
+        nominal = simulated.session.chain
+        real = replace(nominal, placements=simulated.truth.placements)
+        q = nominal.random_values(POSES, np.random.default_rng(0))[:, [n in nominal.actuated for n in nominal.names]]
+        seconds, kinematics = [], []
+        with threadpool_limits(1):
+            for _ in range(REPEATS):
+                start = time.perf_counter()
+                tip_poses(nominal, nominal.joint_values(q))
+                kinematics.append(time.perf_counter() - start)
+                start = time.perf_counter()
+                found = compensate(nominal, real, q)
+                seconds.append(time.perf_counter() - start)
+        values = nominal.joint_values(q)
+        before = np.linalg.norm((tip_poses(real, values) - tip_poses(nominal, values))[:, :3, 3], axis=1)
+        left = 1e3 * np.quantile(found.position, [0.5, 0.95, 1.0])
+        sys.stdout.write(
+            f"{rig:9} {POSES / min(seconds):8.0f} {POSES / min(kinematics):12.0f} "
+            f"{1e3 * np.sqrt(np.mean(before**2)):10.3f} {left[0]:15.6f} {left[1]:9.6f} {left[2]:9.3f}\n"
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,120 @@
+from __future__ import annotations
+
+import hashlib
+import sys
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+import pytest
+import yaml
+import yourdfpy
+
+from urdfcal.cli import run
+from urdfcal.result import Calibration
+from urdfcal.robot.urdf import Urdf
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+
+@pytest.fixture
+def result(calibrated: Callable[[str], Path]) -> Path:
+    return calibrated("elbow3r") / "result"
+
+
+@pytest.fixture
+def mujoco_model(calibrated: Callable[[str], Path], tmp_path: Path) -> Path:
+    """MuJoCo's own conversion of the drawn robot."""
+    (tmp_path / "model").mkdir()
+    path = tmp_path / "model" / "elbow3r.xml"
+    path.write_text(mujoco.MjSpec.from_file(str(calibrated("elbow3r") / "session" / "elbow3r.urdf")).to_xml())
+    return path
+
+
+@pytest.mark.parametrize(
+    ("arguments", "names"),
+    [
+        (["ros-kinematics"], ["kinematics.yaml"]),
+        (["ros-kinematics", "--link-keys"], ["kinematics.yaml"]),
+        (["ros-static-tf"], ["static_transforms.launch.xml"]),
+        (["ros-static-tf", "--add-frames"], ["elbow3r_calibrated_frames.urdf"]),
+        (["offsets"], ["joint_offsets.csv", "elbow3r_calibrated_without_offsets.urdf"]),
+        (["dh-csv"], ["dh.csv", "dh_frames.csv"]),
+        (["xacro-patch"], ["origins.yaml"]),
+    ],
+)
+def test_files_are_written_and_named(
+    arguments: list[str], names: list[str], result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    before = {path.name: path.read_bytes() for path in result.iterdir()}
+    assert run(["export", str(result), "--to", *arguments, "-o", str(out)]) == 0
+    assert capsys.readouterr().out.splitlines() == [str(out / name) for name in names]
+    assert sorted(path.name for path in out.iterdir()) == sorted(names)
+    assert {path.name: path.read_bytes() for path in result.iterdir()} == before
+    for path in out.glob("*.urdf"):
+        assert set(Urdf.read(path).joints) >= set(Calibration.load(result).chain.names)
+        assert yourdfpy.URDF.load(str(path), load_meshes=False).validate()
+
+
+def test_kinematics_name_their_calibration_and_links(result: Path, tmp_path: Path) -> None:
+    assert run(["export", str(result), "--to", "ros-kinematics", "--link-keys", "-o", str(tmp_path)]) == 0
+    kinematics = yaml.safe_load((tmp_path / "kinematics.yaml").read_text())["kinematics"]
+    digest = hashlib.sha256((result / "calibration.json").read_bytes()).hexdigest()
+    assert kinematics.pop("hash") == f"urdfcal_{digest}"
+    robot = yourdfpy.URDF.load(str(result / "elbow3r_calibrated.urdf"), load_meshes=False)
+    for joint in robot.actuated_joints:
+        numbers = kinematics.pop(joint.child.removesuffix("_link"))
+        np.testing.assert_allclose(joint.origin[:3, 3], [numbers[key] for key in "xyz"], atol=1e-15)
+    assert not kinematics
+
+
+def test_a_mujoco_model_is_written_beside_the_one_given(
+    result: Path, mujoco_model: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["export", str(result), "--to", "mjcf", "--model", str(mujoco_model)]) == 0
+    written = mujoco_model.with_name("elbow3r_calibrated.xml")
+    assert capsys.readouterr().out == f"{written}\n"
+    assert written.read_text() != mujoco_model.read_text()
+    assert mujoco.MjModel.from_xml_path(str(written)).njnt == 3
+    assert run(["export", str(result), "--to", "mjcf", "--model", str(written)]) == 2
+    assert "as calibrated already" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--to", "nonsense"], "'nonsense' is not one of"),
+        (["--to", "mjcf"], "--to mjcf needs --model FILE"),
+        (["--to", "mjcf", "--model", "nowhere.xml"], "nowhere.xml: cannot be read"),
+        (["--to", "dh-csv", "--add-frames"], "--add-frames goes with --to ros-static-tf"),
+        (["--to", "dh-csv", "--link-keys"], "--link-keys goes with --to ros-kinematics"),
+        (["--to", "offsets", "--model", "a.xml"], "--model goes with --to mjcf"),
+    ],
+)
+def test_wrong_calls_say_what_is_wrong(
+    arguments: list[str], message: str, result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["export", str(result), *arguments, "-o", str(tmp_path)]) == 2
+    assert message in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_calibration_without_its_urdf_says_what_is_missing(
+    result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "calibration.json").write_bytes((result / "calibration.json").read_bytes())
+    assert run(["export", str(tmp_path), "--to", "offsets"]) == 2
+    assert "the corrected URDF is not beside calibration.json" in capsys.readouterr().err
+    assert run(["export", str(tmp_path / "calibration.json"), "--to", "dh-csv"]) == 0
+    assert (tmp_path / "dh.csv").exists()
+
+
+def test_without_mujoco_it_says_how_to_install_it(
+    result: Path, mujoco_model: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    assert run(["export", str(result), "--to", "mjcf", "--model", str(mujoco_model)]) == 2
+    assert "pip install 'urdfcal[mjcf]'" in capsys.readouterr().err

@@ -1,0 +1,56 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import TYPE_CHECKING, NamedTuple
+
+import pytest
+
+import urdfcal
+from tests.session.making import write_valid
+from urdfcal.calibration import calibrate
+from urdfcal.output.exports.source import corrected_urdf
+from urdfcal.session.files import read_session
+from urdfcal.session.model import Estimate
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from urdfcal.robot.urdf import Urdf
+
+RIGS = ("ur5", "panda", "so101", "stanford", "elbow3r", "mimic")
+
+
+class Result(NamedTuple):
+    """A result as exports find it: loaded, with the corrected URDF beside it."""
+
+    calibration: urdfcal.Calibration
+    urdf: Urdf
+    folder: Path
+
+
+@pytest.fixture(scope="session")
+def results(simulated: Callable, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Result]:
+    """The result of a rig, or of a small arm in which a joint follows another; made once each."""
+
+    @cache
+    def make(rig: str) -> Result:
+        folder = tmp_path_factory.mktemp(rig)
+        if rig == "mimic":
+            # It is built as drawn: nothing gets better, and noise alone makes the offsets.
+            read = read_session(write_valid(folder / "session", 30))
+            fitted = calibrate(replace(read, estimate=Estimate(geometry="dh")), force=True)
+        else:
+            fitted = calibrate(simulated(rig).session)
+        fitted.save(folder / "calibration.json")
+        (folder / fitted.urdf_name).write_bytes(fitted.calibrated_urdf())
+        loaded = urdfcal.Calibration.load(folder)
+        return Result(loaded, corrected_urdf(loaded, folder), folder)
+
+    return make
+
+
+@pytest.fixture(params=RIGS)
+def result(request: pytest.FixtureRequest, results: Callable[[str], Result]) -> Result:
+    return results(request.param)

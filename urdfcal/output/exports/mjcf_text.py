@@ -1,0 +1,140 @@
+"""A MuJoCo file as text: which ``<body>`` a joint moves, and new places for such bodies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+from xml.parsers import expat
+
+import numpy as np
+import pinocchio as pin
+
+from urdfcal.errors import RobotError
+from urdfcal.robot.markup import Element
+from urdfcal.robot.tags import Edit, apply_edits, changed_attributes, start_tag
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from urdfcal.arrays import Floats
+
+# MuJoCo's other ways to write a body's orientation; quat takes their place.
+_ORIENTATIONS = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
+
+
+@dataclass(frozen=True)
+class Mjcf:
+    """What of a MuJoCo file matters for moving bodies.
+
+    Attributes:
+        path: what to call it in messages.
+        data: its bytes.
+        bodies: the ``<body>`` that each named joint moves.
+    """
+
+    path: str
+    data: bytes
+    bodies: Mapping[str, Element]
+
+    @classmethod
+    def parse(cls, data: bytes, path: str) -> Mjcf:
+        """Read a file.
+
+        Args:
+            data: its bytes.
+            path: what to call it in messages.
+
+        Raises:
+            RobotError: it is no MuJoCo file, or one whose text does not say where its bodies are.
+        """
+        reader = _Reader(path)
+        try:
+            reader.parser.Parse(data, True)
+        except expat.ExpatError as error:
+            raise RobotError(
+                f"not well-formed XML: {expat.ErrorString(error.code)}",
+                where=f"{path}:{error.lineno}, column {error.offset + 1}",
+            ) from error
+        except (LookupError, ValueError) as error:
+            raise RobotError(f"its encoding cannot be read: {error}", where=path, remedy="Save it as UTF-8.") from error
+        return cls(path, data, reader.bodies)
+
+    def with_places(self, before: Mapping[str, Floats], after: Mapping[str, Floats]) -> bytes:
+        """Give bodies other places; only their ``pos`` and orientation change, and only where they differ.
+
+        Args:
+            before: (4, 4) place of a joint's body in its parent body's frame, as MuJoCo reads it, by joint. [m]
+            after: (4, 4) the new ones.
+        """
+        edits = [edit for joint, T in after.items() for edit in self._edits(self.bodies[joint], before[joint], T)]
+        return apply_edits(self.data, edits)
+
+    def _edits(self, body: Element, old: Floats, new: Floats) -> Iterator[Edit]:
+        values = {}
+        if not np.array_equal(old[:3, 3], new[:3, 3]):
+            values["pos"] = _text(new[:3, 3])
+        if not np.array_equal(old[:3, :3], new[:3, :3]):
+            x, y, z, w = pin.Quaternion(np.ascontiguousarray(new[:3, :3])).normalized().coeffs()
+            values["quat"] = _text(np.array([w, x, y, z]))
+        written = next((name for name in _ORIENTATIONS[1:] if name in body.attributes), None)
+        if written is not None and "quat" in values:
+            attribute = start_tag(self.data, body).attributes[written]
+            quote = attribute["quote"]
+            yield Edit(attribute.start("name"), attribute.end(), b"quat=" + quote + values.pop("quat") + quote)
+        yield from changed_attributes(self.data, body, values)
+
+
+def _text(values: Floats) -> bytes:
+    return " ".join(repr(float(value) + 0.0) for value in values).encode()
+
+
+class _Reader:
+    """Expat's handlers and what they have gathered."""
+
+    def __init__(self, path: str) -> None:
+        self.bodies: dict[str, Element] = {}
+        self._open: list[Element] = []
+        self._path = path
+        self.parser = expat.ParserCreate()
+        self.parser.StartDoctypeDeclHandler = self._doctype
+        self.parser.StartElementHandler = self._start
+        self.parser.EndElementHandler = self._end
+
+    def _refuse(self, what: str, remedy: str) -> RobotError:
+        return RobotError(what, where=f"{self._path}:{self.parser.CurrentLineNumber}", remedy=remedy)
+
+    def _doctype(self, name: str, system_id: str | None, public_id: str | None, internal_subset: int) -> None:
+        raise self._refuse(f"it has a document type, <!DOCTYPE {name} ...>", "Remove it: MuJoCo reads none.")
+
+    def _start(self, tag: str, attributes: dict[str, str]) -> None:
+        if not self._open and tag != "mujoco":
+            raise self._refuse(
+                f"the root element is <{tag}>, not <mujoco>",
+                "For another URDF: urdfcal apply OUT OTHER.urdf." if tag == "robot" else "Is it a MuJoCo file?",
+            )
+        if tag == "include":
+            raise self._refuse(
+                "it includes another file, in which bodies may be", "Name the file that holds the robot's bodies."
+            )
+        if tag == "compiler" and attributes.get("fusestatic") == "true":
+            raise self._refuse(
+                "fusestatic merges bodies, so that places are not those in the file", 'Write fusestatic="false".'
+            )
+        element = Element(tag, attributes, self.parser.CurrentByteIndex, self.parser.CurrentLineNumber)
+        if tag == "joint" and "name" in attributes:
+            self._joint(attributes["name"])
+        self._open.append(element)
+
+    def _joint(self, name: str) -> None:
+        bodies = [i for i, element in enumerate(self._open) if element.tag == "body"]
+        if not bodies or self._open[1].tag != "worldbody":
+            return  # of an equality, a tendon, a default
+        if self._open[bodies[-1] - 1].tag not in ("body", "worldbody"):
+            raise self._refuse(
+                f"the body of joint {name!r} is inside <{self._open[bodies[-1] - 1].tag}>",
+                "Write it directly in the body that carries it.",
+            )
+        self.bodies[name] = self._open[bodies[-1]]
+
+    def _end(self, _tag: str) -> None:
+        self._open.pop()

@@ -1,0 +1,93 @@
+"""Joint trajectories as CSV: read with the columns they have, written again with other joint commands."""
+
+from __future__ import annotations
+
+import csv
+import io
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from urdfcal.arrays import Floats, frozen
+from urdfcal.errors import SessionError
+from urdfcal.session.tables import Table
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from urdfcal.robot.mechanism import Mechanism
+
+# Files round: a value this close to a limit is at it. [rad or m]
+_LIMIT_ROUNDING = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """A table of joint commands, and whatever else its columns hold.
+
+    Attributes:
+        table: its text.
+        joints: the k columns that are commands of the chain's actuated joints, in the chain's order.
+        q: (N, k) those commands. [rad or m]
+    """
+
+    table: Table
+    joints: tuple[str, ...]
+    q: Floats
+
+    @classmethod
+    def read(cls, path: Path, chain: Mechanism) -> Trajectory:
+        """Read a trajectory.
+
+        Args:
+            path: a CSV file with a column of each actuated joint of the chain; other columns are kept as they are.
+            chain: whose joints it commands.
+
+        Raises:
+            SessionError: the file cannot be read, a joint has no column, a command is no finite number or beyond the
+                joint's limits, or a column commands a joint that follows another; with file, line and column.
+        """
+        table = Table.read(path, chain.actuated, ignored=None)
+        for joint in chain.joints:
+            if joint.mimic is not None and joint.name in table.columns:
+                raise SessionError(
+                    f"joint {joint.name!r} follows {joint.mimic.joint!r} and takes no commands",
+                    where=f"{path}:1",
+                    remedy="Leave its column out.",
+                )
+        q = frozen(table.numbers(chain.actuated))
+        _check_limits(table, chain, q)
+        return cls(table, chain.actuated, q)
+
+    def line(self, pose: int) -> int:
+        """The line of the file, counted from 1, that holds a pose."""
+        return pose + 2
+
+    def with_commands(self, q: Floats) -> str:
+        """The table with other commands (N, k) [rad or m]; columns, their order and all other cells as they were."""
+        columns = dict(self.table.columns)
+        for name, values in zip(self.joints, q.T.tolist(), strict=True):
+            columns[name] = [repr(value) for value in values]
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(zip(*columns.values(), strict=True))
+        return text.getvalue()
+
+
+def _check_limits(table: Table, chain: Mechanism, q: Floats) -> None:
+    joints = [joint for joint in chain.joints if joint.mimic is None]
+    lower, upper = np.array([(joint.lower, joint.upper) for joint in joints]).T
+    outside = np.argwhere((q < lower - _LIMIT_ROUNDING) | (q > upper + _LIMIT_ROUNDING))
+    if not outside.size:
+        return
+    row, column = (int(i) for i in outside[0])
+    joint, unit = joints[column], "m" if joints[column].prismatic else "rad"
+    more = f" (and {len(outside) - 1} more commands)" if len(outside) > 1 else ""
+    raise SessionError(
+        f"{joint.name} = {q[row, column]:g} {unit} is outside the joint's limits "
+        f"[{joint.lower:g}, {joint.upper:g}]{more}",
+        where=table.place(row, joint.name),
+        remedy="Commands are in radians and metres, of the robot that was calibrated.",
+    )
