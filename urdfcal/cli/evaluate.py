@@ -93,7 +93,7 @@ def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
     import numpy as np
 
     from urdfcal.estimation.evaluation import explain
-    from urdfcal.robot.chain import Chain
+    from urdfcal.robot.tree import read_mechanism
     from urdfcal.robot.urdf import Urdf, find_urdf
     from urdfcal.session.files import read_points, read_session
 
@@ -110,7 +110,8 @@ def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
                 remedy="Coordinates are in metres; these look like millimetres.",
             )
         session = replace(session, detections=None, points=measured, leds=leds)
-    chain = Chain.from_urdf(Urdf.read(find_urdf(urdf)), session.chain.tip_link, session.chain.base_link)
+    links = [tip.link for tip in session.chain.tips]
+    chain = read_mechanism(Urdf.read(find_urdf(urdf)), links, session.chain.base_link)
     explained = explain(chain, session)
     result: dict[str, Any] = {"a": urdf, "session": str(folder), "points": points and str(points)}
     for residual in explained.residuals:
