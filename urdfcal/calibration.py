@@ -177,8 +177,9 @@ class FittedCalibration(Calibration):
                     "distortion_model": camera.distortion_model,
                     "distortion": camera.distortion.tolist(),
                     "T_cam_world": T.tolist(),
+                    "sigma": self._camera_sigma(c),
                 }
-                for camera, T in zip(self.estimate.cameras, self.estimate.T_cam_world, strict=True)
+                for c, (camera, T) in enumerate(zip(self.estimate.cameras, self.estimate.T_cam_world, strict=True))
             },
             "fit": self.summary(),
             "validation": self.validation(),
@@ -339,6 +340,16 @@ class FittedCalibration(Calibration):
                 "sigma": [float(s) if np.isfinite(s) else 0.0 if led.sigma == 0.0 else None for s in sigma],
             }
         return result
+
+    def _camera_sigma(self, c: int) -> dict[str, list[float | None]]:
+        """Standard deviations of what was estimated of a camera; T_cam_world's of a small motion exp6(s) after it."""
+        parameters, result = self.fit.parameters, {}
+        if c in parameters.lenses:
+            lens = self._sigma[parameters.lens(parameters.lenses.index(c))]
+            result = {"intrinsics": lens[:4], "distortion": lens[4:]}
+        if c in parameters.cameras:
+            result["T_cam_world"] = self._sigma[parameters.camera(parameters.cameras.index(c))]
+        return {key: [float(s) if np.isfinite(s) else None for s in values] for key, values in result.items()}
 
     def _suspect(self, points: Observations) -> Bools:
         """Which triangulated points rest on a sighting that is an outlier."""

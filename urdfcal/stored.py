@@ -100,6 +100,14 @@ class LedKeys(_Keys):
     sigma: list[float | None]
 
 
+class CameraSigmaKeys(_Keys):
+    """How well what was estimated of a camera is known; null where a value was held."""
+
+    intrinsics: list[float | None] | None = None
+    distortion: list[float | None] | None = None
+    T_cam_world: list[float | None] | None = None
+
+
 class CameraKeys(_Keys):
     """A camera as it was used or found."""
 
@@ -107,6 +115,7 @@ class CameraKeys(_Keys):
     distortion_model: str
     distortion: list[float]
     T_cam_world: Transform
+    sigma: CameraSigmaKeys = CameraSigmaKeys()
 
 
 class CalibrationKeys(_Keys):
