@@ -15,6 +15,7 @@ import yourdfpy
 from tests.session.broken import BROKEN, Broken
 from tests.session.making import write_valid
 from urdfcal.cli import run
+from urdfcal.result import Calibration
 from urdfcal.vision.formats import read_kalibr, write_kalibr
 from urdfcal.vision.rig import CameraSigma, Rig
 
@@ -116,6 +117,7 @@ def test_cameras_with_standard_deviations_are_refined_within_them(demo: Path, tm
     refined = np.concatenate([second["sigma"][key] for key in ("intrinsics", "distortion", "T_cam_world")])
     assert (refined < [*lens, *[2e-3] * 6]).all()
     assert set(result["cameras"][truth.names[0]]["sigma"]) == {"intrinsics", "distortion"}
+    assert len(Calibration.load(tmp_path / "out").chain.joints) == 3
     # What is said to be exact is held, and then it is refuted.
     text = (session / "session.yaml").read_text()
     (session / "session.yaml").write_text(text + "estimate: {intrinsics: fixed, extrinsics: fixed}\n")
