@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from urdfcal.cli import calibrate, cameras, demo, detect, dh, evaluate, simulate, view
+from urdfcal.cli import calibrate, cameras, demo, detect, dh, evaluate, import_, simulate, view
 from urdfcal.errors import UrdfcalError
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ def cli() -> None:
     """Make the URDF match the arm, with two cameras and an LED."""
 
 
-for _module in (demo, simulate, cameras, detect, calibrate, evaluate, dh, view):
+for _module in (demo, simulate, import_, cameras, detect, calibrate, evaluate, dh, view):
     cli.add_command(_module.command)
 
 
