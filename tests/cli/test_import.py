@@ -1,17 +1,28 @@
 from __future__ import annotations
 
 import csv
+import json
+import shutil
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 import yaml
+from scipy.interpolate import CubicSpline
 
-from tests.session.bags import KINDS, recording
+from tests.session.bags import KINDS, moving, recording
 from tests.session.making import URDF
 from urdfcal.cli import run
+from urdfcal.session.files import read_rig
+from urdfcal.session.rigs import find_rig
+from urdfcal.session.simulate import simulate
+from urdfcal.vision.rig import Rig
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from urdfcal.session.truth import Simulated
 
 
 @pytest.fixture
@@ -94,3 +105,62 @@ def test_wrong_calls_say_what_is_wrong_and_leave_nothing(
     assert message in captured.err
     assert "Traceback" not in captured.err
     assert sorted(folder.rglob("*")) == before
+
+
+@pytest.fixture(scope="module")
+def simulated() -> Simulated:
+    rig = read_rig(find_rig("elbow3r"))
+    assert rig.rig is not None
+    # Half the resolution: a quarter of the time.
+    cameras = [replace(one, resolution=(640, 512), intrinsics=one.intrinsics / 2.0) for one in rig.rig.cameras]
+    return simulate(replace(rig, rig=Rig(tuple(cameras), rig.rig.T_cam_world)), poses=8, seed=3)
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def as_still_poses(session: Path, poses: Path, every: int) -> None:
+    """Some frames of two cameras on the robot's clock as poses: the joints read off joints.csv at their times."""
+    joints, frames = rows_of(session / "joints.csv"), rows_of(session / "frames.csv")
+    names = list(joints[0])[1:]
+    motion = CubicSpline([float(row["time"]) for row in joints], [[float(row[n]) for n in names] for row in joints])
+    cameras = list(dict.fromkeys(row["camera"] for row in frames))
+    times = [{row["frame"]: float(row["time"]) for row in frames if row["camera"] == name} for name in cameras]
+    assert times[0] == times[1]
+    poses.mkdir()
+    kept = {frame: time for frame, time in list(times[0].items())[::every] if time <= float(joints[-1]["time"])}
+    lines = [",".join(["pose", *names])]
+    lines += [",".join([frame, *map(repr, motion(time).tolist())]) for frame, time in kept.items()]
+    (poses / "joints.csv").write_text("\n".join(lines) + "\n")
+    content = yaml.safe_load((session / "session.yaml").read_text())
+    del content["frames"]
+    (poses / "session.yaml").write_text(yaml.safe_dump(content))
+    for name in ("cameras.yaml", content["robot"]["urdf"]):
+        shutil.copy(session / name, poses)
+    for camera in cameras:
+        (poses / "images" / camera).mkdir(parents=True)
+        for frame in kept:
+            shutil.copy(session / "images" / camera / f"{frame}.png", poses / "images" / camera)
+
+
+def test_what_was_imported_calibrates_the_arm(
+    tmp_path: Path, simulated: Simulated, capsys: pytest.CaptureFixture[str]
+) -> None:
+    session = simulated.session
+    assert session.urdf is not None
+    (tmp_path / "elbow3r.urdf").write_bytes(session.urdf.data)
+    (tmp_path / "truth.urdf").write_bytes(simulated.truth.urdf)
+    bag = moving("mcap", simulated, seconds=3.0, offsets=(0.0, 0.0)).write(tmp_path / "bag")
+    drawn, links = str(tmp_path / "elbow3r.urdf"), ["--tip", "tool0", "--base", "base_link"]
+    assert run(["import", str(bag), "-o", str(tmp_path / "s"), "--urdf", drawn, *links]) == 0
+    as_still_poses(tmp_path / "s", tmp_path / "poses", every=3)
+    assert run(["calibrate", str(tmp_path / "poses"), "-o", str(tmp_path / "out")]) == 0
+    capsys.readouterr()
+    errors = []
+    for urdf in (drawn, str(tmp_path / "out" / "elbow3r_calibrated.urdf")):
+        assert run(["evaluate", urdf, str(tmp_path / "truth.urdf"), *links, "--json"]) == 0
+        errors.append(json.loads(capsys.readouterr().out)["position_mm"]["rms"])
+    assert np.isfinite(errors).all()
+    assert errors[1] < 0.1 * errors[0]

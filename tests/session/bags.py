@@ -6,14 +6,20 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pinocchio as pin
 from rosbags import rosbag1, rosbag2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from scipy.interpolate import CubicSpline
 
 from tests.session.making import ACTUATED
+from urdfcal.session.scene import Scene
+from urdfcal.vision.render import Light, Scenery, Sensor
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
     from pathlib import Path
+
+    from urdfcal.session.truth import Simulated
 
 KINDS = ("ros1", "sqlite3", "mcap")
 # A day in 2023; nothing in it is a multiple of a power of ten.
@@ -112,6 +118,7 @@ class Recording:
         *,
         size: tuple[int, int] = SIZE,
         focal: float = 80.0,
+        K: np.ndarray | None = None,
         model: str = "plumb_bob",
         d: Iterable[float] = (-0.1, 0.02, 0.001, -0.002, 0.0),
         baseline: float = 0.0,
@@ -119,7 +126,8 @@ class Recording:
         binning: int = 0,
         roi: tuple[int, int, int, int] = (0, 0, 0, 0),
     ) -> None:
-        K = np.array([[focal, 0.0, size[0] / 2 + 0.25], [0.0, focal + 1.0, size[1] / 2 - 0.5], [0.0, 0.0, 1.0]])
+        if K is None:
+            K = np.array([[focal, 0.0, size[0] / 2 + 0.25], [0.0, focal + 1.0, size[1] / 2 - 0.5], [0.0, 0.0, 1.0]])
         P = np.column_stack([K, [-K[0, 0] * baseline, 0.0, 0.0]])
         region = dict(zip(("x_offset", "y_offset", "width", "height"), roi, strict=True))
         content = self.make(
@@ -192,4 +200,48 @@ def recording(kind: str, seconds: float = 1.0) -> Recording:
             stamp = START + 33_333_333 * i + 1_234_567 * (camera + 1)
             bag.image(f"/{name}/image_raw", stamp, pixels(2 * i + camera))
             bag.info(f"/{name}/camera_info", stamp, baseline=BASELINE * camera, frame=f"{name}_optical_frame")
+    return bag
+
+
+def moving(kind: str, simulated: Simulated, seconds: float, offsets: Sequence[float]) -> Recording:
+    """What a simulated arm looks like while it moves through its poses: joints at 125 Hz, pictures at 30 Hz.
+
+    Args:
+        kind: of the bag.
+        simulated: the arm, its poses, the LED, and two cameras without distortion or with radtan.
+        seconds: that it takes.
+        offsets: of each camera's clock: a picture is taken that much after its stamp. [s]
+    """
+    session, truth, bag = simulated.session, simulated.truth, Recording(kind)
+    rig = session.rig
+    assert rig is not None
+    motion = CubicSpline(np.linspace(0.0, seconds, len(truth.q)), truth.q)
+    actuated = [joint.mimic is None for joint in session.chain.joints]
+    for i in range(round(125 * seconds)):
+        bag.joints(START + 8_000_000 * i, motion(0.008 * i)[actuated], session.chain.actuated)
+    scene = Scene(
+        session.chain, truth.placements, truth.leds, truth.T_world_base, rig.cameras, np.array(rig.T_cam_world)
+    )
+    rng = np.random.default_rng(0)
+    for camera, (one, offset) in enumerate(zip(rig.cameras, offsets, strict=True)):
+        sensor, scenery = Sensor(one.resolution), Scenery.flat(one.resolution, 25.0)
+        for i in range(round(30 * seconds)):
+            stamp = 33_333_333 * i
+            uv = scene.images(motion([1e-9 * stamp + offset]))[0, camera, 0]
+            lights = [Light(uv, 1500.0, 1.5)] if one.in_image(uv) else []
+            image = sensor.expose(scenery.expected(lights), rng)
+            bag.image(f"/{one.name}/image_raw", START + stamp, image)
+            bag.info(
+                f"/{one.name}/camera_info",
+                START + stamp,
+                size=one.resolution,
+                K=np.array(
+                    [[one.intrinsics[0], 0, one.intrinsics[2]], [0, one.intrinsics[1], one.intrinsics[3]], [0, 0, 1]]
+                ),
+                d=np.pad(one.distortion, (0, 5 - len(one.distortion))),
+                frame=f"{one.name}_optical_frame",
+            )
+    T = pin.SE3(np.linalg.inv(np.array(rig.T_cam_world[1])))
+    first, second = (f"{name}_optical_frame" for name in rig.names)
+    bag.static(START, [(first, second, T.translation, pin.Quaternion(T.rotation).coeffs())])
     return bag
