@@ -9,7 +9,6 @@ import numpy as np
 import pinocchio as pin
 from rosbags import rosbag1, rosbag2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from scipy.interpolate import CubicSpline
 
 from tests.session.making import ACTUATED
 from urdfcal.session.scene import Scene
@@ -215,7 +214,14 @@ def moving(kind: str, simulated: Simulated, seconds: float, offsets: Sequence[fl
     session, truth, bag = simulated.session, simulated.truth, Recording(kind)
     rig = session.rig
     assert rig is not None
-    motion = CubicSpline(np.linspace(0.0, seconds, len(truth.q)), truth.q)
+
+    def motion(time: float) -> np.ndarray:
+        """Joint values (n,): from pose to pose with the least jerk, and never beyond either."""
+        steps = len(truth.q) - 1
+        i = min(int(time / seconds * steps), steps - 1)
+        u = time / seconds * steps - i
+        return truth.q[i] + (truth.q[i + 1] - truth.q[i]) * (10.0 * u**3 - 15.0 * u**4 + 6.0 * u**5)
+
     actuated = [joint.mimic is None for joint in session.chain.joints]
     for i in range(round(125 * seconds)):
         bag.joints(START + 8_000_000 * i, motion(0.008 * i)[actuated], session.chain.actuated)
@@ -227,7 +233,7 @@ def moving(kind: str, simulated: Simulated, seconds: float, offsets: Sequence[fl
         sensor, scenery = Sensor(one.resolution), Scenery.flat(one.resolution, 25.0)
         for i in range(round(30 * seconds)):
             stamp = 33_333_333 * i
-            uv = scene.images(motion([1e-9 * stamp + offset]))[0, camera, 0]
+            uv = scene.images(motion(1e-9 * stamp + offset)[None])[0, camera, 0]
             lights = [Light(uv, 1500.0, 1.5)] if one.in_image(uv) else []
             image = sensor.expose(scenery.expected(lights), rng)
             bag.image(f"/{one.name}/image_raw", START + stamp, image)

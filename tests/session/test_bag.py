@@ -132,3 +132,11 @@ def test_nothing_stays_open(tmp_path: Path) -> None:
     with pytest.raises(ZeroDivisionError), open_bag(folder):
         raise ZeroDivisionError
     shutil.rmtree(folder)
+
+
+def test_a_time_beyond_64_bits_is_damage(tmp_path: Path) -> None:
+    bag = Recording("mcap")
+    bag.joints(START, [0.0] * 4, received=2**63)
+    path = bag.write(tmp_path / "bag")
+    with open_bag(path) as opened, pytest.raises(SessionError, match="/joint_states: the time of a message is damaged"):
+        list(opened.messages(["/joint_states"]))

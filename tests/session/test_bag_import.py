@@ -124,6 +124,23 @@ def test_compressed_pictures_are_kept_to_the_last_byte(tmp_path: Path, known: Kn
     assert {path.name: path.read_bytes() for path in (tmp_path / "s" / "images" / "left").iterdir()} == files
 
 
+def test_a_damaged_picture_among_others_is_left_out(tmp_path: Path, known: Known) -> None:
+    bag = recording("mcap", 0.2)
+    bag.drop("/left/image_raw")
+    data = cv2.imencode(".jpg", pixels(0))[1].tobytes()
+    for i in range(4):
+        bag.compressed("/left/image_raw/compressed", START + 30_000_000 * i, data[:-30] if i == 2 else data)
+    imported = bring(bag, tmp_path / "s", known)
+    assert [row["frame"] for row in table(tmp_path / "s" / "frames.csv")][:3] == ["000001", "000002", "000004"]
+    assert sorted(path.stem for path in (tmp_path / "s" / "images" / "left").iterdir()) == [
+        "000001",
+        "000002",
+        "000004",
+    ]
+    (warning,) = imported.warnings
+    assert warning.startswith("1 pictures are damaged and left out; the first: /left/image_raw/compressed, message 3: ")
+
+
 def test_colours_and_depths_reach_the_file(tmp_path: Path, known: Known) -> None:
     bag = recording("sqlite3", 0.2)
     bag.drop("/left/image_raw")
@@ -191,6 +208,13 @@ def too_large() -> Recording:
     return bag
 
 
+def all_damaged() -> Recording:
+    bag = recording("mcap", 0.2)
+    bag.drop("/left/image_raw")
+    bag.compressed("/left/image_raw/compressed", START, b"\xff\xd8\xff")
+    return bag
+
+
 def of_unknown_encoding() -> Recording:
     bag = recording("mcap", 0.2)
     bag.image("/right/image_raw", START + 10**8, pixels(0), "yuv422")
@@ -209,6 +233,7 @@ def of_another_day() -> Recording:
     ("make", "error", "message"),
     [
         (too_large, CameraError, r"/left/image_raw, message 1: it is 65 x 48 pixels, and the camera 'left' 64 x 48"),
+        (all_damaged, CameraError, "/left/image_raw/compressed, message 1: 3 bytes of the format 'jpeg' are no whole"),
         (of_unknown_encoding, CameraError, "/right/image_raw, message 4: images encoded as 'yuv422' are not supported"),
         (of_another_day, SessionError, "/left/image_raw: its pictures were not recorded at the same time"),
     ],

@@ -28,6 +28,8 @@ TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
 _SUFFIXES = (".bag", ".db3", ".mcap")
 _NANO = 1_000_000_000
+# What 64 bits hold with a sign; MCAP's have none. [ns]
+_LATEST = 2**63 - 1
 # The only type here that rosbags does not know of ROS 1.
 _TRANSFORMS_1 = "geometry_msgs/TransformStamped[] transforms\n"
 
@@ -100,6 +102,8 @@ class Bag:
             if not connections:
                 return
             for connection, received, data in self._reader.messages(connections):
+                if received > _LATEST:
+                    raise SessionError("the time of a message is damaged", where=f"{self.path}: {connection.topic}")
                 yield Message(connection.topic, received, self._decoded(data, connection.msgtype))
 
     def _decoded(self, data: bytes, type_: str) -> Any:

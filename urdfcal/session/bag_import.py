@@ -59,7 +59,7 @@ class Imported:
         joints: when the joint states were taken.
         cameras: when the pictures were taken, by camera.
         rig: the cameras.
-        notes: how it is known where the cameras stand.
+        notes: how it is known where the cameras stand that the bag describes.
         warnings: what was left out, or done to the times.
     """
 
@@ -81,7 +81,7 @@ def import_bag(
         chosen: its topics.
         known: what it does not tell.
         folder: where to; made if need be, in a folder that exists. It must be empty.
-        progress: called with the number of messages read since the last call; in all there are those of ``chosen``.
+        progress: called with the number of messages read since the last call: those of ``chosen`` and /tf_static.
 
     Raises:
         SessionError: the bag is damaged, or its joint states or times cannot be used.
@@ -101,8 +101,7 @@ def import_bag(
             yield message
 
     states = read_joint_states(chosen.joints, counted(bag.messages([chosen.joints])), known.chain.actuated)
-    rig = known.rig
-    notes: tuple[str, ...] = ("where the cameras stand is as their file says",)
+    rig, notes = known.rig, tuple[str, ...]()
     if rig is None:
         infos = [(camera.name, camera.info) for camera in chosen.cameras if camera.info is not None]
         static = [topic.name for topic in bag.topics if topic.name == TF_STATIC and topic.type == TRANSFORMS]
@@ -116,9 +115,9 @@ def import_bag(
             for name, of in zip(rig.names, taken, strict=True)
         }
         origin = _write_tables(partial, states, known.chain.actuated, frames)
+    warnings = (warning for of in frames.values() for warning in (*of.warnings, *of.times.warnings))
     cameras = {name: of.times for name, of in frames.items()}
-    warnings = (*states.warnings, *(warning for times in cameras.values() for warning in times.warnings))
-    return Imported(origin, states.times, cameras, rig, notes, warnings)
+    return Imported(origin, states.times, cameras, rig, notes, (*states.warnings, *warnings))
 
 
 def _in_order_of(rig: Rig, chosen: Chosen) -> tuple[str, ...]:

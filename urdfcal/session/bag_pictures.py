@@ -9,7 +9,7 @@ import numpy as np
 
 from urdfcal.errors import CameraError
 from urdfcal.session.bag_clock import timeline
-from urdfcal.vision.encodings import decode_compressed, decode_raw
+from urdfcal.vision.encodings import DamagedPictureError, decode_compressed, decode_raw
 from urdfcal.vision.images import in_parallel, write_image
 
 if TYPE_CHECKING:
@@ -31,10 +31,21 @@ class Frames:
     Attributes:
         times: when they were taken.
         labels: their files' names without suffix, in the same order.
+        warnings: which were damaged.
     """
 
     times: Timeline
     labels: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Taken:
+    """One picture that is written: its stamp and when it was received, in ns, and its file."""
+
+    stamp: int
+    received: int
+    path: Path
 
 
 def write_pictures(
@@ -48,44 +59,56 @@ def write_pictures(
         topics: of every camera, sensor_msgs/Image or CompressedImage.
         cameras: that took the pictures.
 
+    Pictures that were not recorded whole are left out.
+
     Returns:
         Of every camera, which pictures there are.
 
     Raises:
-        CameraError: a picture cannot be decoded, or is not of its camera's size.
+        CameraError: a picture is of another kind or size than its camera takes, or none was recorded whole.
         SessionError: a camera took none, or its clock was set back.
         OSError: they cannot be written.
     """
-    stamps: list[list[int]] = [[] for _ in topics]
-    received: list[list[int]] = [[] for _ in topics]
-    written: list[list[Path]] = [[] for _ in topics]
+    taken: list[list[_Taken]] = [[] for _ in topics]
+    damaged: list[list[CameraError]] = [[] for _ in topics]
 
     def numbered() -> Iterator[tuple[int, int, Message]]:
+        counts = [0] * len(topics)
         for message in messages:
             camera = topics.index(message.topic)
-            stamps[camera].append(message.stamp)
-            received[camera].append(message.received)
-            yield camera, len(stamps[camera]), message
+            counts[camera] += 1
+            yield camera, counts[camera], message
 
-    def write(task: tuple[int, int, Message]) -> tuple[int, Path]:
+    def write(task: tuple[int, int, Message]) -> tuple[int, _Taken | CameraError]:
         camera, number, message = task
         path = folder / cameras[camera].name / f"{number:0{_DIGITS}d}"
+        where = f"{message.topic}, message {number}"
         try:
-            return camera, _write(path, message.content, cameras[camera])
+            return camera, _Taken(message.stamp, message.received, _write(path, message.content, cameras[camera]))
+        except DamagedPictureError as error:
+            return camera, CameraError(error.what, where=where)
         except CameraError as error:
-            raise CameraError(error.what, where=f"{message.topic}, message {number}", remedy=error.remedy) from error
+            raise CameraError(error.what, where=where, remedy=error.remedy) from error
 
     for one in cameras:
         (folder / one.name).mkdir(parents=True)
-    for camera, path in in_parallel(write, numbered()):
-        written[camera].append(path)
-    frames = []
-    for topic, stamped, arrived, paths in zip(topics, stamps, received, written, strict=True):
-        times = timeline(topic, stamped, arrived)
-        for i in np.setdiff1d(np.arange(len(paths)), times.kept):
-            paths[i].unlink()
-        frames.append(Frames(times, tuple(paths[i].stem for i in times.kept)))
-    return tuple(frames)
+    for camera, result in in_parallel(write, numbered()):
+        if isinstance(result, _Taken):
+            taken[camera].append(result)
+        else:
+            damaged[camera].append(result)
+    return tuple(_in_order(*of) for of in zip(topics, taken, damaged, strict=True))
+
+
+def _in_order(topic: str, taken: Sequence[_Taken], damaged: Sequence[CameraError]) -> Frames:
+    """The pictures that have a time of their own; the files of others are removed."""
+    if damaged and not taken:
+        raise damaged[0]
+    times = timeline(topic, [one.stamp for one in taken], [one.received for one in taken])
+    for i in np.setdiff1d(np.arange(len(taken)), times.kept):
+        taken[i].path.unlink()
+    warnings = [f"{len(damaged)} pictures are damaged and left out; the first: {damaged[0]}"] if damaged else []
+    return Frames(times, tuple(taken[i].path.stem for i in times.kept), tuple(warnings))
 
 
 def _write(path: Path, content: Any, camera: Camera) -> Path:

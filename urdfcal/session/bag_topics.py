@@ -87,6 +87,8 @@ def choose_topics(topics: Sequence[Topic], wanted: Wanted) -> Chosen:
                 f"the camera's name {camera.name!r} cannot be that of a folder",
                 remedy=f"Use letters and digits: --camera NAME={camera.image}.",
             )
+    if len({camera.image for camera in cameras}) < len(cameras):
+        raise SessionError("two cameras have the same pictures", remedy="Every camera has a topic of its own.")
     return Chosen(_joints(filled, wanted.joints), cameras)
 
 
@@ -107,24 +109,25 @@ def _joints(topics: Sequence[Topic], wanted: str | None) -> str:
 
 def _camera(topics: Sequence[Topic], name: str, image: str, info: str | None, *, infos: bool) -> CameraTopics:
     _known(topics, image, _IMAGES)
-    if info is not None:
-        return CameraTopics(name, image, _known(topics, info, (CAMERA_INFO,)))
-    if not infos:
-        return CameraTopics(name, image, None)
     usual = _usual_info(image)
+    if info is not None:
+        _known(topics, info, (CAMERA_INFO,))
+    elif not infos:
+        return CameraTopics(name, image, None)
     there = [topic.name for topic in topics if topic.type == CAMERA_INFO]
-    if usual not in there:
+    if info is None and usual not in there:
         raise SessionError(
             f"{image} has no {usual}",
             remedy="Describe the cameras with --cameras FILE"
             + (f", or name one of {listed(there)}: --camera {name}={image},{there[0]}." if there else "."),
         )
-    if image.rpartition("/")[2].startswith("image_rect"):
+    info = info or usual
+    if info == usual and image.rpartition("/")[2].startswith("image_rect"):
         raise SessionError(
             f"{image} is rectified, {usual} describes the pictures before that",
             remedy="Use the raw pictures, or describe the rectified ones with --cameras FILE.",
         )
-    return CameraTopics(name, image, usual)
+    return CameraTopics(name, image, info)
 
 
 def _by_namespace(topics: Sequence[Topic]) -> dict[str, tuple[str, None]]:
@@ -146,11 +149,16 @@ def _by_namespace(topics: Sequence[Topic]) -> dict[str, tuple[str, None]]:
                 f"there are {len(by_space[space])} topics with pictures in {space or '/'}",
                 remedy=f"Say which to use, --camera NAME=TOPIC for each camera. The topics are: {listed(every)}.",
             )
-    short = [space.rpartition("/")[2] for space in spaces]
-    if len(set(short)) < len(short):
-        short = [space.strip("/").replace("/", "_") for space in spaces]
     # A camera of the root namespace has none to be called by.
-    return {name or "camera": (by_space[space][0], None) for name, space in zip(short, spaces, strict=True)}
+    names = [space.rpartition("/")[2] or "camera" for space in spaces]
+    if len(set(names)) < len(names):
+        names = [space.strip("/").replace("/", "_") or "camera" for space in spaces]
+    if len(set(names)) < len(names):
+        raise SessionError(
+            f"the cameras in {listed([space or '/' for space in spaces])} cannot be called by that",
+            remedy="Say what they are called: --camera NAME=TOPIC for each.",
+        )
+    return {name: (by_space[space][0], None) for name, space in zip(names, spaces, strict=True)}
 
 
 def _namespace(image: str) -> str:

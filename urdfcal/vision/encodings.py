@@ -25,7 +25,12 @@ _ENCODINGS = {
 }  # fmt: skip
 _BAYER = re.compile(r"bayer_(rggb|bggr|gbrg|grbg)(8|16)")
 # The first bytes of files that a session holds as they are, and how such files are called.
-_FILES = {b"\xff\xd8\xff": ".jpg", b"\x89PNG\r\n\x1a\n": ".png"}
+_JPEG, _JPEG_END = b"\xff\xd8\xff", b"\xff\xd9"
+_FILES = {_JPEG: ".jpg", b"\x89PNG\r\n\x1a\n": ".png"}
+
+
+class DamagedPictureError(CameraError):
+    """One picture that was not recorded whole; the next may be."""
 
 
 def decode_raw(encoding: str, size: tuple[int, int], step: int, data: NDArray[np.uint8], *, big_endian: bool) -> Image:
@@ -74,15 +79,18 @@ def decode_compressed(format_: str, data: bytes) -> tuple[str, Image | None, tup
         The suffix of a file for it, the image if the data is not to be kept as it is, and (width, height) in px.
 
     Raises:
-        CameraError: it is a depth image, or cannot be decoded.
+        CameraError: it is a depth image.
+        DamagedPictureError: it cannot be decoded, or its end is missing.
     """
     import cv2
 
     if "compressedDepth" in format_:
         raise CameraError(f"images of the format {format_!r} are distances, not brightnesses")
-    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+    # OpenCV decodes what there is of a JPEG; some cameras fill up with zeros after its end.
+    cut = data.startswith(_JPEG) and not data.rstrip(b"\0").endswith(_JPEG_END)
+    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data and not cut else None
     if pixels is None:
-        raise CameraError(f"{len(data)} bytes of the format {format_!r} cannot be decoded")
+        raise DamagedPictureError(f"{len(data)} bytes of the format {format_!r} are no whole picture")
     size = pixels.shape[1], pixels.shape[0]
     # The mosaic of a Bayer sensor is compressed as if it were grey.
     bayer = _BAYER.match(format_)
