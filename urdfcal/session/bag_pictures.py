@@ -53,13 +53,13 @@ def write_pictures(
 ) -> tuple[Frames, ...]:
     """Write pictures as ``folder``/<camera>/<number of the message>.png, or .jpg where they were recorded as that.
 
+    Pictures that were not recorded whole are left out.
+
     Args:
         folder: where to; it is made.
         messages: of the topics, in the order in which they were recorded.
         topics: of every camera, sensor_msgs/Image or CompressedImage.
         cameras: that took the pictures.
-
-    Pictures that were not recorded whole are left out.
 
     Returns:
         Of every camera, which pictures there are.
