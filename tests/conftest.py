@@ -4,7 +4,6 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
 import pytest
 
 from urdfcal.estimation.state import State
@@ -45,13 +44,12 @@ def simulated() -> Callable[..., Simulated]:
 @pytest.fixture(scope="session")
 def true_state() -> Callable[[Simulated], State]:
     def state(simulated: Simulated) -> State:
-        rig = simulated.session.rig
         return State(
             offsets=simulated.truth.offsets,
             T_world_base=simulated.truth.T_world_base,
             leds=simulated.truth.leds,
-            cameras=rig.cameras,
-            T_cam_world=np.array(rig.T_cam_world),
+            cameras=simulated.session.rig.cameras,
+            T_cam_world=simulated.truth.T_cam_frame,
         )
 
     return state

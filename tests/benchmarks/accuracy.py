@@ -40,7 +40,7 @@ from urdfcal.robot.kinematics import tip_motion
 from urdfcal.session.files import read_rig
 from urdfcal.session.manufacture import draw_offsets
 from urdfcal.session.model import Estimate
-from urdfcal.session.rigs import find_rig, shipped_rigs
+from urdfcal.session.rigs import find_rig
 from urdfcal.session.simulate import Simulated, simulate
 
 WORKSPACE = 500
@@ -57,6 +57,18 @@ def true_state(simulated: Simulated) -> State:
         cameras=session.rig.cameras,
         T_cam_world=np.array(session.rig.T_cam_world),
     )
+
+
+def information_of(table, block, state: State, parameters, joint_sigma: float) -> np.ndarray:
+    """What pixels tell of the active parameters, joint readings being noisy: the inverse of the bound, (P, P)."""
+    at = Tangent.at(table, block, state, parameters).linearise(slice(None))
+    N, m, D, P = at.J.shape
+    J, J_q = at.J.reshape(N, m * D, P), at.by_joints(table.chain).reshape(N, m * D, -1)
+    noise = np.zeros((N, m, D, m, D))
+    each = np.arange(m)
+    noise[:, each, :, each, :] = np.moveaxis(block.covariance, 1, 0)
+    noise = noise.reshape(N, m * D, m * D) + joint_sigma**2 * J_q @ np.swapaxes(J_q, 1, 2)
+    return np.einsum("nip,nij,njs->ps", J, np.linalg.inv(noise), J)
 
 
 @dataclass(frozen=True)
@@ -83,18 +95,10 @@ class Knowledge:
         truth = true_state(simulated)
         every = choose_parameters(session, table, truth, Freedoms("dh", ("fixed",) * 2, ("fixed",) * 2, priors=priors))
         parameters = identify(table, [block], truth, every).parameters
-        at = Tangent.at(table, block, truth, parameters).linearise(slice(None))
-        N, m, D, P = at.J.shape
-        J, J_q = at.J.reshape(N, m * D, P), at.by_joints(table.chain).reshape(N, m * D, -1)
-        noise = np.zeros((N, m, D, m, D))
-        each = np.arange(m)
-        noise[:, each, :, each, :] = np.moveaxis(block.covariance, 1, 0)
-        noise = noise.reshape(N, m * D, m * D) + session.noise.joint**2 * J_q @ np.swapaxes(J_q, 1, 2)
-
         motion = tip_motion(table.chain, table.chain.build_model(table.placements(truth.offsets)), q)
         A = np.zeros((len(q), 3, parameters.size))
         A[..., : len(parameters.rows)] = (motion.regressor @ table.twists(truth.offsets, parameters.rows))[:, :3]
-        A = A[..., parameters.active].reshape(-1, P)
+        A = A[..., parameters.active].reshape(-1, parameters.count)
         rigid = np.concatenate([np.broadcast_to(np.eye(3), (len(q), 3, 3)), -skew(motion.p)], axis=2).reshape(-1, 6)
 
         rng = np.random.default_rng(0)
@@ -104,7 +108,7 @@ class Knowledge:
         for index, led in enumerate(session.leds):
             drawn[parameters.led(index)] = led.sigma
         return cls(
-            np.einsum("nip,nij,njs->ps", J, np.linalg.inv(noise), J),
+            information_of(table, block, truth, parameters, session.noise.joint),
             A - rigid @ np.linalg.lstsq(rigid, A, rcond=None)[0],
             parameters.prior[parameters.active],
             drawn[parameters.active],
@@ -132,7 +136,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--poses", type=int, default=50)
-    parser.add_argument("--rigs", nargs="*", default=sorted(shipped_rigs()))
+    parser.add_argument("--rigs", nargs="*", default=["elbow3r", "panda", "so101", "stanford", "ur5"])
     parser.add_argument("--no-priors", action="store_true")
     parser.add_argument("--outliers", type=float, default=0.0)
     arguments = parser.parse_args()

@@ -14,7 +14,7 @@ from urdfcal.output.stream import quaternions
 from urdfcal.robot.dh import PARAMETERS, DHTable
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.session.files import read_rig
-from urdfcal.session.rigs import find_rig, shipped_rigs
+from urdfcal.session.rigs import find_rig
 from urdfcal.session.simulate import simulate
 
 
@@ -24,7 +24,7 @@ def random_transforms(rng, count, angle=np.pi):
     return np.array([pin.exp6(twist).homogeneous for twist in twists])
 
 
-@pytest.mark.parametrize("rig", shipped_rigs())
+@pytest.mark.parametrize("rig", ["elbow3r", "panda", "so101", "stanford", "ur5"])
 def test_frames_agree_with_the_dh_product_and_the_tip(rig):
     rng = np.random.default_rng(0)
     chain = read_rig(find_rig(rig)).chain

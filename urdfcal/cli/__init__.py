@@ -7,7 +7,20 @@ from typing import TYPE_CHECKING
 
 import click
 
-from urdfcal.cli import apply, calibrate, cameras, compensate, demo, detect, dh, evaluate, export, simulate, view
+from urdfcal.cli import (
+    apply,
+    calibrate,
+    cameras,
+    compensate,
+    demo,
+    detect,
+    dh,
+    evaluate,
+    export,
+    import_,
+    simulate,
+    view,
+)
 from urdfcal.errors import UrdfcalError
 
 if TYPE_CHECKING:
@@ -23,7 +36,7 @@ def cli() -> None:
     """Make the URDF match the arm, with two cameras and an LED."""
 
 
-for _module in (demo, simulate, cameras, detect, calibrate, evaluate, dh, view, compensate, apply, export):
+for _module in (demo, simulate, import_, cameras, detect, calibrate, evaluate, dh, view, compensate, apply, export):
     cli.add_command(_module.command)
 
 

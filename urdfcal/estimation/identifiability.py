@@ -30,6 +30,9 @@ _LEAST_NORM = 1e-3
 _EXPLAINED = 1e-6
 # A parameter takes part in a lost direction when its share of it is above rounding.
 _PART = 1e-5
+# ... can stand for it when its share is no small one: with a length of millimetres held as drawn, an arm of one metre
+# would take its scale from it (robots/tiago: d of arm_2_joint is 15 mm, and 1 mm off 7 % of everything) ...
+_HELD_PART = 0.1
 # ... and is worth naming when it is more than this share of the largest.
 _NAMED_PART = 0.05
 _ORDER = ("d", "a", "theta", "alpha", "beta", "z", "x", "y", "rz", "rx", "ry")
@@ -60,7 +63,7 @@ class Identifiability:
 def identify(table: Geometry, blocks: Sequence[Observations], state: State, parameters: Parameters) -> Identifiability:
     """Find the directions that the sightings cannot tell, and hold a parameter for each.
 
-    Of the parameters that take part in a lost direction, the first in the order d, a, theta, alpha, beta, inner rows
+    Of the parameters that take a fair part in a lost direction, the first in the order d, a, theta, alpha, beta, inner rows
     first, is named for it, so that two runs agree; then LED coordinates, then the base. It is held at its nominal
     value unless several DH parameters with tolerances share the direction (as all lengths share the scale that one
     camera cannot tell): their tolerances then say more together than one nominal value.
@@ -84,7 +87,7 @@ def identify(table: Geometry, blocks: Sequence[Observations], state: State, para
             break
         share = np.zeros(len(columns))
         share[kept] = np.linalg.norm(null, axis=0)
-        victim = next(k for k in order if share[k] > _PART)
+        victim = next(k for k in order if share[k] > _HELD_PART * share.max())
         direction = _direction(R, kept, victim, columns, parameters)
         part = np.abs(direction) > _NAMED_PART * np.abs(direction).max()
         partners = [int(columns[k]) for k in np.argsort(-np.abs(direction), kind="stable") if k != victim and part[k]]

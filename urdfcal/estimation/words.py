@@ -60,9 +60,11 @@ def _name(table: Geometry, parameters: Parameters, index: int) -> str:
 
 
 def _is_scale(parameters: Parameters, victim: int, partners: Sequence[int]) -> bool:
-    """Whether lengths of the arm, of the base and of the LEDs all move together, and not just along one axis."""
+    """Whether lengths of the arm, of the LEDs and of the base's or a camera's place all move, and not along one axis."""
     moving = (victim, *partners)
     lengths = all(parameters.names[k].rpartition(".")[2] in _LENGTHS for k in moving)
-    on_base = sum(parameters.base.start <= k < parameters.base.stop for k in moving) > 1
-    on_leds = any(parameters.base.stop <= k < parameters.base.stop + 3 * parameters.leds for k in moving)
-    return lengths and on_base and on_leds and any(k < len(parameters.rows) for k in moving)
+    leds = range(parameters.base.stop, parameters.base.stop + 3 * parameters.leds)
+    on_leds = any(k in leds for k in moving)
+    on_arm = any(k < len(parameters.rows) for k in moving)
+    places = sum(k >= parameters.base.start and k not in leds for k in moving)
+    return lengths and on_leds and on_arm and places > 1

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import secrets
 import shutil
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,7 @@ from urdfcal.session.model import Session
 from urdfcal.session.names import check_names
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from urdfcal.arrays import Floats, Ints
     from urdfcal.robot.urdf import Urdf
@@ -48,11 +49,25 @@ def write_session(folder: str | Path, session: Positions) -> None:
     if (folder / _SESSION).exists():
         raise _already_there(folder / _SESSION)
     check_names("cameras", session.rig.names if session.rig else ())
+    with put_into(folder) as partial:
+        _write_files(partial, session, urdf)
+
+
+@contextmanager
+def put_into(folder: Path) -> Iterator[Path]:
+    """Yield an empty folder; when the block succeeds, put what is in it into ``folder``, session.yaml last.
+
+    Args:
+        folder: where to; made if it is not there, in a folder that is.
+
+    Raises:
+        OutputError: one of the files is already there, or the folder cannot be written.
+    """
     partial = folder.parent / f".{folder.name}.{secrets.token_hex(4)}.partial"
     try:
         partial.mkdir()
         try:
-            _write_files(partial, session, urdf)
+            yield partial
             _move(partial, folder)
         finally:
             shutil.rmtree(partial, ignore_errors=True)
@@ -95,7 +110,7 @@ def _move(partial: Path, folder: Path) -> None:
             moved.append((partial / name).rename(folder / name))
     except OSError:
         for path in moved:
-            path.unlink(missing_ok=True)
+            shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
         raise
 
 

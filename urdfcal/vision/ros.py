@@ -1,4 +1,4 @@
-"""ROS camera_info files, as camera_calibration writes and camera_info_manager reads them: one a camera.
+"""ROS camera_info: files, as camera_calibration writes and camera_info_manager reads them, one a camera; messages.
 
 A camera_info has no place of its own for where a camera stands. That of a pair is in its rectification: both cameras
 are turned (R) to look the same way, and the projection P = K' [1 | t] of the second is shifted by t = (-B, 0, 0), B
@@ -11,6 +11,7 @@ Where R and P are those of an unrectified camera (1 and [K | 0]), its place is u
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,7 +25,7 @@ from urdfcal.vision.entries import Entry, compose, place, read_bytes, rigid
 from urdfcal.vision.rig import Rig
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from urdfcal.arrays import Floats
 
@@ -33,6 +34,88 @@ _MODELS = {"plumb_bob": "radtan", "equidistant": "equidistant", "fisheye": "equi
 _LEAST_SHIFT = 1e-6
 # Cameras one behind the other cannot both look across their baseline: within this sine of it there is nothing to share.
 _LEAST_ACROSS = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class CameraInfo:
+    """What a camera_info says, wherever it stands.
+
+    Attributes:
+        name: the camera's.
+        size: (width, height) in px.
+        K: (3, 3) camera matrix, px.
+        distortion_model: ROS's name of it.
+        D: (k,) distortion coefficients.
+        R: (3, 3) rectification; the identity where there is none.
+        P: (3, 4) projection of the rectified camera, px and px m; [1 | 0] where there is none.
+        where: names the place in messages.
+        error: makes the error of a key (as in a file) from what is wrong and its remedy.
+    """
+
+    name: str
+    size: tuple[int, int]
+    K: Floats
+    distortion_model: str
+    D: Floats
+    R: Floats
+    P: Floats
+    where: str
+    error: Callable[[str, str, str], CameraError]
+
+    def camera(self) -> Camera:
+        """The camera. One without distortion gets the model none, radtan without k3 four coefficients.
+
+        Raises:
+            CameraError: it is of a kind that urdfcal does not know.
+        """
+        K, D = self.K, self.D
+        if K[0, 1] != 0.0 or K[1, 0] != 0.0 or not np.array_equal(K[2], [0.0, 0.0, 1.0]):
+            raise self.error(
+                "camera_matrix", "camera_matrix must be [fx 0 cx; 0 fy cy; 0 0 1]", "Skewed pixels are not supported."
+            )
+        if self.distortion_model not in _MODELS:
+            raise self.error(
+                "distortion_model",
+                f"distortion model '{self.distortion_model}' is not supported",
+                f"Use one of: {', '.join(_MODELS)}; calibrate again without the rational model.",
+            )
+        model = _MODELS[self.distortion_model]
+        # Simulated cameras often have no coefficients at all.
+        if model == "radtan" and len(D) in (0, 4, 5):
+            model, D = ("none", D[:0]) if not D.any() else ("radtan", D[:4] if not D[4:].any() else D)
+        try:
+            return Camera(self.name, self.size, K[[0, 1, 0, 1], [0, 1, 2, 2]], model, D)
+        except CameraError as error:
+            raise CameraError(error.what, where=self.where, remedy=error.remedy) from error
+
+    def shift(self) -> Floats:
+        """Where the rectified camera stands, turned by R: t (3,) of P = K' [1 | t]. [m].
+
+        Raises:
+            CameraError: P is no projection.
+        """
+        if abs(np.linalg.det(self.P[:, :3])) < 1e-12:
+            raise self.error("projection_matrix", "the left part of projection_matrix has no inverse", "")
+        return np.asarray(np.linalg.solve(self.P[:, :3], self.P[:, 3]), dtype=np.float64)
+
+
+def rig_of(infos: Sequence[CameraInfo]) -> Rig:
+    """The cameras that camera_infos describe, standing where their rectification tells; the first is the world.
+
+    Raises:
+        CameraError: one of them is of a kind that urdfcal does not know, or stands where none can.
+    """
+    cameras = [info.camera() for info in infos]
+    first = infos[0]
+    places: list[Floats | None] = [np.eye(4)]
+    for info in infos[1:]:
+        shift = info.shift() - first.shift()
+        if np.linalg.norm(shift) < _LEAST_SHIFT:
+            places.append(None)
+            continue
+        complain = partial(info.error, "projection_matrix")
+        places.append(rigid(info.R.T @ first.R, info.R.T @ shift, "rectification_matrix", complain))
+    return Rig(tuple(cameras), tuple(places))
 
 
 def read_ros(paths: Sequence[str | Path]) -> Rig:
@@ -48,18 +131,7 @@ def read_ros(paths: Sequence[str | Path]) -> Rig:
     names = [entry.text("camera_name") if "camera_name" in entry.fields else "" for entry in entries]
     if len(set(names)) < len(names) or not all(names):
         names = [entry.path.stem for entry in entries]
-    cameras = [_camera(name, entry) for name, entry in zip(names, entries, strict=True)]
-    R_first, t_first = _rectification(entries[0])
-    places: list[Floats | None] = [np.eye(4)]
-    for entry in entries[1:]:
-        R, t = _rectification(entry)
-        shift = t - t_first
-        if np.linalg.norm(shift) < _LEAST_SHIFT:
-            places.append(None)
-            continue
-        complain = partial(entry.error, "projection_matrix")
-        places.append(rigid(R.T @ R_first, R.T @ shift, "rectification_matrix", complain))
-    return Rig(tuple(cameras), tuple(places))
+    return rig_of([_info(name, entry) for name, entry in zip(names, entries, strict=True)])
 
 
 def write_ros(path: str | Path, rig: Rig) -> tuple[Path, ...]:
@@ -96,39 +168,22 @@ def _entry(path: Path) -> Entry:
     return Entry.of(path, "", compose(read_bytes(path), path), "the keys of a camera_info")
 
 
-def _camera(name: str, entry: Entry) -> Camera:
+def _info(name: str, entry: Entry) -> CameraInfo:
     size = entry.whole("image_width"), entry.whole("image_height")
     K = _shaped(entry, "camera_matrix", (3, 3))
-    if K[0, 1] != 0.0 or K[1, 0] != 0.0 or not np.array_equal(K[2], [0.0, 0.0, 1.0]):
-        raise entry.error(
-            "camera_matrix", "camera_matrix must be [fx 0 cx; 0 fy cy; 0 0 1]", "Skewed pixels are not supported."
-        )
-    written = entry.text("distortion_model")
-    if written not in _MODELS:
-        raise entry.error(
-            "distortion_model",
-            f"distortion model '{written}' is not supported",
-            f"Use one of: {', '.join(_MODELS)}; calibrate again without the rational model.",
-        )
-    model, D = _MODELS[written], entry.table("distortion_coefficients").ravel()
-    if model == "radtan" and len(D) in (4, 5):
-        model, D = ("none", D[:0]) if not D.any() else ("radtan", D[:4] if not D[4:].any() else D)
-    try:
-        return Camera(name, size, K[[0, 1, 0, 1], [0, 1, 2, 2]], model, D)
-    except CameraError as error:
-        raise CameraError(error.what, where=place(entry.path, entry.node), remedy=error.remedy) from error
-
-
-def _rectification(entry: Entry) -> tuple[Floats, Floats]:
-    """R (3, 3) and t (3,) of P = K' [1 | t], m."""
-    R, P = np.eye(3), np.eye(3, 4)
-    if "rectification_matrix" in entry.fields:
-        R = _shaped(entry, "rectification_matrix", (3, 3))
-    if "projection_matrix" in entry.fields:
-        P = _shaped(entry, "projection_matrix", (3, 4))
-    if abs(np.linalg.det(P[:, :3])) < 1e-12:
-        raise entry.error("projection_matrix", "the left part of projection_matrix has no inverse")
-    return R, np.asarray(np.linalg.solve(P[:, :3], P[:, 3]), dtype=np.float64)
+    R = _shaped(entry, "rectification_matrix", (3, 3)) if "rectification_matrix" in entry.fields else np.eye(3)
+    P = _shaped(entry, "projection_matrix", (3, 4)) if "projection_matrix" in entry.fields else np.eye(3, 4)
+    return CameraInfo(
+        name=name,
+        size=size,
+        K=K,
+        distortion_model=entry.text("distortion_model"),
+        D=entry.table("distortion_coefficients").ravel(),
+        R=R,
+        P=P,
+        where=place(entry.path, entry.node),
+        error=entry.error,
+    )
 
 
 def _shaped(entry: Entry, key: str, shape: tuple[int, int]) -> Floats:

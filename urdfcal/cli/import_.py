@@ -1,0 +1,142 @@
+"""``urdfcal import``: a session from a ROS bag."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from urdfcal.cli.options import base_option
+
+if TYPE_CHECKING:
+    from urdfcal.session.bag_clock import Timeline
+    from urdfcal.session.bag_import import Imported
+    from urdfcal.session.bag_topics import Chosen
+
+
+def _led(value: str | tuple[str, list[float] | None]) -> tuple[str, list[float] | None]:
+    """NAME or NAME=x,y,z."""
+    if isinstance(value, tuple):
+        return value
+    name, separator, place = value.partition("=")
+    if not separator:
+        return name, None
+    try:
+        position = [float(number) for number in place.split(",")]
+    except ValueError:
+        position = []
+    if len(position) != 3:
+        raise click.BadParameter(f"'{place}' is not three numbers such as 0.03,0.02,0.05")
+    return name, position
+
+
+def _camera(value: str | tuple[str, str, str | None]) -> tuple[str, str, str | None]:
+    """NAME=IMAGE_TOPIC[,INFO_TOPIC]."""
+    if isinstance(value, tuple):
+        return value
+    name, _, topics = value.partition("=")
+    image, _, info = topics.partition(",")
+    if not name or not image:
+        raise click.BadParameter(f"'{value}' is not NAME=TOPIC")
+    return name, image, info or None
+
+
+@click.command("import")
+@click.argument("path", metavar="BAG", type=click.Path(path_type=Path))
+@click.option("-o", "--output", "session", type=click.Path(path_type=Path), help="Folder to write.")
+@click.option("--urdf", metavar="ROBOT.urdf", help="The robot as drawn: a file, or package://...")
+@click.option("--tip", metavar="LINK", help="Link at the end of the chain.")
+@base_option
+@click.option("--joints", metavar="TOPIC", help="Of the joint states.  [default: the only one]")
+@click.option(
+    "--camera", "named", type=_camera, multiple=True, metavar="NAME=TOPIC[,INFO]",
+    help="A camera: its pictures, and its camera_info if that is not beside them.  [default: all]",
+)  # fmt: skip
+@click.option("--led", type=_led, default="led", metavar="NAME[=X,Y,Z]", help="The LED, in the tip's frame, m.")
+@click.option(
+    "--cameras", "described", type=click.Path(path_type=Path), metavar="FILE",
+    help="A camera file instead of camera_info, with the cameras' names.",
+)  # fmt: skip
+@click.option("--list", "listing", is_flag=True, help="Print the topics and write nothing.")
+def command(
+    path: Path,
+    session: Path | None,
+    urdf: str | None,
+    tip: str | None,
+    base: str | None,
+    joints: str | None,
+    named: tuple[tuple[str, str, str | None], ...],
+    led: tuple[str, list[float] | None],
+    described: Path | None,
+    listing: bool,
+) -> None:
+    """Make a session of a moving arm from BAG: .bag of ROS 1; folder, .db3 or .mcap of ROS 2.
+
+    Joint readings are sensor_msgs/JointState, pictures Image or CompressedImage. Cameras are called by the namespaces
+    of their topics. Where the second one stands is taken from a stereo pair's camera_info, or /tf_static.
+    """
+    if listing:
+        _list(path)
+        return
+    if session is None or urdf is None or tip is None:
+        raise click.UsageError("-o, --urdf and --tip are needed; --list prints the topics")
+    names = [name for name, *_ in named]
+    if len(set(names)) < len(names):
+        raise click.UsageError(f"two cameras have the same name: {', '.join(names)}")
+    from urdfcal.cli.console import progress_bar
+    from urdfcal.robot.chain import Chain
+    from urdfcal.robot.urdf import Urdf, find_urdf
+    from urdfcal.session.bag import open_bag
+    from urdfcal.session.bag_import import Known, import_bag
+    from urdfcal.session.bag_topics import Wanted, choose_topics
+    from urdfcal.session.model import Led
+    from urdfcal.session.names import check_names
+    from urdfcal.vision.formats import read_cameras
+
+    check_names("LEDs", [led[0]])
+    robot = Urdf.read(find_urdf(urdf))
+    known = Known(
+        urdf=robot,
+        urdf_reference=urdf,
+        chain=Chain.from_urdf(robot, tip, base),
+        led=Led(*led),  # type: ignore[arg-type]  # a list serves as an array
+        rig=None if described is None else read_cameras([described]),
+    )
+    wanted = Wanted(joints, {name: (image, info) for name, image, info in named}, infos=described is None)
+    with open_bag(path) as bag:
+        chosen = choose_topics(bag.topics, wanted)
+        count = sum(topic.count for topic in bag.topics if topic.name in chosen.names)
+        with progress_bar("reading", count) as advance:
+            imported = import_bag(bag, chosen, known, session, advance)
+    _print(chosen, imported)
+    click.echo(str(session))
+
+
+def _list(path: Path) -> None:
+    from urdfcal.cli.console import output, sheet
+    from urdfcal.session.bag import open_bag
+
+    with open_bag(path) as bag:
+        table = sheet(f"{path}, {bag.duration:.3f} s", ["topic", "type", "messages", "Hz"], texts=2)
+        for topic in bag.topics:
+            rate = f"{(topic.count - 1) / bag.duration:.1f}" if bag.duration and topic.count > 1 else ""
+            table.add_row(topic.name, topic.type, f"{topic.count}", rate)
+    output().print(table)
+
+
+def _print(chosen: Chosen, imported: Imported) -> None:
+    click.echo(f"{chosen.joints}: {_of('joint states', imported.joints)}")
+    topics = {camera.name: camera.image for camera in chosen.cameras}
+    for camera in imported.rig.cameras:
+        width, height = camera.resolution
+        pictures = _of("pictures", imported.cameras[camera.name])
+        click.echo(f"{camera.name}: {topics[camera.name]}, {pictures}, {width} x {height} px")
+    click.echo(f"time 0 is {imported.origin // 10**9}.{imported.origin % 10**9:09d} s")
+    for note in (*imported.notes, *imported.warnings):
+        click.echo(f"- {note}")
+
+
+def _of(what: str, times: Timeline) -> str:
+    count, span = len(times.time), float(times.time[-1] - times.time[0]) / 1e9
+    return f"{count} {what}" + (f" at {(count - 1) / span:.1f} Hz" if span else "")
