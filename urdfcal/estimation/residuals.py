@@ -47,7 +47,7 @@ class Linearisation:
 
 def led_positions(table: Geometry, observations: Observations, state: State) -> Floats:
     """Where every LED is in the world, (N, m, 3). [m]."""
-    T = tip_poses(table.chain, observations.q, table.placements(state.offsets))
+    T = tip_poses(table.chain, observations.joints(state.time_offsets), table.placements(state.offsets))
     p_base = T[:, None, :3, 3] + (T[:, None, :3, :3] @ state.leds[observations.led][..., None])[..., 0]
     result: Floats = p_base @ state.T_world_base[:3, :3].T + state.T_world_base[:3, 3]
     return result
@@ -91,6 +91,7 @@ class Tangent:
         parameters: the derivative's columns.
         model: of the arm at the state.
         G: (6 n, p) body twists of the placements for each of the arm's active parameters.
+        q: (N, n) joint values at the state. [rad or m]
     """
 
     table: Geometry
@@ -99,13 +100,15 @@ class Tangent:
     parameters: Parameters
     model: pin.Model
     G: Floats
+    q: Floats
 
     @classmethod
     def at(cls, table: Geometry, observations: Observations, state: State, parameters: Parameters) -> Tangent:
         """Prepare."""
         model = table.chain.build_model(table.placements(state.offsets))
         rows = [row for row, active in zip(parameters.rows, parameters.active, strict=False) if active]
-        return cls(table, observations, state, parameters, model, table.twists(state.offsets, rows))
+        q = observations.joints(state.time_offsets)
+        return cls(table, observations, state, parameters, model, table.twists(state.offsets, rows), q)
 
     def linearise(self, poses: slice) -> Linearisation:
         """Evaluate residuals and derivatives for some of the observations' N poses.
@@ -115,7 +118,7 @@ class Tangent:
         """
         state, parameters, observations = self.state, self.parameters, self.observations
         led, camera, measured = observations.led[poses], observations.camera[poses], observations.value[poses]
-        motion = tip_motion(self.table.chain, self.model, observations.q[poses])
+        motion = tip_motion(self.table.chain, self.model, self.q[poses])
         R_world_base = state.T_world_base[:3, :3]
 
         # Every LED at every pose as one product, of which the seen ones are taken.
@@ -156,6 +159,14 @@ class Tangent:
             d_led = (E.reshape(N, m * D, 3) @ motion.R).reshape(N * m, D, 3)
             for index in range(parameters.leds):
                 self._put(J, parameters.led(index), d_led * (led == index).reshape(-1, 1, 1))
+        if parameters.clocks and observations.trajectory is not None:
+            # A clock that is late by dt lets the joints run on by dq = q' dt.
+            velocity = observations.trajectory.velocities(state.time_offsets)[poses]
+            tip = motion.regressor @ (joint_axes(self.table.chain) @ velocity[..., None])
+            by_clock = (tip_to_value @ tip).reshape(N * m, D, 1)
+            for position, c in enumerate(parameters.clocks):
+                seen = np.flatnonzero(camera == c)
+                self._put(J, parameters.clock(position), by_clock[seen], seen)
         return Linearisation(residual.reshape(N, m, D), J.reshape(N, m, D, -1), tip_to_value, motion)
 
     def _put(self, J: Floats, where: slice, block: Floats, seen: Ints | slice = _EVERY) -> None:
@@ -168,7 +179,7 @@ class Tangent:
 def _carry(matrices: Floats, right: Floats) -> Floats:
     """``matrices @ right`` as one product: many small ones cost several times as much."""
     N, rows, columns = matrices.shape
-    result: Floats = (matrices.reshape(N * rows, columns) @ right).reshape(N, rows, -1)
+    result: Floats = (matrices.reshape(N * rows, columns) @ right).reshape(N, rows, right.shape[1])
     return result
 
 

@@ -67,12 +67,12 @@ def first_state(session: Session, table: Geometry, offsets: Floats) -> State:
         # By the camera of known pose that sees most; the first one's is the identity.
         places = {c: T for c, T in enumerate(known) if T is not None}
         c = max(places, key=lambda c: int(seen[c]))
-        T_world_base = inverse(places[c]) @ _resect(session, c, T_base_tip, leds)
+        T_world_base = inverse(places[c]) @ resect(session, c, T_base_tip, leds)
     if T_world_base is None:
         raise CalibrationError("there are no sightings to start from")
     for c, T in enumerate(known):
         placed = np.eye(4) if T is None and not seen[c] else T  # a camera that sees nothing may stand anywhere
-        T_cam_world.append(_resect(session, c, T_base_tip, leds) @ inverse(T_world_base) if placed is None else placed)
+        T_cam_world.append(resect(session, c, T_base_tip, leds) @ inverse(T_world_base) if placed is None else placed)
     return State(
         offsets=offsets,
         T_world_base=T_world_base,
@@ -231,7 +231,7 @@ def _alternate(R: Floats, p: Floats, led: Ints, points: Floats, leds: Floats, mo
     return kabsch(p + (R @ leds[led][..., None])[..., 0], points), leds
 
 
-def _resect(session: Session, camera: int, T_base_tip: Floats, leds: Floats) -> Floats:
+def resect(session: Session, camera: int, T_base_tip: Floats, leds: Floats) -> Floats:
     """T_cam_base by PnP on the nominal arm's LED positions."""
     import cv2
 

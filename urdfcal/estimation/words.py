@@ -28,6 +28,8 @@ def sentence(table: Geometry, parameters: Parameters, victim: int, partners: Seq
     arm = [k for k in partners if k < len(parameters.rows)]
     base = [k for k in partners if parameters.base.start <= k < parameters.base.stop]
     leds = [k for k in partners if parameters.base.stop <= k < parameters.base.stop + 3 * parameters.leds]
+    if not partners and victim >= parameters.clock(0).start:
+        return f"{name} cannot be told: the arm does not move in that camera's frames; it is held as it is"
     if not partners:
         return f"{name} moves nothing that is seen (an LED on the last axis hides it): {outcome}"
     if _is_scale(parameters, victim, partners):

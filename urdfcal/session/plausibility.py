@@ -13,15 +13,18 @@ import numpy as np
 from urdfcal.errors import SessionError
 from urdfcal.session.exchange import Rays, check_names_by_rays
 from urdfcal.session.names import listed
+from urdfcal.session.tables import JointTable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
+    from pathlib import Path
 
     from urdfcal.arrays import Floats
     from urdfcal.robot.chain import Chain, Joint
+    from urdfcal.session.frames import LogTable
     from urdfcal.session.model import Led, Noise
     from urdfcal.session.schema import Document
-    from urdfcal.session.tables import JointTable, SightingTable
+    from urdfcal.session.tables import SightingTable
     from urdfcal.vision.rig import Rig
 
 # Encoders are read to 1e-4 rad or m, and controllers let joints overrun their limits by less than this.
@@ -43,6 +46,23 @@ _STILL = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
+class Taken:
+    """The moments at which something was measured: poses, or frames of a moving arm.
+
+    Attributes:
+        path: the table that lists them.
+        labels: N of them.
+        readings: (N, k) of the actuated joints. [rad or m]
+        still: readings that differ by no more are the same place. [rad or m]
+    """
+
+    path: Path
+    labels: tuple[str, ...]
+    readings: Floats
+    still: float
+
+
+@dataclass(frozen=True, eq=False)
 class Inputs:
     """All that was read, with the places it was read from.
 
@@ -53,6 +73,7 @@ class Inputs:
         rig: the cameras, if any.
         noise: as declared.
         joints: the joint readings.
+        taken: when or where LEDs were looked at.
         detections: the pixels, if any.
         points: the measured points, if any.
     """
@@ -62,7 +83,8 @@ class Inputs:
     leds: tuple[Led, ...]
     rig: Rig | None
     noise: Noise
-    joints: JointTable
+    joints: JointTable | LogTable
+    taken: Taken
     detections: SightingTable | None
     points: SightingTable | None
 
@@ -90,7 +112,7 @@ def check_positions(inputs: Inputs) -> tuple[str, ...]:
     _check_limits(inputs)
     _check_led_units(inputs)
     _check_noise_units(inputs)
-    return (*_still_joints(inputs), *_same_readings(inputs))
+    return (*_still_joints(inputs), *_same_readings(inputs.joints))
 
 
 def check(inputs: Inputs) -> tuple[str, ...]:
@@ -241,18 +263,20 @@ def _still_joints(inputs: Inputs) -> Iterator[str]:
             )
 
 
-def _same_readings(inputs: Inputs) -> Iterator[str]:
+def _same_readings(joints: JointTable | LogTable) -> Iterator[str]:
+    if not isinstance(joints, JointTable):  # an arm that moves may come back, or wait
+        return
     # Adding zero makes -0.0 the same bytes as 0.0.
     first: dict[bytes, int] = {}
     pairs = [
         (first[key], row)
-        for row, key in enumerate(reading.tobytes() for reading in inputs.joints.readings + 0.0)
+        for row, key in enumerate(reading.tobytes() for reading in joints.readings + 0.0)
         if first.setdefault(key, row) != row
     ]
     if pairs:
-        a, b = (inputs.joints.poses[row] for row in pairs[0])
+        a, b = (joints.poses[row] for row in pairs[0])
         more = f", as have {len(pairs) - 1} more pairs" if len(pairs) > 1 else ""
-        place = inputs.joints.table.place(pairs[0][1], "pose")
+        place = joints.table.place(pairs[0][1], "pose")
         yield f"{place}: pose {b!r} has exactly the joint readings of pose {a!r}{more}"
 
 
@@ -267,9 +291,9 @@ def _check_frozen(inputs: Inputs, table: SightingTable) -> None:
         if table.values[start:stop].size < 3 and not np.any(table.values[start:stop] % 0.5):
             continue
         other = first.setdefault(what[start:stop].tobytes(), start)
-        readings = inputs.joints.readings[[pose[other], pose[start]]]
-        if other != start and not np.array_equal(readings[0], readings[1]):
-            names = [inputs.joints.poses[pose[i]] for i in (other, start)]
+        readings = inputs.taken.readings[[pose[other], pose[start]]]
+        if other != start and np.abs(readings[1] - readings[0]).max() > inputs.taken.still:
+            names = [inputs.taken.labels[pose[i]] for i in (other, start)]
             line = table.rows[other] + 2
             raise SessionError(
                 f"pose {names[1]!r} shows exactly what pose {names[0]!r} shows (line {line}), "
@@ -323,14 +347,13 @@ def _check_images(inputs: Inputs, rig: Rig, table: SightingTable, rays: Rays) ->
 
 def _never_seen(inputs: Inputs) -> Iterator[str]:
     tables = list(inputs.sightings)
-    seen = np.zeros(len(inputs.joints.poses), bool)
+    seen = np.zeros(len(inputs.taken.labels), bool)
     for table in tables:
         seen[table.index["pose"]] = True
-    blind = [pose for pose, found in zip(inputs.joints.poses, seen, strict=True) if not found]
+    blind = [pose for pose, found in zip(inputs.taken.labels, seen, strict=True) if not found]
     if blind:
         yield (
-            f"{inputs.joints.table.path}: {len(blind)} of {len(seen)} poses have no sighting "
-            f"and do not count: {listed(blind)}"
+            f"{inputs.taken.path}: {len(blind)} of {len(seen)} poses have no sighting and do not count: {listed(blind)}"
         )
     leds = set(np.concatenate([table.index["led"] for table in tables]).tolist())
     dark = [led.name for i, led in enumerate(inputs.leds) if i not in leds]

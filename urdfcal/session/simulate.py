@@ -78,12 +78,12 @@ def simulate(
         leds=planned.leds + bulbs.standard_normal(planned.leds.shape) * np.array(sigma)[:, None],
     )
 
-    clearance, warnings = _clearance(rig, planned.leds)
+    clearance, warnings = find_clearance(rig)
     q = choose_poses(planned, clearance, poses, posing, progress)
     noise = rig.noise if not pixel else replace(rig.noise, pixel=pixel)
     pixel = rig.noise.pixel if pixel is None else pixel
     pose, camera, led, uv = _watch(true, q, pixel, pixels)
-    outlying = _mistake(true, uv, camera, outliers, blunders)
+    outlying = mistake(true, uv, camera, outliers, blunders)
     session = Session(
         **{field.name: getattr(rig, field.name) for field in fields(Setup)}
         | {"noise": noise, "sha256": {}, "folder": None},
@@ -150,8 +150,22 @@ def _planned(rig: RigDescription) -> Scene:
     )
 
 
-def _clearance(rig: RigDescription, leds: Floats) -> tuple[Clearance | None, tuple[str, ...]]:
-    """The arm's collision geometry, and what to warn of when it is not to be had."""
+def true_scene(simulated: Simulated) -> Scene:
+    """The arm as it truly is before the cameras.
+
+    Raises:
+        SessionError: where the cameras stand is not known.
+    """
+    session, truth = simulated.session, simulated.truth
+    placed = [T for T in session.rig.T_cam_world if T is not None] if session.rig is not None else []
+    if session.rig is None or len(placed) < len(session.rig.cameras):
+        raise SessionError("where the cameras stand is not known", where="simulate")
+    return Scene(session.chain, truth.placements, truth.leds, truth.T_world_base, session.rig.cameras, np.array(placed))
+
+
+def find_clearance(rig: Setup) -> tuple[Clearance | None, tuple[str, ...]]:
+    """The arm's collision geometry as drawn, and what to warn of when it is not to be had."""
+    leds = np.array([led.position for led in rig.leds])
     if rig.urdf is None:
         return None, ("no URDF: the poses were not checked for collisions",)
     try:
@@ -183,7 +197,7 @@ def _watch(scene: Scene, q: Floats, sigma: float, rng: np.random.Generator) -> t
     return pose, camera, led, uv[inside]
 
 
-def _mistake(scene: Scene, uv: Floats, camera: Ints, share: float, rng: np.random.Generator) -> Ints:
+def mistake(scene: Scene, uv: Floats, camera: Ints, share: float, rng: np.random.Generator) -> Ints:
     """Move a share of the sightings ``uv`` (S, 2) in place, within their images, and say which."""
     rows = np.sort(rng.choice(len(uv), round(share * len(uv)), replace=False))
     for row in rows:
