@@ -171,8 +171,15 @@ def _print(overview: Overview, paths: Sequence[Path], remarks: Sequence[str]) ->
         f"{fit['poses']} poses, {fit['observations']} measured numbers, {fit['parameters']} parameters, "
         f"{len(document['outliers'])} outliers"
     )
+    clocks = [
+        f"{name} {1e3 * camera['time_offset']['value']:+.2f} ± {1e3 * (camera['time_offset']['sigma'] or 0.0):.2f} ms"
+        for name, camera in document["cameras"].items()
+        if "time_offset" in camera
+    ]
+    if clocks:
+        line(f"time offsets, robot less camera: {', '.join(clocks)}")
     rows = len(calibration.chain.joints)
-    printed = 4 + 3  # the files below
+    printed = 4 + bool(clocks) + 3  # the files below
     if rows <= _MOST_ROWS:
         console.print(_corrections(calibration))
         printed += rows + 5  # title, head, rule, and a blank line above and below
