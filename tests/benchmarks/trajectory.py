@@ -3,9 +3,9 @@
     python tests/benchmarks/trajectory.py [--seeds 5] [--rig ur5] [--waypoints 15] [--offsets 0.02 -0.007]
 
 For every seed: simulate a robot, film it on its way from pose to pose (0.5 rad/s, 30 Hz frames, 125 Hz joint readings,
-clocks off by the offsets), and calibrate. Beside it the same frames with the arm at rest in each (the same joint values,
-read at the moment of the picture), and as many poses planned one by one, each seen by both cameras. Printed are the
-errors of the time offsets, and the tip's rms errors over the workspace after base alignment.
+clocks off by the offsets), and calibrate. Beside it the same frames with the arm at rest in each (the same places, read
+at the moment of the picture), and as many poses planned one by one, each seen by both cameras. Printed are the errors
+of the time offsets, and the tip's rms errors over the workspace after base alignment.
 """
 
 from __future__ import annotations

@@ -24,8 +24,8 @@ STILL = 1e-3
 """An arm whose joints move by less between two frames may look the same in both. [rad or m]"""
 
 _UNITS = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
-# Robots report their joints at 10 Hz to 10 kHz. [s]
-_FASTEST = 5e-5
+# Robots report their joints at 10 Hz to 1 kHz: in milliseconds that is 1 to 100 a reading.
+_FASTEST = 0.9e-3
 # Most frames of a camera lie within the log once their unit is right.
 _MOST = 0.5
 
@@ -99,7 +99,7 @@ def read_log(path: Path, chain: Chain, robot_joints: Collection[str]) -> LogTabl
             raise SessionError(
                 f"time: it advances by {usual:g} a reading, which looks like {unit}",
                 where=table.place(1, "time"),
-                remedy="Write seconds.",
+                remedy=f"Write seconds, with a reading every {LONGEST_GAP:g} s or more often.",
             )
         raise SessionError(
             f"the joints were read every {usual:g} s, which is too seldom to interpolate between",
