@@ -100,6 +100,13 @@ class LedKeys(_Keys):
     sigma: list[float | None]
 
 
+class ClockKeys(_Keys):
+    """The time offset of a camera's clock, in s; sigma null where it was held."""
+
+    value: float
+    sigma: float | None
+
+
 class CameraKeys(_Keys):
     """A camera as it was used or found."""
 
@@ -107,6 +114,7 @@ class CameraKeys(_Keys):
     distortion_model: str
     distortion: list[float]
     T_cam_world: Transform
+    time_offset: ClockKeys | None = None
 
 
 class CalibrationKeys(_Keys):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 import yaml
 
+from urdfcal import Calibration
 from urdfcal.cli import run
 from urdfcal.session.files import read_session
 
@@ -48,6 +49,23 @@ def test_tables_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert "cam1 -" in said
     for name, found in offsets_of(out).items():
         assert abs(found["value"] - OFFSETS[name]) < min(2e-4, 4.0 * found["sigma"])
+    assert Calibration.load(out).placements.shape == (3, 4, 4)
+    assert "Clock of cam0" in (out / "report.html").read_text()
+    capsys.readouterr()
+    assert run(["evaluate", str(out / "elbow3r_calibrated.urdf"), str(session), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["residual_px"]["rms"] < 0.2
+
+
+def test_offsets_that_are_fixed_are_zero_and_do_not_explain_the_motion(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    session, out = tmp_path / "s", tmp_path / "out"
+    assert run(["simulate", "elbow3r", "-o", str(session), *MOVING, "--poses", "6", "--frame-rate", "5"]) == 0
+    text = (session / "session.yaml").read_text()
+    (session / "session.yaml").write_text(text + "estimate: {time_offset: fixed, geometry: dh, intrinsics: fixed}\n")
+    assert run(["calibrate", str(session), "-o", str(out), "--force"]) == 0
+    assert offsets_of(out)["cam0"] == {"value": 0.0, "sigma": None}
+    assert "cam0 0 (held)" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("form", ["--images", "--video"])

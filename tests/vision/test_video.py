@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from urdfcal.errors import CameraError, OutputError
 from urdfcal.vision.led import find_spots
 from urdfcal.vision.render import Light, Scenery, Sensor
-from urdfcal.vision.video import Video, write_video
+from urdfcal.vision.video import Frame, Video, write_video
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -74,6 +75,21 @@ def test_leds_are_found_in_a_video_as_in_files(path: Path, threads: int) -> None
     # MPEG-4 leaves one spot in fifteen unround, and those are not taken.
     assert reasons.count("") > 0.85 * COUNT
     assert np.sqrt(np.mean(miss**2)) < 0.1
+
+
+def test_a_few_pictures_are_in_memory_at_a_time(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    alive: weakref.WeakSet[Frame] = weakref.WeakSet()
+    most = 0
+
+    class Counted(Frame):
+        def __post_init__(self) -> None:
+            nonlocal most
+            alive.add(self)
+            most = max(most, len(alive))
+
+    monkeypatch.setattr("urdfcal.vision.video.Frame", Counted)
+    find_spots(Video(path, tuple(range(COUNT)), COUNT), SIZE, threads=2, place=np.zeros(COUNT, dtype=np.intp))
+    assert 1 <= most <= 6
 
 
 def test_an_arm_that_waits_is_no_lamp(tmp_path: Path) -> None:
