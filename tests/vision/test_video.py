@@ -82,8 +82,9 @@ def test_a_few_pictures_are_in_memory_at_a_time(path: Path, monkeypatch: pytest.
     most = 0
 
     class Counted(Frame):
-        def __post_init__(self) -> None:
+        def __init__(self, image: Image, where: str) -> None:
             nonlocal most
+            super().__init__(image, where)
             alive.add(self)
             most = max(most, len(alive))
 
