@@ -159,15 +159,21 @@ class Tangent:
             d_led = (E.reshape(N, m * D, 3) @ motion.R).reshape(N * m, D, 3)
             for index in range(parameters.leds):
                 self._put(J, parameters.led(index), d_led * (led == index).reshape(-1, 1, 1))
-        if parameters.clocks and observations.trajectory is not None:
-            # A clock that is late by dt lets the joints run on by dq = q' dt.
-            velocity = observations.trajectory.velocities(state.time_offsets)[poses]
-            tip = motion.regressor @ (joint_axes(self.table.chain) @ velocity[..., None])
-            by_clock = (tip_to_value @ tip).reshape(N * m, D, 1)
-            for position, c in enumerate(parameters.clocks):
-                seen = np.flatnonzero(camera == c)
-                self._put(J, parameters.clock(position), by_clock[seen], seen)
-        return Linearisation(residual.reshape(N, m, D), J.reshape(N, m, D, -1), tip_to_value, motion)
+        at = Linearisation(residual.reshape(N, m, D), J.reshape(N, m, D, -1), tip_to_value, motion)
+        self._put_clocks(J, at, poses)
+        return at
+
+    def _put_clocks(self, J: Floats, at: Linearisation, poses: slice) -> None:
+        """Write how values move as a camera's clock does: dt later the joints have run on by dq = q' dt."""
+        trajectory, clocks = self.observations.trajectory, self.parameters.clocks
+        if trajectory is None or not clocks:
+            return
+        velocity = trajectory.velocities(self.state.time_offsets)[poses]
+        by_clock = (at.by_joints(self.table.chain) @ velocity[:, None, :, None]).reshape(*J.shape[:2], 1)
+        camera = self.observations.camera[poses]
+        for position, c in enumerate(clocks):
+            seen = np.flatnonzero(camera == c)
+            self._put(J, self.parameters.clock(position), by_clock[seen], seen)
 
     def _put(self, J: Floats, where: slice, block: Floats, seen: Ints | slice = _EVERY) -> None:
         """Write the active ones of a block of derivatives, by the parameters ``where``, into some rows of J."""

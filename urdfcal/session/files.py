@@ -11,7 +11,7 @@ import numpy as np
 from urdfcal.errors import SessionError
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.urdf import Urdf, find_urdf
-from urdfcal.session import frames, tables
+from urdfcal.session import frame_tables, tables
 from urdfcal.session.model import Detections, Led, Points, Positions, RigDescription, Session
 from urdfcal.session.names import suggest
 from urdfcal.session.plausibility import Inputs, Taken, check, check_positions
@@ -185,7 +185,7 @@ class _Placed:
     """
 
     poses: Mapping[str, Any]
-    joints: tables.JointTable | frames.LogTable
+    joints: tables.JointTable | frame_tables.LogTable
     taken: Taken
     sha256: Mapping[str, str]
     read_detections: Callable[[Path, Sequence[str], float], tables.SightingTable]
@@ -211,17 +211,17 @@ def _read_still(document: Document, keys: SessionFile, setup: Mapping[str, Any])
 
 def _read_moving(document: Document, keys: SessionFile, setup: Mapping[str, Any]) -> _Placed:
     chain = setup["chain"]
-    joints = frames.read_log(_file(document, "joints"), chain, setup["urdf"].joints)
-    taken = frames.read_frames(_file(document, "frames"), setup["rig"].names)
-    trajectory, pose, warnings = frames.combine(joints, taken, chain)
+    joints = frame_tables.read_log(_file(document, "joints"), chain, setup["urdf"].joints)
+    taken = frame_tables.read_frames(_file(document, "frames"), setup["rig"].names)
+    trajectory, pose, warnings = frame_tables.combine(joints, taken, chain)
     labels = tuple(f"{taken.cameras[c]}/{trajectory.label(k)}" for k, c in enumerate(trajectory.camera.tolist()))
     q = trajectory.values(np.zeros(len(taken.cameras)))
     return _Placed(
         poses={"poses": labels, "q": q, "time": trajectory.time, "trajectory": trajectory},
         joints=joints,
-        taken=Taken(taken.table.path, labels, chain.readings(q), still=frames.STILL),
+        taken=Taken(taken.table.path, labels, chain.readings(q), still=frame_tables.STILL),
         sha256={keys.joints: joints.table.source.sha256, str(keys.frames): taken.table.source.sha256},
-        read_detections=lambda path, leds, sigma: frames.read_frame_detections(path, taken, pose, leds, sigma),
+        read_detections=lambda path, leds, sigma: frame_tables.read_frame_detections(path, taken, pose, leds, sigma),
         warnings=(*joints.warnings, *warnings),
     )
 

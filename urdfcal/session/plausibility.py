@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from urdfcal.arrays import Floats
     from urdfcal.robot.chain import Chain, Joint
-    from urdfcal.session.frames import LogTable
+    from urdfcal.session.frame_tables import LogTable
     from urdfcal.session.model import Led, Noise
     from urdfcal.session.schema import Document
     from urdfcal.session.tables import SightingTable
