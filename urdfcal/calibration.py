@@ -11,11 +11,12 @@ import pinocchio as pin
 
 from urdfcal.arrays import Bools, Floats, frozen, inverse
 from urdfcal.errors import CalibrationError, OutputError, SessionError
+from urdfcal.estimation.clocks import start_state
 from urdfcal.estimation.observations import Observations, observe
 from urdfcal.estimation.residuals import predict
 from urdfcal.estimation.selection import Comparison, Trial, compare_models, with_fit
 from urdfcal.estimation.several import Candidate, several
-from urdfcal.estimation.start import first_state, triangulated
+from urdfcal.estimation.start import triangulated
 from urdfcal.estimation.uncertainty import tip_covariance
 from urdfcal.result import FORMAT, Calibration, corrected_name, describe
 from urdfcal.robot.dh import DHTable
@@ -56,7 +57,7 @@ class FittedCalibration(Calibration):
     """A calibration with the session and the estimate it came from.
 
     Attributes:
-        session: what was measured.
+        session: what was measured; of an arm that moved, joint values at the estimated time offsets.
         table: the DH rows as drawn.
         geometry: what was estimated of the arm: the offsets of those rows, or of whole placements.
         observations: the session's sightings, in the order the solutions' deviations follow.
@@ -247,12 +248,18 @@ class FittedCalibration(Calibration):
         return result
 
     def _held_out_interval(self) -> list[float]:
-        """95 % interval of the held-out rms distance, in mm, by resampling whole poses (bootstrap percentiles)."""
-        squares, counts = np.zeros(len(self.session.poses)), np.zeros(len(self.session.poses))
+        """95 % interval of the held-out rms distance, in mm, by resampling whole poses (bootstrap percentiles).
+
+        Of an arm that moved whole seconds: the errors of neighbouring frames are alike.
+        """
+        unit = np.arange(len(self.session.poses))
+        if self.session.trajectory is not None:
+            unit = np.floor(self.session.trajectory.time - self.session.trajectory.time.min()).astype(np.intp)
+        squares, counts = np.zeros(unit.max() + 1), np.zeros(unit.max() + 1)
         chosen = self.comparison.chosen
         for block, kept, distance in zip(self.observations, chosen.fit.kept, chosen.held_out.distance, strict=True):
-            np.add.at(squares, block.pose, np.sum(np.where(kept, distance, 0.0) ** 2, axis=1))
-            np.add.at(counts, block.pose, np.sum(kept, axis=1))
+            np.add.at(squares, unit[block.pose], np.sum(np.where(kept, distance, 0.0) ** 2, axis=1))
+            np.add.at(counts, unit[block.pose], np.sum(kept, axis=1))
         seen = np.flatnonzero(counts)
         sample = np.random.default_rng(self.seed).choice(seen, (_RESAMPLES, len(seen)))
         rms = 1e3 * np.sqrt(squares[sample].sum(axis=1) / counts[sample].sum(axis=1))
@@ -346,7 +353,18 @@ class FittedCalibration(Calibration):
             "link": frames.names[frame],
             **place,
             "sigma": self._camera_sigma(c, next(iter(place))),
+            **self._clock(c),
         }
+
+    def _clock(self, c: int) -> dict[str, Any]:
+        """Of an arm that moved, the time offset of a camera's clock in s, t_robot = t_camera + offset."""
+        if not len(self.estimate.time_offsets):
+            return {}
+        parameters, sigma = self.fit.parameters, np.nan
+        if c in parameters.clocks:
+            sigma = float(self._sigma[parameters.clock(parameters.clocks.index(c))][0])
+        known = float(sigma) if np.isfinite(sigma) else None
+        return {"time_offset": {"value": float(self.estimate.time_offsets[c]), "sigma": known}}
 
     def _camera_sigma(self, c: int, place: str) -> dict[str, list[float | None]]:
         """Standard deviations of what was estimated of a camera; its place's of a small motion in its own frame."""
@@ -426,7 +444,7 @@ def calibrate(
         )
     table = rows_of(session.chain)
     geometry: Geometry = PlacementTable(session.chain) if session.estimate.geometry == "full" else table
-    start = first_state(session, geometry, np.zeros((len(geometry.labels), len(geometry.columns))))
+    start = start_state(session, geometry, np.zeros((len(geometry.labels), len(geometry.columns))))
     blocks = observe(session)
     if method == "points":
         blocks, start = _as_points(session), replace(start, cameras=(), T_cam_world=np.zeros((0, 4, 4)))
@@ -443,7 +461,7 @@ def calibrate(
             "; ".join(comparison.failures), where="not written", remedy="--force writes it all the same."
         )
     return FittedCalibration(
-        session=session,
+        session=session.with_clocks(comparison.chosen.fit.state.time_offsets),
         table=table,
         geometry=geometry,
         observations=blocks,
@@ -455,6 +473,11 @@ def calibrate(
 
 
 def _as_points(session: Session) -> tuple[Observations, ...]:
+    if session.trajectory is not None:
+        raise CalibrationError(
+            "no point can be triangulated: every frame is taken by one camera, at a time of its own",
+            remedy="Leave --method points out.",
+        )
     points = triangulated(session)
     if points is None:
         raise CalibrationError(

@@ -121,6 +121,13 @@ class LedKeys(_Keys):
     sigma: list[float | None]
 
 
+class ClockKeys(_Keys):
+    """The time offset of a camera's clock, in s; sigma null where it was held."""
+
+    value: float
+    sigma: float | None
+
+
 class CameraKeys(_Keys):
     """A camera as it was used or found: standing in the world, or riding on a link."""
 
@@ -131,6 +138,7 @@ class CameraKeys(_Keys):
     T_cam_world: Transform | None = None
     T_link_camera: Transform | None = None
     sigma: dict[Literal["intrinsics", "distortion", "T_cam_world", "T_link_camera"], list[float | None]]
+    time_offset: ClockKeys | None = None
 
     @model_validator(mode="after")
     def _somewhere(self) -> CameraKeys:

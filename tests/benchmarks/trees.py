@@ -3,8 +3,8 @@
     python -m tests.benchmarks.trees [--seeds 20] [--poses 50] [--rigs tiago ...]
 
 For every rig and seed: simulate, calibrate without priors, and compare where each camera should see each LED in space,
-at new poses, with the truth: the LED's place in the camera's frame holds everything that can be told, and nothing of what
-cannot (where a base stands that no camera sees; how a torso moves that carries both camera and arm). The bound is
+at new poses, with the truth: the LED's place in the camera's frame holds everything that can be told, and nothing of
+what cannot (where a base stands that no camera sees; how a torso moves that carries both camera and arm). The bound is
 Cramer and Rao's: the inverse of the information of the true Jacobian (pixels and joint readings, no priors),
 propagated to these places. One camera on a robot of turning joints has no scale but a link's length: of every lost
 direction the truth's own value is held, in the estimate as in the bound. Printed are medians over the seeds.

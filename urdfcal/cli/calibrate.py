@@ -171,8 +171,12 @@ def _print(overview: Overview, paths: Sequence[Path], remarks: Sequence[str]) ->
         f"{fit['poses']} poses, {fit['observations']} measured numbers, {fit['parameters']} parameters, "
         f"{len(document['outliers'])} outliers"
     )
+    cameras = document["cameras"].items()
+    clocks = [f"{name} {_clock(**camera['time_offset'])}" for name, camera in cameras if "time_offset" in camera]
+    if clocks:
+        line(f"time offsets, robot less camera: {', '.join(clocks)}")
     rows = len(calibration.chain.joints)
-    printed = 4 + 3  # the files below
+    printed = 4 + bool(clocks) + 3  # the files below
     if rows <= _MOST_ROWS:
         console.print(_corrections(calibration))
         printed += rows + 5  # title, head, rule, and a blank line above and below
@@ -185,6 +189,11 @@ def _print(overview: Overview, paths: Sequence[Path], remarks: Sequence[str]) ->
     for path in paths:
         if path.suffix != ".json":
             line(str(path) if path.suffix != ".rrd" else f"{path}   (urdfcal view {path.parent})")
+
+
+def _clock(value: float, sigma: float | None) -> str:
+    """A camera's time offset, given in s."""
+    return f"{1e3 * value:.3g} (held)" if sigma is None else f"{1e3 * value:+.2f} ± {1e3 * sigma:.2f} ms"
 
 
 def _corrections(calibration: FittedCalibration) -> object:

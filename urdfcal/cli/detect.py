@@ -23,7 +23,7 @@ _COLOURS = ("any", "red", "green", "blue")
     "--debug-images", type=click.Path(path_type=Path), help="Folder for drawings of what was found in each image."
 )
 def command(session: Path, colour: Colour, debug_images: Path | None) -> None:
-    """Find the LEDs in SESSION/images/<camera>/<pose>.png and write detections.csv.
+    """Find the LEDs in SESSION/images/<camera>/<pose>.png, or <camera>.mp4, and write detections.csv.
 
     With several LEDs the images are called <pose>.<led>.png; <pose>.off.png, with the LEDs dark, is subtracted.
     What was rejected, and why, is in detections_rejected.csv.

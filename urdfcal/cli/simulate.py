@@ -8,11 +8,15 @@ import click
 
 from urdfcal.cli.options import seed_option
 
+_POSITIVE = click.FloatRange(min=0.0, min_open=True)
+
 
 @click.command("simulate")
 @click.argument("rig", metavar="RIG")
 @click.option("-o", "--output", "session", type=click.Path(path_type=Path), required=True, help="Folder to write.")
-@click.option("--poses", type=click.IntRange(min=3), default=50, show_default=True, help="Number of arm positions.")
+@click.option(
+    "--poses", type=click.IntRange(min=3), help="Number of arm positions.  [default: 50; with --trajectory 15]"
+)
 @seed_option
 @click.option("--pixel", type=click.FloatRange(min=0.0), help="Noise of the sightings in px.  [default: the rig's]")
 @click.option(
@@ -29,7 +33,20 @@ from urdfcal.cli.options import seed_option
     show_default=True,
     help="Fraction of sightings moved by 5 to 200 px.",
 )
+@click.option("--trajectory", is_flag=True, help="Film the arm on its way from pose to pose.")
+@click.option("--speed", type=_POSITIVE, default=0.5, show_default=True, help="Of its fastest joint, rad/s or m/s.")
+@click.option("--frame-rate", type=_POSITIVE, default=30.0, show_default=True, help="Of each camera, Hz.")
+@click.option("--joint-rate", type=_POSITIVE, default=125.0, show_default=True, help="Of the joint readings, Hz.")
+@click.option(
+    "--time-offset",
+    "time_offsets",
+    type=float,
+    multiple=True,
+    metavar="S",
+    help="t_robot - t_camera in s, once a camera.  [default: within 30 ms]",
+)
 @click.option("--images", is_flag=True, help="Write what the cameras saw instead of detections.csv.")
+@click.option("--video", is_flag=True, help="Write it as one video a camera.")
 @click.option(
     "--distractors", is_flag=True, help="Images with lamps, reflections, hot pixels, streaks and a hidden LED."
 )
@@ -43,12 +60,18 @@ from urdfcal.cli.options import seed_option
 def command(
     rig: str,
     session: Path,
-    poses: int,
+    poses: int | None,
     seed: int,
     pixel: float | None,
     error_scale: float,
     outliers: float,
+    trajectory: bool,
+    speed: float,
+    frame_rate: float,
+    joint_rate: float,
+    time_offsets: tuple[float, ...],
     images: bool,
+    video: bool,
     distractors: bool,
     peak: float,
 ) -> None:
@@ -58,10 +81,18 @@ def command(
     from urdfcal.session.rigs import find_rig
     from urdfcal.session.simulate import simulate, write_simulated
 
-    if distractors and not images:
+    filmed = images or video
+    if distractors and not filmed:
         raise click.UsageError("--distractors goes with --images")
-    if images and (outliers or pixel is not None):
+    if filmed and (outliers or pixel is not None):
         raise click.UsageError("--pixel and --outliers do not go with --images: the images decide")
+    if video and not trajectory:
+        raise click.UsageError("--video goes with --trajectory")
+    if images and video:
+        raise click.UsageError("--images and --video: choose one")
+    if time_offsets and not trajectory:
+        raise click.UsageError("--time-offset goes with --trajectory")
+    poses = poses or (15 if trajectory else 50)
     description = read_rig(find_rig(rig))
     with progress_bar("posing", poses) as advance:
         simulated = simulate(
@@ -73,13 +104,23 @@ def command(
             outliers=outliers,
             progress=advance,
         )
-    if images:
-        from urdfcal.session.simulate_images import Exposure, write_simulated_images
+    if trajectory:
+        from urdfcal.session.simulate_motion import Motion, set_in_motion
 
+        simulated = set_in_motion(simulated, Motion(speed, frame_rate, joint_rate, time_offsets))
+    if filmed:
+        from urdfcal.session.simulate_images import Exposure, write_simulated_images, write_simulated_videos
+
+        exposure = Exposure(peak=peak, distractors=distractors)
         with progress_bar("rendering", None) as advance:
-            write_simulated_images(session, simulated, Exposure(peak=peak, distractors=distractors), advance)
+            if video:
+                write_simulated_videos(session, simulated, exposure, frame_rate, advance)
+            else:
+                write_simulated_images(session, simulated, exposure, advance)
     else:
         write_simulated(session, simulated)
     for warning in simulated.session.warnings:
         click.echo(f"- {warning}", err=True)
+    if trajectory:
+        click.echo(f"{session}: the arm moves; {len(simulated.session.poses)} frames")
     click.echo(f"{session}: {poses} poses of {description.chain.name}, seed {seed}; the truth is in truth.urdf")

@@ -9,12 +9,13 @@ import numpy as np
 
 from urdfcal.arrays import Floats, frozen
 from urdfcal.errors import RobotError
+from urdfcal.estimation.clocks import start_state
 from urdfcal.estimation.freedoms import nominal
 from urdfcal.estimation.observations import observe
 from urdfcal.estimation.parameters import choose_parameters
 from urdfcal.estimation.residuals import predict
 from urdfcal.estimation.solver import solve
-from urdfcal.estimation.start import first_state, kabsch
+from urdfcal.estimation.start import kabsch
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.robot.tree_dh import rows_of
 
@@ -137,7 +138,7 @@ def explain(chain: Mechanism, session: Session, progress: Progress | None = None
     session = replace(session, chain=chain)
     table = rows_of(chain)
     blocks = observe(session)
-    start = first_state(session, table, np.zeros_like(table.nominal))
+    start = start_state(session, table, np.zeros_like(table.nominal))
     freedoms = nominal(session, start)
     free: Freedom = "free"
     parameters = choose_parameters(

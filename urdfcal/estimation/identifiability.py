@@ -63,8 +63,8 @@ class Identifiability:
 def identify(table: Geometry, blocks: Sequence[Observations], state: State, parameters: Parameters) -> Identifiability:
     """Find the directions that the sightings cannot tell, and hold a parameter for each.
 
-    Of the parameters that take a fair part in a lost direction, the first in the order d, a, theta, alpha, beta, inner rows
-    first, is named for it, so that two runs agree; then LED coordinates, then the base. It is held at its nominal
+    Of the parameters that take a fair part in a lost direction, the first in the order d, a, theta, alpha, beta, inner
+    rows first, is named for it, so that two runs agree; then LED coordinates, then the base. It is held at its nominal
     value unless several DH parameters with tolerances share the direction (as all lengths share the scale that one
     camera cannot tell): their tolerances then say more together than one nominal value.
     """

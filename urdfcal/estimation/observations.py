@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +12,7 @@ from urdfcal.arrays import Bools, Floats, Ints, frozen
 if TYPE_CHECKING:
     from urdfcal.session.frames import Frames
     from urdfcal.session.model import Session
+    from urdfcal.session.trajectory import Trajectory
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +30,7 @@ class Observations:
         value: (N, m, D) pixels, or metres.
         covariance: (N, m, D, D) of the measurement alone; identity for padding.
         frames: what the LEDs and the cameras are fastened to.
+        trajectory: of an arm that moved: the N frames, whose joint values depend on the cameras' time offsets.
     """
 
     pose: Ints
@@ -39,6 +41,17 @@ class Observations:
     value: Floats
     covariance: Floats
     frames: Frames
+    trajectory: Trajectory | None = None
+
+    def joints(self, time_offsets: Floats) -> Floats:
+        """(N, n) joint values under the cameras' time offsets (C,) in s. [rad or m]."""
+        return self.q if self.trajectory is None else self.trajectory.values(time_offsets)
+
+    def at(self, poses: slice | Bools) -> Observations:
+        """The observations of some of the poses."""
+        trajectory = None if self.trajectory is None else self.trajectory.at(np.arange(len(self.pose))[poses])
+        arrays = ("pose", "q", "row", "led", "camera", "value", "covariance")
+        return replace(self, **{name: getattr(self, name)[poses] for name in arrays}, trajectory=trajectory)
 
     @property
     def dimension(self) -> int:
@@ -118,7 +131,10 @@ def observe(session: Session) -> tuple[Observations, ...]:
     blocks = []
     if session.detections is not None:
         d = session.detections
-        blocks.append(arrange(session.q, d.pose, d.led, d.camera, d.uv, _isotropic(d.sigma, 2), session.frames))
+        block = arrange(session.q, d.pose, d.led, d.camera, d.uv, _isotropic(d.sigma, 2), session.frames)
+        if session.trajectory is not None:
+            block = replace(block, trajectory=session.trajectory.at(block.pose))
+        blocks.append(block)
     if session.points is not None:
         p = session.points
         nowhere = np.full_like(p.led, -1)

@@ -23,6 +23,10 @@ if TYPE_CHECKING:
 LED_TOLERANCE = 0.02
 """Standard deviation of an LED position given without one: a hand-held ruler on a gripper. [m]"""
 
+CLOCK = 1.0
+"""Standard deviation of a camera's time offset: driver and transport delay a frame by 10 to 100 ms, clocks that are set
+by hand or seldom differ by a second; a moving arm tells it to a fraction of a millisecond whatever is believed. [s]"""
+
 _POSE_AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 
@@ -63,7 +67,7 @@ class Geometry(Protocol):
 class Parameters:
     """The packing of the estimated part of a ``State`` into one vector.
 
-    The full vector holds the DH offsets, the base pose, the LEDs, the camera poses, the lenses; ``active``
+    The full vector holds the DH offsets, the base pose, the LEDs, the camera poses, the lenses, the clocks; ``active``
     says which of its entries are estimated, the others keep their value.
 
     Attributes:
@@ -74,6 +78,7 @@ class Parameters:
         leader: (C,) for each camera the first one in the same frame: where that goes, the others go with it.
         lenses: indices of the cameras whose intrinsics are parameters.
         lens_sizes: number of intrinsics of each of them.
+        clocks: indices of the cameras whose time offset is a parameter.
         names: of every entry of the full vector.
         active: (P,) bool.
         prior: (P,) standard deviation about the centre; inf where there is no prior. [unit of the entry]
@@ -92,6 +97,7 @@ class Parameters:
     leader: tuple[int, ...]
     lenses: tuple[int, ...]
     lens_sizes: tuple[int, ...]
+    clocks: tuple[int, ...]
     names: tuple[str, ...]
     active: Bools
     prior: Floats
@@ -129,14 +135,23 @@ class Parameters:
 
     def lens(self, position: int) -> slice:
         """Where the intrinsics of ``lenses[position]`` are in the full vector."""
-        first = self.base.stop + 3 * self.leds + 6 * len(self.cameras) + sum(self.lens_sizes[:position])
-        return slice(first, first + self.lens_sizes[position])
+        first = self.base.stop + 3 * self.leds + 6 * len(self.cameras)
+        return slice(first + sum(self.lens_sizes[:position]), first + sum(self.lens_sizes[: position + 1]))
+
+    def clock(self, position: int) -> slice:
+        """Where the time offset of ``clocks[position]`` is in the full vector."""
+        first = self.lens(len(self.lenses)).start + position
+        return slice(first, first + 1)
 
     def holding(self, held: Mapping[int, str]) -> Parameters:
         """The same packing with more entries held at their value, each for a reason."""
         active = np.array(self.active)
         active[list(held)] = False
         return replace(self, active=frozen(active, bool), reasons={**self.reasons, **held})
+
+    @property
+    def _clock_block(self) -> slice:
+        return slice(self.clock(0).start, self.size)
 
     def move(self, state: State, step: Floats) -> State:
         """Apply a step of the active entries: poses move on the manifold, everything else adds.
@@ -161,12 +176,15 @@ class Parameters:
         cameras = list(state.cameras)
         for position, c in enumerate(self.lenses):
             cameras[c] = cameras[c].with_parameters(cameras[c].parameters + full[self.lens(position)])
+        time_offsets = np.array(state.time_offsets)
+        time_offsets[list(self.clocks)] += full[self._clock_block]
         return State(
             offsets=offsets,
             T_world_base=state.T_world_base @ pin.exp6(full[self.base]).homogeneous,
             leds=leds,
             cameras=tuple(cameras),
             T_cam_world=T_cam_world,
+            time_offsets=time_offsets,
         )
 
     @cached_property
@@ -217,6 +235,8 @@ class Parameters:
             J[where, where] = pin.Jlog6(difference) @ difference.inverse().action
         for position, c in enumerate(self.lenses):
             full[self.lens(position)] = state.cameras[c].parameters - self.centre.cameras[c].parameters
+        clocks = list(self.clocks)
+        full[self._clock_block] = state.time_offsets[clocks] - self.centre.time_offsets[clocks]
         return full, J
 
     def distance_residuals(self, state: State) -> tuple[Floats, Floats]:
@@ -275,8 +295,13 @@ def choose_parameters(session: Session, table: Geometry, centre: State, freedoms
     known = CameraPrior.of(session, freedoms, moving, lenses)
     held |= {cameras + int(k): "its calibration gives it as exact" for k in np.flatnonzero(known.sigma == 0.0)}
     prior += np.where(known.sigma > 0.0, known.sigma, np.inf).tolist()
+    seen = slice(cameras, len(names))
+    free_clocks = session.estimate.time_offset != "fixed"
+    clocks = tuple(range(len(centre.time_offsets))) if free_clocks else ()
+    names += [f"{centre.cameras[c].name}.time_offset" for c in clocks]
+    prior += [CLOCK] * len(clocks)
     correlation, measured = np.eye(len(names)), np.zeros(len(names), bool)
-    correlation[cameras:, cameras:], measured[cameras:] = known.correlation, known.measured
+    correlation[seen, seen], measured[seen] = known.correlation, known.measured
     return Parameters(
         rows=tuple(rows),
         columns=table.columns,
@@ -285,6 +310,7 @@ def choose_parameters(session: Session, table: Geometry, centre: State, freedoms
         leader=tuple(frames.leader.tolist()) if centre.cameras else (),
         lenses=tuple(lenses),
         lens_sizes=tuple(len(centre.cameras[c].parameters) for c in lenses),
+        clocks=clocks,
         names=tuple(names),
         active=frozen(np.ones(len(names)), bool),
         prior=frozen(prior),
@@ -303,7 +329,8 @@ def choose_parameters(session: Session, table: Geometry, centre: State, freedoms
 def _as_given(session: Session, state: State) -> State:
     """The state with everything that the session gives as given, and an arm as drawn."""
     leds = [at if led.position is None else led.position for led, at in zip(session.leds, state.leds, strict=True)]
-    given = replace(state, offsets=np.zeros_like(state.offsets), leds=np.array(leds))
+    clocks = np.zeros_like(state.time_offsets)
+    given = replace(state, offsets=np.zeros_like(state.offsets), leds=np.array(leds), time_offsets=clocks)
     if not state.cameras or session.rig is None:
         return given
     places = [at if T is None else T for T, at in zip(session.frames.T_cam_frame, state.T_cam_world, strict=True)]

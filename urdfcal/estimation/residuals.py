@@ -48,10 +48,11 @@ class Linearisation:
 def view(table: Geometry, observations: Observations, state: State) -> Floats:
     """Where every LED is in the frame that its camera is fixed in, (N, m, 3): the world, or a link. [m]."""
     frames = observations.frames
-    poses = link_poses(table.chain, observations.q, frames.tips, table.placements(state.offsets))
-    T_base_world = np.broadcast_to(inverse(state.T_world_base), (len(observations.q), 4, 4))
+    q = observations.joints(state.time_offsets)
+    poses = link_poses(table.chain, q, frames.tips, table.placements(state.offsets))
+    T_base_world = np.broadcast_to(inverse(state.T_world_base), (len(q), 4, 4))
     T_base_frame = np.array([T_base_world, *poses])
-    each = np.arange(len(observations.q))[:, None]
+    each = np.arange(len(q))[:, None]
     T_base_led = T_base_frame[observations.led_frame, each]
     p_base = T_base_led[..., :3, 3] + (T_base_led[..., :3, :3] @ state.leds[observations.led][..., None])[..., 0]
     T_view_base = inverse(T_base_frame)[observations.view_frame, each]
@@ -97,6 +98,7 @@ class Tangent:
         parameters: the derivative's columns.
         model: of the arm at the state.
         G: (6 n, p) body twists of the placements for each of the arm's active parameters.
+        q: (N, n) joint values at the state. [rad or m]
     """
 
     table: Geometry
@@ -105,13 +107,15 @@ class Tangent:
     parameters: Parameters
     model: pin.Model
     G: Floats
+    q: Floats
 
     @classmethod
     def at(cls, table: Geometry, observations: Observations, state: State, parameters: Parameters) -> Tangent:
         """Prepare."""
         model = table.chain.build_model(table.placements(state.offsets))
         rows = [row for row, active in zip(parameters.rows, parameters.active, strict=False) if active]
-        return cls(table, observations, state, parameters, model, table.twists(state.offsets, rows))
+        q = observations.joints(state.time_offsets)
+        return cls(table, observations, state, parameters, model, table.twists(state.offsets, rows), q)
 
     def linearise(self, poses: slice) -> Linearisation:
         """Evaluate residuals and derivatives for some of the observations' N poses.
@@ -124,7 +128,7 @@ class Tangent:
         frames = observations.frames
         led, camera, measured = observations.led[poses], observations.camera[poses], observations.value[poses]
         led_frame, view_frame = frames.led[led], observations.view_frame[poses]
-        motions = link_motions(self.table.chain, self.model, observations.q[poses], frames.tips)
+        motions = link_motions(self.table.chain, self.model, self.q[poses], frames.tips)
         R_world_base, t_world_base = state.T_world_base[:3, :3], state.T_world_base[:3, 3]
         N, m, D = measured.shape
 
@@ -173,7 +177,21 @@ class Tangent:
             for index in range(parameters.leds):
                 d_led = (E.reshape(N, m * D, 3) @ R_base_frame[frames.led[index]]).reshape(N * m, D, 3)
                 self._put(J, parameters.led(index), d_led * (led == index).reshape(-1, 1, 1))
-        return Linearisation(residual.reshape(N, m, D), J.reshape(N, m, D, -1), link_to_value, motions)
+        at = Linearisation(residual.reshape(N, m, D), J.reshape(N, m, D, -1), link_to_value, motions)
+        self._put_clocks(J, at, poses)
+        return at
+
+    def _put_clocks(self, J: Floats, at: Linearisation, poses: slice) -> None:
+        """Write how values move as a camera's clock does: dt later the joints have run on by dq = q' dt."""
+        trajectory, clocks = self.observations.trajectory, self.parameters.clocks
+        if trajectory is None or not clocks:
+            return
+        velocity = trajectory.velocities(self.state.time_offsets)[poses]
+        by_clock = (at.by_joints(self.table.chain) @ velocity[:, None, :, None]).reshape(*J.shape[:2], 1)
+        camera = self.observations.camera[poses]
+        for position, c in enumerate(clocks):
+            seen = np.flatnonzero(camera == c)
+            self._put(J, self.parameters.clock(position), by_clock[seen], seen)
 
     def _place(self, motions: tuple[LinkMotion, ...], led: Ints, led_frame: Ints) -> tuple[Floats, Floats]:
         """The LEDs of the slots (N, m): from their link's origin, and from the base link's, both (N, m, 3), m."""
@@ -244,7 +262,7 @@ def _by_placements(link_to_value: tuple[Floats, ...], motions: tuple[LinkMotion,
 def _carry(matrices: Floats, right: Floats) -> Floats:
     """``matrices @ right`` as one product: many small ones cost several times as much."""
     N, rows, columns = matrices.shape
-    result: Floats = (matrices.reshape(N * rows, columns) @ right).reshape(N, rows, -1)
+    result: Floats = (matrices.reshape(N * rows, columns) @ right).reshape(N, rows, right.shape[1])
     return result
 
 

@@ -98,7 +98,8 @@ def _start(session: Session, table: Geometry, first: Solution, rng: np.random.Ge
         limit = _FAR_LENGTH * table.chain.reach if length else np.pi
         near = _NEAR * (session.tolerances.length if length else session.tolerances.zero)
         offsets[row, parameters.columns.index(name)] = rng.uniform(-limit, limit) if far else rng.normal(0.0, near)
-    return first_state(session, table, offsets)
+    clocks = first.state.time_offsets
+    return replace(first_state(session.with_clocks(clocks), table, offsets), time_offsets=clocks)
 
 
 def _screen(

@@ -71,7 +71,7 @@ def first_state(session: Session, table: Geometry, offsets: Floats) -> State:
     cameras = session.rig.cameras if session.rig is not None and session.detections is not None else ()
     if not cameras and T_world_base is None:
         raise CalibrationError("there are no sightings to start from")
-    view = _View(session, links) if cameras else None
+    view = View(session, links) if cameras else None
     T_cam_frame: list[Floats | None] = list(frames.T_cam_frame[: len(cameras)])
     if T_world_base is None and view is not None:
         T_world_base = view.base(T_cam_frame, leds) if len(frames.standing) else np.eye(4)
@@ -105,7 +105,7 @@ def _placed(frames: Frames, points: tuple[Ints, Ints, Floats] | None, count: int
 
 
 @dataclass(frozen=True, eq=False)
-class _View:
+class View:
     """What the cameras saw, and how the links that carry LEDs and cameras were placed.
 
     Attributes:
@@ -122,7 +122,7 @@ class _View:
         seen = np.bincount(detections.camera if detections is not None else [], minlength=len(T_cam_frame))
         places = {c: T for c in self.session.frames.standing if (T := T_cam_frame[c]) is not None}
         c = max(places, key=lambda c: int(seen[c]))
-        return inverse(places[c]) @ self._resect(int(c), np.eye(4), leds)
+        return inverse(places[c]) @ self.resect(int(c), np.eye(4), leds)
 
     def place(self, c: int, T_world_base: Floats, leds: Floats, by_leader: Floats | None) -> Floats:
         """T_cam_frame of a camera of unknown pose: by the one that leads it, else by PnP."""
@@ -131,7 +131,7 @@ class _View:
         detections = self.session.detections
         if detections is not None and not np.any(detections.camera == c):
             return np.eye(4)  # a camera that sees nothing may be anywhere
-        return self._resect(c, T_world_base, leds)
+        return self.resect(c, T_world_base, leds)
 
     def meet(self, T_world_base: Floats, T_cam_frame: Sequence[Floats | None], leds: Floats, wanted: Bools) -> Floats:
         """Put LEDs (L, 3) where the rays that see them meet: least squares in their own frame, robust to no outlier.
@@ -161,6 +161,37 @@ class _View:
                 leds[index] = np.linalg.solve(A, b)
         return leds
 
+    def miss(self, c: int, leds: Floats) -> float:
+        """How far (median, px) a camera sees the LEDs from where they are, the camera put where that is least.
+
+        Raises:
+            CalibrationError: there is no such place.
+        """
+        T_cam = self.resect(c, np.eye(4), leds)
+        session = self.session
+        rows, T = self._placed(c, np.eye(4))
+        if session.rig is None or session.detections is None:
+            return np.inf
+        p_cam = (T_cam @ T @ np.insert(leds[session.detections.led[rows]], 3, 1.0, axis=1)[..., None])[:, :3, 0]
+        uv = session.rig.cameras[c].project(p_cam)
+        distance = np.linalg.norm(uv - session.detections.uv[rows], axis=1)
+        return float(np.median(np.where(np.isfinite(distance), distance, np.inf)))
+
+    def _placed(self, c: int, T_world_base: Floats) -> tuple[Ints, Floats]:
+        """A camera's sightings of LEDs of roughly known place: their rows, and T_view_led (S, 4, 4) of their frames."""
+        session, frames, d = self.session, self.session.frames, self.session.detections
+        if d is None:
+            return np.zeros(0, np.intp), np.zeros((0, 4, 4))
+        given = np.array([led.position is not None for led in session.leds])
+        # Where an LED stands in the world is known at most where the world is the base.
+        known = (frames.led != 0) | (given & (frames.camera[c] != 0))
+        mine = np.flatnonzero((d.camera == c) & known[d.led])
+        T = np.empty((len(mine), 4, 4))
+        for frame in np.unique(frames.led[d.led[mine]]):
+            here = frames.led[d.led[mine]] == frame
+            T[here] = self._between(d.pose[mine[here]], int(frame), int(frames.camera[c]), T_world_base)
+        return mine, T
+
     def _between(self, pose: Ints, led_frame: int, view_frame: int, T_world_base: Floats) -> Floats:
         """T_view_led (S, 4, 4) of the frames that an LED and a camera are fixed in."""
         return inverse(self._frame(pose, view_frame, T_world_base)) @ self._frame(pose, led_frame, T_world_base)
@@ -171,23 +202,16 @@ class _View:
         result: Floats = self.links[frame - 1, pose]
         return result
 
-    def _resect(self, camera: int, T_world_base: Floats, leds: Floats) -> Floats:
+    def resect(self, camera: int, T_world_base: Floats, leds: Floats) -> Floats:
         """The camera's place in its frame (4, 4) by PnP on the nominal arm's LED positions."""
         import cv2
 
-        session, frames = self.session, self.session.frames
-        if session.rig is None or session.detections is None:
+        session, d = self.session, self.session.detections
+        if session.rig is None or d is None:
             raise CalibrationError("there are no pictures to place a camera by")
-        lens, d = session.rig.cameras[camera], session.detections
-        given = np.array([led.position is not None for led in session.leds])
-        # Where an LED stands in the world is known at most where the world is the base.
-        known = (frames.led != 0) | (given & (frames.camera[camera] != 0))
-        mine = np.flatnonzero((d.camera == camera) & known[d.led])
+        lens = session.rig.cameras[camera]
+        mine, T = self._placed(camera, T_world_base)
         rays = lens.unproject(d.uv[mine])[:, :2]
-        T = np.empty((len(mine), 4, 4))
-        for frame in np.unique(frames.led[d.led[mine]]):
-            here = frames.led[d.led[mine]] == frame
-            T[here] = self._between(d.pose[mine[here]], int(frame), int(frames.camera[camera]), T_world_base)
         objects = T[:, :3, 3] + (T[:, :3, :3] @ leds[d.led[mine]][..., None])[..., 0]
         good = np.isfinite(rays[:, 0])
         if good.sum() < _ENOUGH:

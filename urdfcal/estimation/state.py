@@ -23,6 +23,7 @@ class State:
         leds: (L, 3) LED positions, each in the frame of what it is fastened to. [m]
         cameras: lenses, in the rig's order.
         T_cam_world: (C, 4, 4) in each camera the frame that it is fixed in: the world, or the link it rides on. [m]
+        time_offsets: (C,) of the cameras' clocks, t_robot = t_camera + offset; empty where the arm stood still. [s]
     """
 
     offsets: Floats
@@ -30,6 +31,7 @@ class State:
     leds: Floats
     cameras: tuple[Camera, ...] = ()
     T_cam_world: Floats = field(default_factory=lambda: np.zeros((0, 4, 4)))
+    time_offsets: Floats = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         for entry in fields(self):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +13,7 @@ from urdfcal.estimation.solver import deviations, refit
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from urdfcal.arrays import Bools, Floats
+    from urdfcal.arrays import Floats, Ints
     from urdfcal.estimation.observations import Observations
     from urdfcal.estimation.parameters import Geometry
     from urdfcal.estimation.solver import Solution
@@ -57,28 +57,33 @@ def hold_out(table: Geometry, blocks: Sequence[Observations], fit: Solution, joi
         joint_sigma: standard deviation of the joint readings. [rad or m]
         seed: of the division into folds.
     """
-    poses = np.unique(np.concatenate([block.pose for block in blocks]))
-    count = min(FOLDS, len(poses))
-    fold_of = dict(
-        zip(np.random.default_rng(seed).permutation(poses).tolist(), np.arange(len(poses)) % count, strict=True)
-    )
+    count = min(FOLDS, len(np.unique(np.concatenate([block.pose for block in blocks]))))
+    fold_of = _folds(blocks, count, seed)
     deviation, residual, distance = ([np.zeros(block.row.shape) for block in blocks] for _ in range(3))
     for fold in range(count):
-        left_out = [np.array([fold_of[pose] == fold for pose in block.pose.tolist()]) for block in blocks]
-        training = [_at(block, ~out) for block, out in zip(blocks, left_out, strict=True)]
+        left_out = [of_block == fold for of_block in fold_of]
+        training = [block.at(~out) for block, out in zip(blocks, left_out, strict=True)]
         kept = [keep[~out] for keep, out in zip(fit.kept, left_out, strict=True)]
         state = refit(table, training, kept, fit.state, fit.parameters, joint_sigma)
         for k, (block, out) in enumerate(zip(blocks, left_out, strict=True)):
-            unseen = _at(block, out)
+            unseen = block.at(out)
             deviation[k][out] = deviations(table, unseen, state, fit.parameters, joint_sigma)
             residual[k][out] = np.linalg.norm(predict(table, unseen, state) - unseen.value, axis=-1)
             distance[k][out] = residual[k][out] * distances_per_unit(table, unseen, state)
     return HeldOut(count, tuple(deviation), tuple(residual), tuple(distance))
 
 
-def _at(block: Observations, poses: Bools) -> Observations:
-    """The observations of some of the poses."""
-    return replace(
-        block,
-        **{name: getattr(block, name)[poses] for name in ("pose", "q", "row", "led", "camera", "value", "covariance")},
-    )
+def _folds(blocks: Sequence[Observations], count: int, seed: int) -> list[Ints]:
+    """The fold (N,) of each pose of each block: at random, or of an arm that moved stretches of time.
+
+    Neighbouring frames are nearly the same pose: to predict one from the other is no test.
+    """
+    if blocks[0].trajectory is not None:
+        time = blocks[0].trajectory.time
+        fold = np.empty(len(time), dtype=np.intp)
+        fold[np.argsort(time, kind="stable")] = np.arange(len(time)) * count // len(time)
+        return [fold]
+    poses = np.unique(np.concatenate([block.pose for block in blocks]))
+    shuffled = np.random.default_rng(seed).permutation(poses)
+    fold_of = dict(zip(shuffled.tolist(), np.arange(len(poses)) % count, strict=True))
+    return [np.array([fold_of[pose] for pose in block.pose.tolist()]) for block in blocks]

@@ -28,6 +28,8 @@ def sentence(table: Geometry, parameters: Parameters, victim: int, partners: Seq
     arm = [k for k in partners if k < len(parameters.rows)]
     base = [k for k in partners if parameters.base.start <= k < parameters.base.stop]
     leds = [k for k in partners if parameters.base.stop <= k < parameters.base.stop + 3 * parameters.leds]
+    if not partners and victim >= parameters.clock(0).start:
+        return f"{name} cannot be told: the arm does not move in that camera's frames; it is held as it is"
     if not partners:
         return f"{name} moves nothing that is seen (an LED on the last axis hides it): {outcome}"
     if _is_scale(parameters, victim, partners):
@@ -60,7 +62,7 @@ def _name(table: Geometry, parameters: Parameters, index: int) -> str:
 
 
 def _is_scale(parameters: Parameters, victim: int, partners: Sequence[int]) -> bool:
-    """Whether lengths of the arm, of the LEDs and of the base's or a camera's place all move, and not along one axis."""
+    """Whether lengths of the arm, of the LEDs and of the base's or a camera's place move, along more than one axis."""
     moving = (victim, *partners)
     lengths = all(parameters.names[k].rpartition(".")[2] in _LENGTHS for k in moving)
     leds = range(parameters.base.stop, parameters.base.stop + 3 * parameters.leds)

@@ -9,6 +9,7 @@ import numpy as np
 
 from urdfcal.errors import SessionError
 from urdfcal.session.album import read_album
+from urdfcal.vision.video import Video
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -33,7 +34,13 @@ def find_photographs(session: Session) -> tuple[dict[int, Path], ...]:
         album = read_album(folder, session)
     except SessionError:  # a folder of other images: nothing that a calibration from tables should fail for
         return tuple({} for _ in cameras)
-    return tuple({shot.pose: shot.picture.path for shot in reversed(shots)} for shots in album.shots)
+    # Videos stay where they are: every frame as a picture of its own would be a hundred times their size.
+    return tuple(
+        {}
+        if isinstance(pictures, Video)
+        else {shot.pose: picture.path for shot, picture in reversed(list(zip(shots, pictures, strict=True)))}
+        for shots, pictures in zip(album.shots, album.pictures, strict=True)
+    )
 
 
 def compressed(paths: Iterable[Path]) -> list[bytes]:

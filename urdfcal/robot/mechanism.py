@@ -158,6 +158,11 @@ class Mechanism:
             axis=-1,
         )
 
+    def readings(self, values: Floats) -> Floats:
+        """Of the values (..., n) of all joints those (..., k) of the actuated ones. [rad or m]."""
+        result: Floats = values[..., [joint.mimic is None for joint in self.joints]]
+        return result
+
     @cached_property
     def reading_jacobian(self) -> Floats:
         """How all joints' values (n) follow from the actuated ones' (k): (n, k)."""

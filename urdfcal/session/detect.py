@@ -19,23 +19,29 @@ from urdfcal.session.foresight import Lights, foresee
 from urdfcal.session.model import Detections
 from urdfcal.session.writing import write_detections, write_table
 from urdfcal.vision.debug_images import draw_spots
-from urdfcal.vision.images import in_parallel, read_image, write_image
+from urdfcal.vision.images import in_parallel, workers, write_image
 from urdfcal.vision.led import find_spots
+from urdfcal.vision.video import Video
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
     from urdfcal.arrays import Floats, Ints
     from urdfcal.session.album import Shot
     from urdfcal.session.model import Positions
+    from urdfcal.vision.camera import Camera
     from urdfcal.vision.images import Colour
     from urdfcal.vision.led import Spots
+    from urdfcal.vision.pictures import Pictures, Shown
     from urdfcal.vision.rig import Rig
 
 REJECTED = "detections_rejected.csv"
 
 # The arm is in the same place again where its LED comes back to within this. [m]
 _SAME = 5e-3
+# What MPEG-4 does to a spot 3.5 px wide in the 2 kB that OpenCV's encoder spends on a frame: 0.06 px a coordinate, of
+# which its pictures, smoothed as they are, show nothing. [px]
+_COMPRESSED = 0.06
 # What calibration is told of the best sightings: dust and uneven pixels are not in a picture's own noise. [px]
 _LEAST_SIGMA = 2e-3
 
@@ -74,8 +80,13 @@ class Detected:
             camera=np.array([c for _, c, _ in rows]),
             led=np.array([shot.led for shot, _, _ in rows]),
             uv=np.array([of.uv[i] for of, (_, _, i) in zip(fits, rows, strict=True)]),
-            sigma=np.array([max(_LEAST_SIGMA, of.sigma[i]) for of, (_, _, i) in zip(fits, rows, strict=True)]),
+            sigma=np.array([self._sigma(c, float(self.spots[c].fits.sigma[i])) for _, c, i in rows]),
         )
+
+    def _sigma(self, camera: int, sigma: float) -> float:
+        """Of a sighting, from that of its spot in the picture. [px]."""
+        compressed = isinstance(self.album.pictures[camera], Video)
+        return float(np.hypot(sigma, _COMPRESSED)) if compressed else max(_LEAST_SIGMA, sigma)
 
     @property
     def found(self) -> int:
@@ -89,7 +100,7 @@ class Detected:
             for i, picture in enumerate(spots.picture):
                 rows[int(picture)].append(i)
             for k, shot in enumerate(shots):
-                labels = self.positions.poses[shot.pose], name, self.positions.led_names[shot.led]
+                labels = self.positions.label(shot.pose), name, self.positions.led_names[shot.led]
                 for i in rows[k]:
                     if spots.reasons[i]:
                         yield (*labels, i, spots.reasons[i])
@@ -159,12 +170,21 @@ def detect_in(
     if rig is None:
         raise SessionError("no cameras are named", remedy="Images need a camera file.")
     T_base_tip = tip_poses(positions.chain, positions.q)
-    spots, warnings = [], []
-    for camera, shots in zip(rig.cameras, album.shots, strict=True):
-        pose = np.array([shot.pose for shot in shots], dtype=np.intp)
-        led = np.array([shot.led for shot in shots], dtype=np.intp)
+    threads = threads or workers()
+
+    def look(task: tuple[Camera, tuple[Shot, ...], Pictures]) -> Spots:
+        camera, shots, pictures = task
+        pose, led = _indices(shots)
         place = _places(positions, T_base_tip[pose], led)
-        seen = find_spots([shot.picture for shot in shots], camera.resolution, colour, place, progress, threads)
+        share = max(1, threads // len(album.shots))
+        return find_spots(pictures, camera.resolution, colour, place, progress, share)
+
+    # A thread a camera: a video is decoded from its beginning to its end by one.
+    tasks = zip(rig.cameras, album.shots, album.pictures, strict=True)
+    found = list(in_parallel(look, tasks, min(threads, len(album.shots))))
+    spots, warnings = [], []
+    for camera, shots, seen in zip(rig.cameras, album.shots, found, strict=True):
+        pose, led = _indices(shots)
         spots.append(seen)
         if len(seen.still):
             listing = ", ".join(f"({u}, {v})" for u, v in seen.still)
@@ -186,6 +206,12 @@ def detect_in(
             spots[-1] = seen.with_reasons({int(i): _far(float(misses[i])) for i in far})
     spots, more = _agreeing(rig, album, spots)
     return Detected(positions, album, tuple(spots), (*positions.warnings, *album.warnings, *warnings, *more))
+
+
+def _indices(shots: Sequence[Shot]) -> tuple[Ints, Ints]:
+    """(P,) and (P,) the poses and the LEDs of some shots."""
+    pose, led = ([getattr(shot, name) for shot in shots] for name in ("pose", "led"))
+    return np.array(pose, dtype=np.intp), np.array(led, dtype=np.intp)
 
 
 def write_detected(path: str | Path, detected: Detected) -> list[Path]:
@@ -233,24 +259,29 @@ def write_debug_images(
     if rig is None:
         return
 
-    def draw(task: tuple[str, int, Shot, Spots]) -> None:
-        name, number, shot, spots = task
+    def draw(task: tuple[Camera, int, Shot, Shown, Spots]) -> None:
+        camera, number, shot, picture, spots = task
         rows = np.flatnonzero(spots.picture == number)
-        title = f"{name}  pose {positions.poses[shot.pose]}  LED {positions.led_names[shot.led]}"
+        label, led = positions.label(shot.pose), positions.led_names[shot.led]
+        title = f"{camera.name}  pose {label}  LED {led}"
         reasons = [spots.reasons[i] for i in rows]
-        image = read_image(shot.picture.path)
+        image = picture.lit(camera.resolution)
         drawing = draw_spots(image, colour, spots.fits.uv[rows], spots.fits.sigma[rows], reasons, title)
-        write_image(stage / name / f"{shot.picture.path.stem}.png", drawing)
+        write_image(
+            stage / camera.name / (f"{label}.{led}.png" if len(positions.leds) > 1 else f"{label}.png"), drawing
+        )
 
-    tasks = [
-        (name, number, shot, spots)
-        for name, shots, spots in zip(rig.names, detected.album.shots, detected.spots, strict=True)
-        for number, shot in enumerate(shots)
-    ]
+    def tasks() -> Iterator[tuple[Camera, int, Shot, Shown, Spots]]:
+        album, pictures = detected.album, detected.album.pictures
+        for camera, shots, of_camera, spots in zip(rig.cameras, album.shots, pictures, detected.spots, strict=True):
+            shown: Pictures = of_camera
+            for number, (shot, picture) in enumerate(zip(shots, shown, strict=True)):
+                yield camera, number, shot, picture, spots
+
     with staged(folder) as stage:
         for name in rig.names:
             (stage / name).mkdir()
-        for _ in in_parallel(draw, tasks):
+        for _ in in_parallel(draw, tasks()):
             if progress:
                 progress(1)
 

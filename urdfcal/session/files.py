@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from urdfcal.errors import SessionError
 from urdfcal.robot.tree import read_mechanism
 from urdfcal.robot.tree_dh import MOUNT
 from urdfcal.robot.urdf import Urdf, find_urdf
-from urdfcal.session import tables
+from urdfcal.session import frame_tables, tables
 from urdfcal.session.frames import WORLD
 from urdfcal.session.model import Detections, Led, Points, Positions, RigDescription, Session, Stand
 from urdfcal.session.names import suggest
-from urdfcal.session.plausibility import Inputs, check, check_positions
+from urdfcal.session.plausibility import Inputs, Taken, check, check_positions
 from urdfcal.session.source import Source
 from urdfcal.session.writing import write_session
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
     from urdfcal.robot.mechanism import Mechanism
     from urdfcal.session.schema import Document, SessionFile, SetupFile
 
@@ -55,7 +60,7 @@ def read_session(path: str | Path) -> Session:
     chain, rig, noise = setup["chain"], setup["rig"], setup["noise"]
     led_names = [led.name for led in setup["leds"]]
 
-    joints = tables.read_joints(_file(document, "joints"), chain, setup["urdf"].joints)
+    placed = _read_poses(document, keys, setup)
     detections = points = None
     detected = _detections_file(document, keys)
     if detected is None and keys.points is None:
@@ -65,21 +70,20 @@ def read_session(path: str | Path) -> Session:
             remedy="Run `urdfcal detect` on its images first." if _has_images(document) else "",
         )
     if detected is not None:
-        detections = tables.read_detections(detected, joints.poses, rig.names, led_names, noise.pixel)
+        detections = placed.read_detections(detected, led_names, noise.pixel)
     if keys.points is not None:
-        points = tables.read_points(_file(document, "points"), joints.poses, led_names, noise.point)
+        points = tables.read_points(_file(document, "points"), placed.taken.labels, led_names, noise.point)
 
-    warnings = check(Inputs(document, chain, setup["leds"], rig, noise, joints, detections, points))
-    named = {keys.joints: joints, keys.detections or DETECTIONS: detections, keys.points: points}
-    hashes = {name: table.table.source.sha256 for name, table in named.items() if name and table}
+    joints = placed.joints
+    warnings = check(Inputs(document, chain, setup["leds"], rig, noise, joints, placed.taken, detections, points))
+    seen = {keys.detections or DETECTIONS: detections, keys.points: points}
+    hashes = {name: sightings.table.source.sha256 for name, sightings in seen.items() if name and sightings}
     return Session(
-        **{**setup, "sha256": {**setup["sha256"], **hashes}},
-        poses=joints.poses,
-        q=chain.joint_values(joints.readings),
-        time=joints.time,
+        **{**setup, "sha256": {**setup["sha256"], **placed.sha256, **hashes}},
+        **placed.poses,
         detections=_detections(detections) if detections else None,
         points=_points(points) if points else None,
-        warnings=joints.warnings + warnings,
+        warnings=placed.warnings + warnings,
     )
 
 
@@ -98,16 +102,10 @@ def read_positions(path: str | Path) -> Positions:
     setup = _read_setup(document, keys)
     if setup["rig"] is None:
         raise SessionError("no cameras are named", where=document.place(), remedy="Images need a camera file.")
-    chain = setup["chain"]
-    joints = tables.read_joints(_file(document, "joints"), chain, setup["urdf"].joints)
-    warnings = check_positions(Inputs(document, chain, setup["leds"], setup["rig"], setup["noise"], joints, None, None))
-    return Positions(
-        **setup,
-        poses=joints.poses,
-        q=chain.joint_values(joints.readings),
-        time=joints.time,
-        warnings=joints.warnings + warnings,
-    )
+    placed = _read_poses(document, keys, setup)
+    declared = setup["chain"], setup["leds"], setup["rig"], setup["noise"]
+    warnings = check_positions(Inputs(document, *declared, placed.joints, placed.taken, None, None))
+    return Positions(**setup, **placed.poses, warnings=placed.warnings + warnings)
 
 
 def lacks_detections(path: str | Path) -> bool:
@@ -179,6 +177,61 @@ def _read_document(path: Path) -> tuple[Document, SessionFile]:
 
     document = Document.read(_yaml_file(path, _SESSION))
     return document, document.validate(SessionFile)
+
+
+@dataclass(frozen=True, eq=False)
+class _Placed:
+    """Where the arm was: read from joints.csv, and of an arm that moved from frames.csv as well.
+
+    Attributes:
+        poses: arguments of :class:`Positions`.
+        joints: the table of readings.
+        taken: what was measured at.
+        sha256: of the tables that were read, the hash by the name in the session.
+        read_detections: reads detections.csv (path, LEDs, usual sigma in px).
+        warnings: what was ignored or left out.
+    """
+
+    poses: Mapping[str, Any]
+    joints: tables.JointTable | frame_tables.LogTable
+    taken: Taken
+    sha256: Mapping[str, str]
+    read_detections: Callable[[Path, Sequence[str], float], tables.SightingTable]
+    warnings: tuple[str, ...]
+
+
+def _read_poses(document: Document, keys: SessionFile, setup: Mapping[str, Any]) -> _Placed:
+    return _read_still(document, keys, setup) if keys.frames is None else _read_moving(document, keys, setup)
+
+
+def _read_still(document: Document, keys: SessionFile, setup: Mapping[str, Any]) -> _Placed:
+    chain, cameras = setup["chain"], setup["rig"].names if setup["rig"] is not None else ()
+    joints = tables.read_joints(_file(document, "joints"), chain, setup["urdf"].joints)
+    return _Placed(
+        poses={"poses": joints.poses, "q": chain.joint_values(joints.readings), "time": joints.time},
+        joints=joints,
+        taken=Taken(joints.table.path, joints.poses, joints.readings, still=0.0),
+        sha256={keys.joints: joints.table.source.sha256},
+        read_detections=lambda path, leds, sigma: tables.read_detections(path, joints.poses, cameras, leds, sigma),
+        warnings=joints.warnings,
+    )
+
+
+def _read_moving(document: Document, keys: SessionFile, setup: Mapping[str, Any]) -> _Placed:
+    chain = setup["chain"]
+    joints = frame_tables.read_log(_file(document, "joints"), chain, setup["urdf"].joints)
+    taken = frame_tables.read_frames(_file(document, "frames"), setup["rig"].names)
+    trajectory, pose, warnings = frame_tables.combine(joints, taken, chain)
+    labels = tuple(f"{taken.cameras[c]}/{trajectory.label(k)}" for k, c in enumerate(trajectory.camera.tolist()))
+    q = trajectory.values(np.zeros(len(taken.cameras)))
+    return _Placed(
+        poses={"poses": labels, "q": q, "time": trajectory.time, "trajectory": trajectory},
+        joints=joints,
+        taken=Taken(taken.table.path, labels, chain.readings(q), still=frame_tables.STILL),
+        sha256={keys.joints: joints.table.source.sha256, str(keys.frames): taken.table.source.sha256},
+        read_detections=lambda path, leds, sigma: frame_tables.read_frame_detections(path, taken, pose, leds, sigma),
+        warnings=(*joints.warnings, *warnings),
+    )
 
 
 def _detections_file(document: Document, keys: SessionFile) -> Path | None:

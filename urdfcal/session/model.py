@@ -24,10 +24,12 @@ if TYPE_CHECKING:
 
     from urdfcal.robot.mechanism import Mechanism
     from urdfcal.robot.urdf import Urdf
+    from urdfcal.session.trajectory import Trajectory
     from urdfcal.vision.rig import Rig
 
 Geometry: TypeAlias = Literal["dh", "offsets", "full", "none"]
 Freedom: TypeAlias = Literal["fixed", "refine", "free"]
+TimeOffset: TypeAlias = Literal["free", "fixed"]
 
 Table = TypeVar("Table", "Detections", "Points")
 
@@ -113,11 +115,13 @@ class Estimate:
         geometry: of the arm: DH rows, zero offsets only, every placement, or nothing.
         intrinsics: of all cameras, or of each by name.
         extrinsics: of all cameras, or of each by name.
+        time_offset: of every camera's clock from the robot's, where the arm moves; None is free.
     """
 
     geometry: Geometry | None = None
     intrinsics: Freedom | Mapping[str, Freedom] | None = None
     extrinsics: Freedom | Mapping[str, Freedom] | None = None
+    time_offset: TimeOffset | None = None
 
     def of(self, what: Literal["intrinsics", "extrinsics"], camera: str) -> Freedom | None:
         """What the session says of one camera; None leaves it to the calibration."""
@@ -125,7 +129,8 @@ class Estimate:
         return said if said is None or isinstance(said, str) else said.get(camera)
 
     def __post_init__(self) -> None:
-        for name, known in (("geometry", Geometry), ("intrinsics", Freedom), ("extrinsics", Freedom)):
+        known_words = {"geometry": Geometry, "intrinsics": Freedom, "extrinsics": Freedom, "time_offset": TimeOffset}
+        for name, known in known_words.items():
             value, choices = getattr(self, name), get_args(known)
             if value is not None and value not in choices:
                 raise SessionError(
@@ -341,12 +346,14 @@ class Positions(Setup):
         poses: (N) labels.
         q: (N, n) value of every joint of the chain in every pose, mimic joints included. [rad or m]
         time: (N,) of each pose, where recorded. [s]
+        trajectory: of an arm that moved: each pose is a frame of one camera, q what the log says of it.
         warnings: what looked odd when it was read.
     """
 
     poses: tuple[str, ...]
     q: Floats
     time: Floats | None = None
+    trajectory: Trajectory | None = None
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -366,9 +373,11 @@ class Positions(Setup):
     @property
     def readings(self) -> Floats:
         """(N, k) values [rad or m] of the joints that have a reading of their own, as in joints.csv."""
-        actuated = set(self.chain.actuated)
-        result: Floats = self.q[:, [name in actuated for name in self.chain.names]]
-        return result
+        return self.chain.readings(self.q)
+
+    def label(self, pose: int) -> str:
+        """What the tables and the pictures' file names call a pose: a frame goes by the name its camera gave it."""
+        return self.poses[pose] if self.trajectory is None else self.trajectory.label(pose)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -394,9 +403,14 @@ class Session(Positions):
             poses=tuple(self.poses[k] for k in poses),
             q=self.q[poses],
             time=None if self.time is None else self.time[poses],
+            trajectory=None if self.trajectory is None else self.trajectory.at(poses),
             detections=_at(self.detections, poses),
             points=_at(self.points, poses),
         )
+
+    def with_clocks(self, time_offsets: Floats) -> Session:
+        """The same, of an arm that moved with its joint values read at the cameras' time offsets (C,) in s."""
+        return self if self.trajectory is None else replace(self, q=self.trajectory.values(time_offsets))
 
     def unmeasured(self) -> Positions:
         """The same without its sightings."""
@@ -412,6 +426,11 @@ class Session(Positions):
             _check_indices(self.detections, "detections", {**counts, "camera": len(self.rig.cameras)})
         if self.points is not None:
             _check_indices(self.points, "points", counts)
+        if self.trajectory is not None:
+            if self.points is not None or self.detections is None:
+                raise SessionError("a moving arm is measured by cameras alone", where="session")
+            if np.any(self.detections.camera != self.trajectory.camera[self.detections.pose]):
+                raise SessionError("a sighting is by another camera than its frame", where="detections")
 
 
 def _rebuilt(kind: type[Setup], values: dict[str, Any]) -> Setup:

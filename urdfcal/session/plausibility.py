@@ -13,15 +13,18 @@ import numpy as np
 from urdfcal.errors import SessionError
 from urdfcal.session.exchange import Rays, check_names_by_rays
 from urdfcal.session.names import listed
+from urdfcal.session.tables import JointTable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
+    from pathlib import Path
 
     from urdfcal.arrays import Floats
     from urdfcal.robot.mechanism import Joint, Mechanism
+    from urdfcal.session.frame_tables import LogTable
     from urdfcal.session.model import Led, Noise
     from urdfcal.session.schema import Document
-    from urdfcal.session.tables import JointTable, SightingTable
+    from urdfcal.session.tables import SightingTable
     from urdfcal.vision.rig import Rig
 
 # Encoders are read to 1e-4 rad or m, and controllers let joints overrun their limits by less than this.
@@ -38,8 +41,27 @@ _TOO_FAR, _TOO_WIDE = 5.0, 20.0
 _BLIND = 0.05
 # Five degrees of reading noise: the unit is wrong.
 _UNREAD = 0.1
+# Encoders repeat what hardly changes: one frame in a hundred of a slow arm at 2 kB a frame.
+_REPEATED = 0.05
 # A joint that moves less than this moves the tip by less than the drawing is wrong.
 _STILL = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Taken:
+    """The moments at which something was measured: poses, or frames of a moving arm.
+
+    Attributes:
+        path: the table that lists them.
+        labels: N of them.
+        readings: (N, k) of the actuated joints. [rad or m]
+        still: readings that differ by no more are the same place. [rad or m]
+    """
+
+    path: Path
+    labels: tuple[str, ...]
+    readings: Floats
+    still: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +75,7 @@ class Inputs:
         rig: the cameras, if any.
         noise: as declared.
         joints: the joint readings.
+        taken: when or where LEDs were looked at.
         detections: the pixels, if any.
         points: the measured points, if any.
     """
@@ -62,7 +85,8 @@ class Inputs:
     leds: tuple[Led, ...]
     rig: Rig | None
     noise: Noise
-    joints: JointTable
+    joints: JointTable | LogTable
+    taken: Taken
     detections: SightingTable | None
     points: SightingTable | None
 
@@ -96,7 +120,7 @@ def check_positions(inputs: Inputs) -> tuple[str, ...]:
     _check_limits(inputs)
     _check_led_units(inputs)
     _check_noise_units(inputs)
-    return (*_still_joints(inputs), *_same_readings(inputs))
+    return (*_still_joints(inputs), *_same_readings(inputs.joints))
 
 
 def check(inputs: Inputs) -> tuple[str, ...]:
@@ -111,7 +135,7 @@ def check(inputs: Inputs) -> tuple[str, ...]:
     warnings = list(check_positions(inputs))
     _check_point_units(inputs)
     for table in inputs.sightings:
-        _check_frozen(inputs, table)
+        warnings += _frozen(inputs, table)
     if inputs.detections is not None and inputs.rig is not None:
         rays, odd = check_names_by_rays(inputs.rig, inputs.detections)
         warnings += [*odd, *_check_images(inputs, inputs.rig, inputs.detections, rays)]
@@ -247,23 +271,29 @@ def _still_joints(inputs: Inputs) -> Iterator[str]:
             )
 
 
-def _same_readings(inputs: Inputs) -> Iterator[str]:
+def _same_readings(joints: JointTable | LogTable) -> Iterator[str]:
+    if not isinstance(joints, JointTable):  # an arm that moves may come back, or wait
+        return
     # Adding zero makes -0.0 the same bytes as 0.0.
     first: dict[bytes, int] = {}
     pairs = [
         (first[key], row)
-        for row, key in enumerate(reading.tobytes() for reading in inputs.joints.readings + 0.0)
+        for row, key in enumerate(reading.tobytes() for reading in joints.readings + 0.0)
         if first.setdefault(key, row) != row
     ]
     if pairs:
-        a, b = (inputs.joints.poses[row] for row in pairs[0])
+        a, b = (joints.poses[row] for row in pairs[0])
         more = f", as have {len(pairs) - 1} more pairs" if len(pairs) > 1 else ""
-        place = inputs.joints.table.place(pairs[0][1], "pose")
+        place = joints.table.place(pairs[0][1], "pose")
         yield f"{place}: pose {b!r} has exactly the joint readings of pose {a!r}{more}"
 
 
-def _check_frozen(inputs: Inputs, table: SightingTable) -> None:
-    """Two poses that differ, and nothing in the pictures does: they are one picture."""
+def _frozen(inputs: Inputs, table: SightingTable) -> Iterator[str]:
+    """Two poses that differ, and nothing in the pictures does: they are one picture.
+
+    A video may repeat a picture; in a session of poses each is meant to be another.
+    """
+    repeated = 0
     pose = table.index["pose"]
     what = np.column_stack([*(table.index[key] for key in table.index if key != "pose"), table.values + 0.0])
     starts: list[int] = np.flatnonzero(np.diff(pose, prepend=-1)).tolist()
@@ -273,9 +303,12 @@ def _check_frozen(inputs: Inputs, table: SightingTable) -> None:
         if table.values[start:stop].size < 3 and not np.any(table.values[start:stop] % 0.5):
             continue
         other = first.setdefault(what[start:stop].tobytes(), start)
-        readings = inputs.joints.readings[[pose[other], pose[start]]]
-        if other != start and not np.array_equal(readings[0], readings[1]):
-            names = [inputs.joints.poses[pose[i]] for i in (other, start)]
+        readings = inputs.taken.readings[[pose[other], pose[start]]]
+        if other != start and np.abs(readings[1] - readings[0]).max() > inputs.taken.still:
+            if not isinstance(inputs.joints, JointTable):
+                repeated += 1
+                continue
+            names = [inputs.taken.labels[pose[i]] for i in (other, start)]
             line = table.rows[other] + 2
             raise SessionError(
                 f"pose {names[1]!r} shows exactly what pose {names[0]!r} shows (line {line}), "
@@ -283,6 +316,11 @@ def _check_frozen(inputs: Inputs, table: SightingTable) -> None:
                 where=table.place(start, "pose"),
                 remedy="Leave out the poses whose sightings were not taken anew.",
             )
+    if repeated > _REPEATED * len(starts):
+        yield (
+            f"{table.table.path}: {repeated} of {len(starts)} frames show exactly what another one shows, but the "
+            "joints have moved: did the recording freeze?"
+        )
 
 
 def _check_images(inputs: Inputs, rig: Rig, table: SightingTable, rays: Rays) -> Iterator[str]:
@@ -329,14 +367,14 @@ def _check_images(inputs: Inputs, rig: Rig, table: SightingTable, rays: Rays) ->
 
 def _never_seen(inputs: Inputs) -> Iterator[str]:
     tables = list(inputs.sightings)
-    seen = np.zeros(len(inputs.joints.poses), bool)
+    seen = np.zeros(len(inputs.taken.labels), bool)
     for table in tables:
         seen[table.index["pose"]] = True
-    blind = [pose for pose, found in zip(inputs.joints.poses, seen, strict=True) if not found]
-    if blind:
+    blind = [pose for pose, found in zip(inputs.taken.labels, seen, strict=True) if not found]
+    # An arm on its way from pose to pose passes out of view.
+    if len(blind) > (0 if isinstance(inputs.joints, JointTable) else _MOST * len(seen)):
         yield (
-            f"{inputs.joints.table.path}: {len(blind)} of {len(seen)} poses have no sighting "
-            f"and do not count: {listed(blind)}"
+            f"{inputs.taken.path}: {len(blind)} of {len(seen)} poses have no sighting and do not count: {listed(blind)}"
         )
     leds = set(np.concatenate([table.index["led"] for table in tables]).tolist())
     dark = [led.name for i, led in enumerate(inputs.leds) if i not in leds]

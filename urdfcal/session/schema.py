@@ -24,7 +24,7 @@ from urdfcal.errors import SessionError
 from urdfcal.robot.dh import Parameter  # noqa: TC001  # pydantic needs it at run time
 from urdfcal.robot.rpy import rpy_to_matrix
 from urdfcal.session.frames import CameraMount
-from urdfcal.session.model import Estimate, Freedom, Geometry, Led, LedDistance, Noise, Tolerances
+from urdfcal.session.model import Estimate, Freedom, Geometry, Led, LedDistance, Noise, TimeOffset, Tolerances
 from urdfcal.session.names import flaw, listed, suggest
 from urdfcal.session.source import Source
 
@@ -139,6 +139,7 @@ class EstimateKeys(_Keys):
     geometry: Geometry | None = None
     intrinsics: Freedom | dict[str, Freedom] | None = None
     extrinsics: Freedom | dict[str, Freedom] | None = None
+    time_offset: TimeOffset | None = None
 
 
 class TolerancesKeys(_Keys):
@@ -219,11 +220,19 @@ class RigFile(SetupFile):
             raise ValueError("position and look_at are the same place")
         return stand
 
+    @field_validator("estimate")
+    @classmethod
+    def _has_no_clocks(cls, estimate: EstimateKeys) -> EstimateKeys:
+        if estimate.time_offset is not None:
+            raise ValueError("time_offset belongs into a session with frames")
+        return estimate
+
 
 class SessionFile(SetupFile):
     """session.yaml."""
 
     joints: Name
+    frames: Name | None = None
     detections: Name | None = None
     points: Name | None = None
 
@@ -231,6 +240,12 @@ class SessionFile(SetupFile):
     def _measured(self) -> SessionFile:
         if self.detections is not None and self.cameras is None:
             raise ValueError("detections are named, but no cameras")
+        if self.frames is not None and self.cameras is None:
+            raise ValueError("frames are named, but no cameras")
+        if self.frames is not None and self.points is not None:
+            raise ValueError("frames and points are both named: a tracker's points belong to an arm that stands still")
+        if self.frames is None and self.estimate.time_offset is not None:
+            raise ValueError("estimate.time_offset is given, but no frames: clocks do not matter to an arm at rest")
         return self
 
 

@@ -79,12 +79,12 @@ def simulate(
         T_cam_frame=_fastened(rig, planned.T_cam_frame, bulbs),
     )
 
-    clearance, warnings = _clearance(rig, planned)
+    clearance, warnings = find_clearance(planned, rig)
     q = choose_poses(planned, clearance, poses, posing, progress)
     noise = rig.noise if not pixel else replace(rig.noise, pixel=pixel)
     pixel = rig.noise.pixel if pixel is None else pixel
     pose, camera, led, uv = _watch(true, q, pixel, pixels)
-    outlying = _mistake(true, uv, camera, outliers, blunders)
+    outlying = mistake(true, uv, camera, outliers, blunders)
     session = Session(
         **{field.name: getattr(rig, field.name) for field in fields(Setup)}
         | {"noise": noise, "sha256": {}, "folder": None},
@@ -179,7 +179,27 @@ def _fastened(rig: RigDescription, T_cam_frame: Floats, rng: np.random.Generator
     return true
 
 
-def _clearance(rig: RigDescription, planned: Scene) -> tuple[Clearance | None, tuple[str, ...]]:
+def true_scene(simulated: Simulated) -> Scene:
+    """The robot as it truly is and its cameras.
+
+    Raises:
+        SessionError: there are no cameras.
+    """
+    session, truth = simulated.session, simulated.truth
+    if session.rig is None:
+        raise SessionError("there are no cameras", where="simulate")
+    return Scene(
+        session.chain,
+        truth.placements,
+        session.frames,
+        truth.leds,
+        truth.T_world_base,
+        session.rig.cameras,
+        truth.T_cam_frame,
+    )
+
+
+def find_clearance(planned: Scene, rig: Setup) -> tuple[Clearance | None, tuple[str, ...]]:
     """The arm's collision geometry, and what to warn of when it is not to be had."""
     if rig.urdf is None:
         return None, ("no URDF: the poses were not checked for collisions",)
@@ -212,7 +232,7 @@ def _watch(scene: Scene, q: Floats, sigma: float, rng: np.random.Generator) -> t
     return pose, camera, led, uv[inside]
 
 
-def _mistake(scene: Scene, uv: Floats, camera: Ints, share: float, rng: np.random.Generator) -> Ints:
+def mistake(scene: Scene, uv: Floats, camera: Ints, share: float, rng: np.random.Generator) -> Ints:
     """Move a share of the sightings ``uv`` (S, 2) in place, within their images, and say which."""
     rows = np.sort(rng.choice(len(uv), round(share * len(uv)), replace=False))
     for row in rows:

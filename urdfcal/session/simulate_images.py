@@ -11,17 +11,22 @@ import numpy as np
 from urdfcal.errors import SessionError
 from urdfcal.files import staged
 from urdfcal.session.files import IMAGES
-from urdfcal.session.scene import Scene
+from urdfcal.session.simulate import true_scene
 from urdfcal.session.truth import write_simulated
 from urdfcal.session.writing import write_table
 from urdfcal.vision.images import in_parallel, write_image
 from urdfcal.vision.render import Light, Scenery, Sensor
+from urdfcal.vision.video import write_video
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from urdfcal.arrays import Floats
+    from urdfcal.session.model import Session
+    from urdfcal.session.scene import Scene
     from urdfcal.session.truth import Simulated
+    from urdfcal.vision.camera import Camera
+    from urdfcal.vision.images import Image
 
 TRUTH = "truth_detections.csv"
 
@@ -111,52 +116,118 @@ def write_simulated_images(
         OutputError: the folder holds a session or a truth already, or cannot be written.
     """
     session, folder = simulated.session, Path(folder)
-    scene = _scene(simulated)
-    stage_seed, view_seed = np.random.SeedSequence((simulated.truth.seed, _STREAM)).spawn(2)
-    sceneries = _sceneries(scene, exposure, np.random.default_rng(stage_seed))
-    views = _views(scene, simulated.truth.q, exposure, sceneries, view_seed)
-    names = [camera.name for camera in scene.cameras]
+    shoot = _Shoot.of(simulated, exposure)
     write_simulated(folder, simulated, sightings=False)
 
     with staged(folder) as stage:
 
         def take(view: _View) -> None:
-            sensor = Sensor(scene.cameras[view.camera].resolution, exposure.bits, exposure.electrons_per_count)
-            image = sensor.expose(sceneries[view.camera].expected(view.lights), np.random.default_rng(view.seed))
             led = f".{session.led_names[view.led]}" if len(session.leds) > 1 else ""
-            write_image(stage / IMAGES / names[view.camera] / f"{session.poses[view.pose]}{led}.png", image)
+            name = f"{session.label(view.pose)}{led}.png"
+            write_image(stage / IMAGES / shoot.names[view.camera] / name, shoot.image(view))
 
-        for name in names:
+        for name in shoot.names:
             (stage / IMAGES / name).mkdir(parents=True)
-        for _ in in_parallel(take, views):
+        for _ in in_parallel(take, shoot.views):
             if progress:
                 progress(1)
-        there = [view for view in views if np.isfinite(view.uv[0])]
-        labels = [[session.poses[v.pose], names[v.camera], session.led_names[v.led], *v.uv.tolist()] for v in there]
-        write_table(stage / TRUTH, ["pose", "camera", "led", "u", "v"], zip(*labels, strict=True))
-    return len(views)
+        shoot.write_truth(stage / TRUTH, session)
+    return len(shoot.views)
 
 
-def _scene(simulated: Simulated) -> Scene:
-    """The arm as it truly is before the cameras."""
-    session, truth = simulated.session, simulated.truth
-    if session.rig is None:
-        raise SessionError("images need cameras", where="simulate")
-    if len(session.frames.standing) < len(session.rig.cameras):
-        raise SessionError(
-            "images of cameras that ride on the robot cannot be made",
-            where="simulate",
-            remedy="Simulate without --images: sightings are computed for them as for any camera.",
-        )
-    return Scene(
-        session.chain,
-        truth.placements,
-        session.frames,
-        truth.leds,
-        truth.T_world_base,
-        session.rig.cameras,
-        truth.T_cam_frame,
-    )
+def write_simulated_videos(
+    folder: str | Path,
+    simulated: Simulated,
+    exposure: Exposure,
+    rate: float,
+    progress: Callable[[int], object] | None = None,
+) -> int:
+    """The same of an arm that moves, its pictures as one video a camera; all its LEDs would be lit.
+
+    Args:
+        folder: where to; made if need be, in a folder that exists.
+        simulated: session and truth; the session's own sightings are not used.
+        exposure: how the pictures are taken.
+        rate: frames per second, for players.
+        progress: called with the number of pictures written since the last call.
+
+    Returns:
+        The number of pictures.
+
+    Raises:
+        SessionError: there are several LEDs, the arm stands still, or where the cameras stand is not known.
+        CameraError: this OpenCV encodes no videos.
+        OutputError: the folder holds a session or a truth already, or cannot be written.
+    """
+    session, folder = simulated.session, Path(folder)
+    if session.trajectory is None or len(session.leds) > 1:
+        raise SessionError("a video shows a moving arm with one LED", where="simulate", remedy="Write pictures.")
+    shoot = _Shoot.of(simulated, exposure)
+    write_simulated(folder, simulated, sightings=False)
+
+    def taken(views: Sequence[_View]) -> Iterator[Image]:
+        for image in in_parallel(shoot.image, views):
+            yield image
+            if progress:
+                progress(1)
+
+    with staged(folder) as stage:
+        (stage / IMAGES).mkdir()
+        for c, camera in enumerate(shoot.cameras):
+            views = [view for view in shoot.views if view.camera == c]
+            write_video(stage / IMAGES / f"{camera.name}.mp4", taken(views), camera.resolution, rate)
+        shoot.write_truth(stage / TRUTH, session)
+    return len(shoot.views)
+
+
+@dataclass(frozen=True, eq=False)
+class _Shoot:
+    """All pictures to take, and what is to be seen in them.
+
+    Attributes:
+        cameras: that take them.
+        exposure: how.
+        sceneries: what stands still before each camera.
+        views: the pictures, by pose, camera and LED.
+    """
+
+    cameras: tuple[Camera, ...]
+    exposure: Exposure
+    sceneries: Sequence[Scenery]
+    views: Sequence[_View]
+
+    @classmethod
+    def of(cls, simulated: Simulated, exposure: Exposure) -> _Shoot:
+        scene, trajectory = true_scene(simulated), simulated.session.trajectory
+        if len(simulated.session.frames.standing) < len(scene.cameras):
+            raise SessionError(
+                "pictures of cameras that ride on the robot cannot be made",
+                where="simulate",
+                remedy="Leave --images out: sightings are computed for them as for any camera.",
+            )
+        stage_seed, view_seed = np.random.SeedSequence((simulated.truth.seed, _STREAM)).spawn(2)
+        sceneries = _sceneries(scene, exposure, np.random.default_rng(stage_seed))
+        views = _views(scene, simulated.truth.q, exposure, sceneries, view_seed)
+        if trajectory is not None:  # a frame is taken by one camera
+            views = [view for view in views if view.camera == trajectory.camera[view.pose]]
+        return cls(scene.cameras, exposure, sceneries, views)
+
+    @property
+    def names(self) -> list[str]:
+        return [camera.name for camera in self.cameras]
+
+    def image(self, view: _View) -> Image:
+        resolution = self.cameras[view.camera].resolution
+        sensor = Sensor(resolution, self.exposure.bits, self.exposure.electrons_per_count)
+        return sensor.expose(self.sceneries[view.camera].expected(view.lights), np.random.default_rng(view.seed))
+
+    def write_truth(self, path: Path, session: Session) -> None:
+        """Write where the LEDs are in the pictures in which they can be found."""
+        there = [view for view in self.views if np.isfinite(view.uv[0])]
+        labels = [
+            [session.label(v.pose), self.names[v.camera], session.led_names[v.led], *v.uv.tolist()] for v in there
+        ]
+        write_table(path, ["pose", "camera", "led", "u", "v"], zip(*labels, strict=True))
 
 
 def _sceneries(scene: Scene, exposure: Exposure, rng: np.random.Generator) -> list[Scenery]:

@@ -263,23 +263,27 @@ def read_joints(path: Path, chain: Mechanism, robot_joints: Collection[str]) -> 
             where=str(path),
             remedy=f"Measure at least {MIN_POSES}, better 30 or more.",
         )
-    ignored = [name for name in table.columns if name in others]
-    following = {joint.name: joint.mimic.joint for joint in chain.joints if joint.mimic}
-    warnings = [
-        f"{path}: the column {name!r} is ignored: "
-        + (
-            f"the joint follows {following[name]!r}"
-            if name in following
-            else f"the joint is not between {chain.base_link!r} and {chain.tip_link!r}"
-        )
-        for name in ignored
-    ]
     return JointTable(
         table,
         poses,
         frozen(table.numbers(names)),
         frozen(table.numbers(["time"])[:, 0]) if "time" in table.columns else None,
-        tuple(warnings),
+        ignored_columns(table, chain, others),
+    )
+
+
+def ignored_columns(table: Table, chain: Mechanism, others: Collection[str]) -> tuple[str, ...]:
+    """Say which columns of joint readings do not matter, those of ``others``, and why."""
+    following = {joint.name: joint.mimic.joint for joint in chain.joints if joint.mimic}
+    return tuple(
+        f"{table.path}: the column {name!r} is ignored: "
+        + (
+            f"the joint follows {following[name]!r}"
+            if name in following
+            else f"the joint is not between {chain.base_link!r} and {chain.tip_link!r}"
+        )
+        for name in table.columns
+        if name in others
     )
 
 
@@ -323,15 +327,34 @@ def _read_sightings(
     names = {key: tuple(dict.fromkeys(table.labels(key))) if of is None else tuple(of) for key, of in known.items()}
     kinds = {"pose": "poses of joints.csv", "camera": "cameras", "led": "LEDs"}
     index = {key: table.indices(key, names[key], kinds[key]) for key in known}
+    return sorted_sightings(table, index, names, values, sigma)
+
+
+def sorted_sightings(
+    table: Table, index: Mapping[str, Ints], names: Mapping[str, tuple[str, ...]], values: tuple[str, ...], sigma: float
+) -> SightingTable:
+    """Read the numbers of a table of sightings, and sort it.
+
+    Args:
+        table: the file.
+        index: what is seen, by column, each of all rows; rows with a negative one are left out.
+        names: what the indices stand for.
+        values: the columns with what was measured.
+        sigma: standard deviation where the table has no such column. [px or m]
+
+    Raises:
+        SessionError: a number is none, or there are two sightings of the same, with the place in the file.
+    """
     numbers = table.numbers(values, _MISSING_SIGHTING)
     spread = table.positive("sigma") if "sigma" in table.columns else np.full(len(numbers), sigma)
-    order = np.lexsort([index[key] for key in reversed(list(known))])
+    order = np.lexsort([index[key] for key in reversed(list(index))])
+    order = order[np.logical_and.reduce([index[key][order] >= 0 for key in index])]
     index = {key: frozen(column[order], np.intp) for key, column in index.items()}
     twice = np.flatnonzero(np.logical_and.reduce([np.diff(column) == 0 for column in index.values()]))
     if twice.size:
         # lexsort is stable: of equal sightings the second comes later in the file.
         first, second = int(order[twice[0]]), int(order[twice[0] + 1])
-        what = ", ".join(f"{key} {table.columns[key][second].strip()!r}" for key in known)
+        what = ", ".join(f"{key} {table.columns[key][second].strip()!r}" for key in index)
         raise SessionError(
             f"{what} is already in line {first + 2}", where=table.place(second, "pose"), remedy="Keep one."
         )

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from urdfcal.errors import OutputError
 from urdfcal.files import write_bytes, write_text
@@ -37,6 +39,7 @@ class Truth:
         q: (N, n) joint values. [rad or m]
         outliers: (K,) rows of the session's detections that are none of the LED.
         urdf: the true robot's description: the drawn one with other ``<origin>`` values.
+        time_offsets: (C,) of the cameras' clocks, t_robot = t_camera + offset; empty where the arm stood still. [s]
     """
 
     seed: int
@@ -51,6 +54,7 @@ class Truth:
     q: Floats
     outliers: Ints
     urdf: bytes
+    time_offsets: Floats = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +96,8 @@ def _truth_to_dict(simulated: Simulated) -> dict[str, Any]:
     session, truth = simulated.session, simulated.truth
     table = rows_of(session.chain)
     seen = session.detections
+    names = session.rig.names if session.rig is not None else ()
+    clocks = dict(zip(names, truth.time_offsets.tolist(), strict=False))
     return {
         "seed": truth.seed,
         "poses": len(session.poses),
@@ -112,9 +118,10 @@ def _truth_to_dict(simulated: Simulated) -> dict[str, Any]:
         "T_world_base": truth.T_world_base.tolist(),
         "leds": dict(zip(session.led_names, truth.leds.tolist(), strict=True)),
         "T_cam_frame": dict(zip(session.rig.names if session.rig else (), truth.T_cam_frame.tolist(), strict=True)),
+        **({"time_offsets": clocks} if clocks else {}),
         "outliers": [
             {
-                "pose": session.poses[seen.pose[row]],
+                "pose": session.label(int(seen.pose[row])),
                 "camera": session.rig.names[seen.camera[row]],
                 "led": session.led_names[seen.led[row]],
             }

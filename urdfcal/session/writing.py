@@ -23,9 +23,11 @@ if TYPE_CHECKING:
     from urdfcal.robot.urdf import Urdf
     from urdfcal.session.frames import CameraMount
     from urdfcal.session.model import Detections, Led, Positions, Setup
+    from urdfcal.session.trajectory import Trajectory
 
 _SESSION = "session.yaml"
 _CAMERAS, _JOINTS, _DETECTIONS, _POINTS = "cameras.yaml", "joints.csv", "detections.csv", "points.csv"
+_FRAMES = "frames.csv"
 
 
 def write_session(folder: str | Path, session: Positions) -> None:
@@ -86,7 +88,8 @@ def write_detections(path: Path, positions: Positions, seen: Detections) -> None
         seen: where.
     """
     cameras = positions.rig.names if positions.rig is not None else ()
-    keys = {"pose": (positions.poses, seen.pose), "camera": (cameras, seen.camera)}
+    labels = [positions.label(k) for k in range(len(positions.poses))]
+    keys = {"pose": (labels, seen.pose), "camera": (cameras, seen.camera)}
     keys["led"] = (positions.led_names, seen.led)
     _write_sightings(path, keys, "uv", seen.uv, seen.sigma, positions.noise.pixel)
 
@@ -136,9 +139,13 @@ def _write_files(folder: Path, session: Positions, urdf: Urdf) -> None:
         content["cameras"] = {"file": _CAMERAS, **mounts} if mounts else _CAMERAS
         write_kalibr(folder / _CAMERAS, session.rig)
     content["joints"] = _JOINTS
-    time = [] if session.time is None else [session.time.tolist()]
-    header = ["pose", *chain.actuated, *(["time"] if time else [])]
-    write_table(folder / _JOINTS, header, [session.poses, *session.readings.T.tolist(), *time])
+    if session.trajectory is not None:
+        content["frames"] = _FRAMES
+        _write_trajectory(folder, session, session.trajectory)
+    else:
+        time = [] if session.time is None else [session.time.tolist()]
+        header = ["pose", *chain.actuated, *(["time"] if time else [])]
+        write_table(folder / _JOINTS, header, [session.poses, *session.readings.T.tolist(), *time])
     if isinstance(session, Session) and session.detections is not None:
         content["detections"] = _DETECTIONS
         write_detections(folder / _DETECTIONS, session, session.detections)
@@ -150,6 +157,18 @@ def _write_files(folder: Path, session: Positions, urdf: Urdf) -> None:
     content.update(_expectations(session))
     text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None, width=110)
     (folder / _SESSION).write_text(text, encoding="utf-8")
+
+
+def _write_trajectory(folder: Path, session: Positions, trajectory: Trajectory) -> None:
+    """Write joints.csv by time, and frames.csv: the frames that are used."""
+    chain, log = session.chain, trajectory.log
+    write_table(
+        folder / _JOINTS, ["time", *chain.actuated], [log.time.tolist(), *chain.readings(log.values).T.tolist()]
+    )
+    names = session.rig.names if session.rig is not None else ()
+    labels = [trajectory.label(k) for k in range(len(trajectory.time))]
+    columns = [[names[c] for c in trajectory.camera], labels, trajectory.time.tolist()]
+    write_table(folder / _FRAMES, ["camera", "frame", "time"], columns)
 
 
 def _led_keys(led: Led) -> dict[str, Any]:

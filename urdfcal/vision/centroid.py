@@ -285,7 +285,8 @@ def _start(crops: Crops) -> Floats:
     height = np.maximum(middle.max(axis=(1, 2)), 1e-3)
     bright = np.where((smooth > 0.5 * height[:, None, None]) & near, smooth, 0.0)
     area = np.maximum((bright > 0.0).sum(axis=(1, 2)), 1)
-    total = bright.sum(axis=(1, 2))
+    # Compression leaves squares without anything in them: their middle is as good a place as any.
+    total = np.maximum(bright.sum(axis=(1, 2)), 1e-9)
     spots[:, U] = np.sum(bright * axis, axis=(1, 2)) / total
     spots[:, V] = np.sum(bright * axis[:, None], axis=(1, 2)) / total
     # Half the height is at 1.18 sigma; the 3 x 3 average adds 2/3 px².

@@ -15,7 +15,8 @@ import numpy as np
 from urdfcal.vision.candidates import HOT, LARGE
 from urdfcal.vision.centroid import Crops, Fits, fit_spots
 from urdfcal.vision.images import in_parallel
-from urdfcal.vision.looks import Look, Picture, look, read_backdrop
+from urdfcal.vision.looks import Look, look, read_backdrop
+from urdfcal.vision.pictures import Picture
 
 __all__ = ["Picture", "Spots", "find_spots"]
 
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
     from urdfcal.arrays import Bools, Ints
     from urdfcal.vision.images import Colour
+    from urdfcal.vision.pictures import Pictures
 
 # Pictures whose crops are fitted together: with a dozen lights each, their crops take as much as six pictures.
 _TOGETHER = 64
@@ -91,7 +93,7 @@ class Spots:
 
 
 def find_spots(
-    pictures: Sequence[Picture],
+    pictures: Pictures,
     resolution: tuple[int, int],
     colour: Colour = "any",
     place: Ints | None = None,

@@ -7,36 +7,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.errors import CameraError
 from urdfcal.vision.backdrop import SAMPLE, Backdrop
 from urdfcal.vision.candidates import find_candidates
 from urdfcal.vision.centroid import HALF, Crops
-from urdfcal.vision.images import channel, in_parallel, read_image, saturation
+from urdfcal.vision.images import channel, in_parallel, saturation
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
     from numpy.typing import NDArray
 
     from urdfcal.arrays import Bools, Floats, Ints
     from urdfcal.vision.images import Colour, Image
+    from urdfcal.vision.pictures import Pictures, Shown
 
 # With fewer places of the LED, it may be in the same one in half of the sample.
 _FEWEST = SAMPLE + 1
-
-
-@dataclass(frozen=True)
-class Picture:
-    """An image file with the LED on.
-
-    Attributes:
-        path: of it.
-        dark: an image from the same place with the LED off, to be subtracted.
-    """
-
-    path: Path
-    dark: Path | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,18 +40,17 @@ class Look:
     reasons: tuple[str, ...]
 
 
-def look(picture: Picture, resolution: tuple[int, int], colour: Colour, backdrop: Backdrop | None) -> Look:
+def look(picture: Shown, resolution: tuple[int, int], colour: Colour, backdrop: Backdrop | None) -> Look:
     """Read one picture and cut out its lights.
 
     Raises:
         CameraError: it cannot be read, or has another size than ``resolution`` (width, height).
     """
-    image = _read(picture.path, resolution)
+    image = picture.lit(resolution)
     values = channel(image, colour)
     search = _searched(image, values, colour)
     blind, still = None, None
-    if picture.dark is not None:
-        dark = _read(picture.dark, resolution)
+    if (dark := picture.unlit(resolution)) is not None:
         without = channel(dark, colour)
         search = search - _searched(dark, without, colour)
         values = values - without
@@ -86,7 +69,7 @@ def look(picture: Picture, resolution: tuple[int, int], colour: Colour, backdrop
 
 
 def read_backdrop(
-    pictures: Sequence[Picture], place: Ints, resolution: tuple[int, int], colour: Colour, threads: int | None = None
+    pictures: Pictures, place: Ints, resolution: tuple[int, int], colour: Colour, threads: int | None = None
 ) -> Backdrop | None:
     """Read some pictures with the LED in different places, for what stands still in them.
 
@@ -101,10 +84,13 @@ def read_backdrop(
         None where the pictures are too few, or have dark ones to be subtracted.
     """
     _, first = np.unique(place, return_index=True)
-    if len(first) < _FEWEST or any(picture.dark is not None for picture in pictures):
+    if len(first) < _FEWEST:
         return None
-    sample = [pictures[i] for i in np.sort(first)[np.linspace(0, len(first) - 1, SAMPLE).astype(np.intp)]]
-    images = list(in_parallel(lambda picture: _read(picture.path, resolution), sample, threads))
+    sample = np.sort(first)[np.linspace(0, len(first) - 1, SAMPLE).astype(np.intp)]
+    read = list(in_parallel(lambda i: _both(pictures[int(i)], resolution), sample, threads))
+    if any(dark is not None for _, dark in read):
+        return None
+    images = [image for image, _ in read]
     values = [channel(image, colour) for image in images]
     searched = None
     if colour != "any" and images[0].ndim == 3:
@@ -112,22 +98,15 @@ def read_backdrop(
     return Backdrop.of(values, max(map(saturation, images)), searched)
 
 
+def _both(picture: Shown, resolution: tuple[int, int]) -> tuple[Image, Image | None]:
+    return picture.lit(resolution), picture.unlit(resolution)
+
+
 def _searched(image: Image, values: NDArray[np.float32], colour: Colour) -> NDArray[np.float32]:
     """The image in which an LED of ``colour`` stands out: where its channel exceeds the mean, white lights shrink."""
     if colour == "any" or image.ndim == 2:
         return values
     return 1.5 * values - 0.5 * channel(image, "any")
-
-
-def _read(path: Path, resolution: tuple[int, int]) -> Image:
-    image = read_image(path)
-    if image.shape[1::-1] != resolution:
-        raise CameraError(
-            f"the image is {image.shape[1]} x {image.shape[0]} px, the camera {resolution[0]} x {resolution[1]}",
-            where=str(path),
-            remedy="Give the camera's resolution in the camera file, at which it was calibrated.",
-        )
-    return image
 
 
 def _around(centre: Ints, shape: tuple[int, ...]) -> tuple[tuple[Ints, Ints], Bools]:

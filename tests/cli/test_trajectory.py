@@ -1,0 +1,124 @@
+"""A moving arm, the whole way through the command line."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from typing import TYPE_CHECKING
+
+import pytest
+import yaml
+
+from urdfcal import Calibration
+from urdfcal.cli import run
+from urdfcal.session.files import read_session
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+OFFSETS = {"cam0": 0.02, "cam1": -0.007}
+MOVING = ["--trajectory", "--time-offset", "0.02", "--time-offset", "-0.007"]
+
+
+def small_rig(folder: Path) -> str:
+    """The elbow arm before cameras of half the resolution: pictures take a quarter of the time."""
+    from urdfcal.session.rigs import find_rig
+
+    shutil.copytree(find_rig("elbow3r"), folder)
+    cameras = yaml.safe_load((folder / "cameras.yaml").read_text())
+    for camera in cameras.values():
+        camera["resolution"] = [side // 2 for side in camera["resolution"]]
+        camera["intrinsics"] = [value / 2.0 for value in camera["intrinsics"]]
+    (folder / "cameras.yaml").write_text(yaml.safe_dump(cameras))
+    return str(folder)
+
+
+def offsets_of(result: Path) -> dict[str, dict[str, float]]:
+    document = json.loads((result / "calibration.json").read_text())
+    return {name: camera["time_offset"] for name, camera in document["cameras"].items()}
+
+
+def test_tables_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    session, out = tmp_path / "s", tmp_path / "out"
+    assert run(["simulate", "elbow3r", "-o", str(session), *MOVING, "--poses", "8", "--frame-rate", "10"]) == 0
+    assert json.loads((session / "truth.json").read_text())["time_offsets"] == OFFSETS
+    capsys.readouterr()
+    assert run(["calibrate", str(session), "-o", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "time offsets, robot less camera: cam0 +2" in said
+    assert "cam1 -" in said
+    for name, found in offsets_of(out).items():
+        assert abs(found["value"] - OFFSETS[name]) < min(2e-4, 4.0 * found["sigma"])
+    assert Calibration.load(out).placements.shape == (3, 4, 4)
+    assert "Clock of cam0" in (out / "report.html").read_text()
+    capsys.readouterr()
+    assert run(["evaluate", str(out / "elbow3r_calibrated.urdf"), str(session), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["residual_px"]["rms"] < 0.2
+
+
+def test_offsets_that_are_fixed_are_zero_and_do_not_explain_the_motion(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    session, out = tmp_path / "s", tmp_path / "out"
+    assert run(["simulate", "elbow3r", "-o", str(session), *MOVING, "--poses", "6", "--frame-rate", "5"]) == 0
+    text = (session / "session.yaml").read_text()
+    (session / "session.yaml").write_text(text + "estimate: {time_offset: fixed, geometry: dh, intrinsics: fixed}\n")
+    assert run(["calibrate", str(session), "-o", str(out), "--force"]) == 0
+    assert offsets_of(out)["cam0"] == {"value": 0.0, "sigma": None}
+    assert "cam0 0 (held)" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("form", ["--images", "--video"])
+def test_pictures_and_videos_are_detected_and_calibrated(
+    form: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    session, out = tmp_path / "s", tmp_path / "out"
+    rate = ["--poses", "5", "--frame-rate", "3"]
+    assert run(["simulate", small_rig(tmp_path / "rig"), "-o", str(session), *MOVING, *rate, form]) == 0
+    assert not (session / "detections.csv").exists()
+    names = {path.name for path in (session / "images").iterdir()}
+    assert names == ({"cam0", "cam1"} if form == "--images" else {"cam0.mp4", "cam1.mp4"})
+    assert run(["calibrate", str(session), "-o", str(out), "--no-priors"]) == 0
+    assert "looking for the LEDs first" in capsys.readouterr().out
+    read = read_session(session)
+    assert len(read.detections) > 0.7 * len((session / "truth_detections.csv").read_text().splitlines())
+    for name, found in offsets_of(out).items():
+        assert abs(found["value"] - OFFSETS[name]) < 5.0 * found["sigma"] < 5e-3
+
+
+def test_a_video_that_lost_pictures_is_refused_and_nothing_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    session = tmp_path / "s"
+    rate = ["--poses", "4", "--frame-rate", "1"]
+    assert run(["simulate", small_rig(tmp_path / "rig"), "-o", str(session), *MOVING, *rate, "--video"]) == 0
+    rows = (session / "frames.csv").read_text().splitlines()
+    count = sum(row.startswith("cam0") for row in rows)
+    rows.remove(next(row for row in reversed(rows) if row.startswith("cam0")))
+    (session / "frames.csv").write_text("\n".join(rows) + "\n")
+    before = sorted(path.name for path in session.iterdir())
+    assert run(["detect", str(session)]) == 2
+    assert f"has {count} pictures, and the table of frames {count - 1}" in capsys.readouterr().err
+    assert sorted(path.name for path in session.iterdir()) == before
+    (session / "images" / "cam0").mkdir()
+    assert run(["detect", str(session)]) == 2
+    assert "cam0 as well" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--video"], "--video goes with --trajectory"),
+        (["--time-offset", "0.1"], "--time-offset goes with --trajectory"),
+        (["--trajectory", "--images", "--video"], "choose one"),
+        (["--trajectory", "--time-offset", "0.1"], "1 time offsets for 2 cameras"),
+        (["--trajectory", "--time-offset", "nan", "--time-offset", "0"], "not all numbers"),
+        (["--trajectory", "--speed", "0"], "--speed"),
+    ],
+)
+def test_wrong_calls_say_what_is_wrong(
+    arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["simulate", "elbow3r", "-o", str(tmp_path / "s"), *arguments]) == 2
+    assert message in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,123 @@
+"""A moving arm: joint values at any time from a log of readings, and the frames that cameras took meanwhile."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from urdfcal.arrays import Bools, Floats, Ints, frozen
+from urdfcal.errors import SessionError
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
+
+# Readings farther apart than this are not joined by a curve. A cubic is off by 5/384 h^4 of the fourth derivative: with
+# a joint that swings at 0.5 rad/s every four seconds by 1e-5 rad at 0.15 s, and 2e-3 rad at 0.5 s.
+LONGEST_GAP = 0.15
+# Frames this near to where the log has nothing are left out: an offset of tens of milliseconds must not carry them
+# there, and a spline's last pieces are its worst. [s]
+MARGIN = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class JointLog:
+    """Joint values over time: a cubic spline through readings (not-a-knot at its ends).
+
+    It goes through the readings as they are. Of a joint that swings at 0.5 rad/s it is off by 4e-8 rad rms at 20 Hz, a
+    Hermite curve through differences by 2e-6; with readings to 2e-5 rad both are off by these, and their velocities
+    by less than 1 % at 125 Hz.
+
+    Attributes:
+        time: (K,) strictly increasing, on the robot's clock. [s]
+        values: (K, n) of all joints of the chain, continuous ones without jumps of a turn. [rad or m]
+    """
+
+    time: Floats
+    values: Floats
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "time", frozen(self.time))
+        object.__setattr__(self, "values", frozen(self.values))
+        if self.time.ndim != 1 or len(self.time) < 2 or self.values.shape[:1] != self.time.shape:
+            raise SessionError(
+                f"a log of joint values has times {self.time.shape} and values {self.values.shape}", where="session"
+            )
+        if not (np.isfinite(self.time).all() and np.isfinite(self.values).all()):
+            raise SessionError("a log of joint values is not finite", where="session")
+        if np.diff(self.time).min() <= 0.0:
+            raise SessionError("the times of the joint values do not increase", where="session")
+
+    @cached_property
+    def _spline(self) -> CubicSpline:
+        from scipy.interpolate import CubicSpline
+
+        return CubicSpline(self.time, self.values)
+
+    def at(self, time: Floats) -> Floats:
+        """Joint values (N, n) at times (N,) on the robot's clock; those of its end where it has none. [rad or m]."""
+        values: Floats = self._spline(np.clip(time, self.time[0], self.time[-1]))
+        return values
+
+    def velocities(self, time: Floats) -> Floats:
+        """The derivative (N, n) of :meth:`at`. [rad/s or m/s]."""
+        inside = (time >= self.time[0]) & (time <= self.time[-1])
+        values: Floats = np.where(inside[:, None], self._spline(np.clip(time, self.time[0], self.time[-1]), 1), 0.0)
+        return values
+
+    def covers(self, time: Floats) -> Bools:
+        """Which times (N,) are well within the log, away from its ends and its gaps."""
+        first, last = time - MARGIN, time + MARGIN
+        gaps = np.concatenate([[0], np.cumsum(np.diff(self.time) > LONGEST_GAP)])
+        before = np.clip(np.searchsorted(self.time, first, side="right") - 1, 0, None)
+        after = np.clip(np.searchsorted(self.time, last, side="left"), None, len(self.time) - 1)
+        inside = (first >= self.time[0]) & (last <= self.time[-1])
+        return np.asarray(inside & (gaps[after] == gaps[before]))
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """The frames of a moving arm: each is a pose of its own, seen by one camera.
+
+    Attributes:
+        log: the arm's motion.
+        frames: of each camera, the labels of all frames that it took, in order.
+        camera: (N,) of the frames that are used, the camera.
+        row: (N,) which of its frames.
+        time: (N,) when, on the camera's clock. [s]
+    """
+
+    log: JointLog
+    frames: tuple[tuple[str, ...], ...]
+    camera: Ints
+    row: Ints
+    time: Floats
+
+    def __post_init__(self) -> None:
+        for name, dtype in (("camera", np.intp), ("row", np.intp), ("time", np.float64)):
+            object.__setattr__(self, name, frozen(getattr(self, name), dtype))
+        if not len(self.camera) == len(self.row) == len(self.time):
+            raise SessionError("the frames' cameras, rows and times differ in number", where="trajectory")
+
+    def at(self, poses: Ints) -> Trajectory:
+        """The same of some of the frames, (K,) indices."""
+        return replace(self, camera=self.camera[poses], row=self.row[poses], time=self.time[poses])
+
+    def label(self, pose: int) -> str:
+        """What its camera calls a frame."""
+        return self.frames[int(self.camera[pose])][int(self.row[pose])]
+
+    def robot_time(self, time_offsets: Floats) -> Floats:
+        """When (N,) the frames were taken, on the robot's clock, for offsets (C,): t_robot = t_camera + offset. [s]."""
+        result: Floats = self.time + time_offsets[self.camera]
+        return result
+
+    def values(self, time_offsets: Floats) -> Floats:
+        """(N, n) joint values when the frames were taken, with the clocks' offsets (C,) in s. [rad or m]."""
+        return self.log.at(self.robot_time(time_offsets))
+
+    def velocities(self, time_offsets: Floats) -> Floats:
+        """(N, n) how fast the joints moved: the derivative of :meth:`values` by the camera's offset. [rad/s or m/s]."""
+        return self.log.velocities(self.robot_time(time_offsets))
