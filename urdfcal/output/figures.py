@@ -143,7 +143,7 @@ def _corrections(calibration: FittedCalibration) -> Figure:
                 values[known], y[known], xerr=errors[known], fmt="o", ms=3, color=_CALIBRATED, elinewidth=1.2, capsize=2
             )
         axes.plot(values[~known], y[~known], "x", ms=3.5, color=_NOMINAL)
-        axes.set_yticks(y, [f"{calibration.chain.names[row]}  {SYMBOLS.get(name, name)}" for row, name in kind])
+        axes.set_yticks(y, [f"{calibration.geometry.labels[row]}  {SYMBOLS.get(name, name)}" for row, name in kind])
         axes.set_ylim(len(kind) - 0.4, -0.6)
         axes.set_title(title, loc="left")
         axes.grid(visible=False, axis="y")
