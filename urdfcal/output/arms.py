@@ -45,7 +45,9 @@ def log_arms(layer: Layer, session: Session, scene: Scene) -> tuple[str, ...]:
             strips = _sticks(session.chain, frames)
             stick = arm.at("stick figure")
             stick.fixed(rr.LineStrips3D.from_fields(colors=line, radii=0.006 * session.chain.reach))
-            columns = rr.LineStrips3D.columns(strips=[strip[k] for k in range(layer.poses) for strip in strips])
+            columns = rr.LineStrips3D.columns(
+                strips=[strip[k].astype(np.float32) for k in range(layer.poses) for strip in strips]
+            )
             stick.each(columns.partition([len(strips)] * layer.poses))
     return warnings
 
@@ -56,7 +58,7 @@ def _sticks(mechanism: Mechanism, frames: Floats) -> list[Floats]:
     for tip in mechanism.tips:
         joints = frames[:, [0, *(joint + 1 for joint in mechanism.path(tip.joint))]]
         line = np.concatenate([joints, link_frames(frames, tip)[:, None]], axis=1)
-        lines.append(line[..., :3, 3].astype(np.float32))
+        lines.append(line[..., :3, 3])
     return lines
 
 

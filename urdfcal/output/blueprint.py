@@ -116,8 +116,10 @@ def _workspace(root: str, parent: str, overview: Overview) -> rrb.Container:
     reach = overview.calibration.chain.reach
     middle = (workspace.tip.min(axis=0) + workspace.tip.max(axis=0)) / 2
     eye = _eye(middle + 2.2 * reach * np.array([0.8, -1.0, 0.5]) / np.linalg.norm([0.8, -1.0, 0.5]), middle)
+    tips = overview.calibration.chain.tips
+    tip = "tip" if len(tips) == 1 else tips[0].link
     found = (
-        ("nominal", "As drawn: distance to the calibrated tip", workspace.before),
+        ("nominal", f"As drawn: distance to the calibrated {tip}", workspace.before),
         ("calibrated", "Calibrated: predicted standard deviation", workspace.after),
     )
     smallest, largest = (1e3 * limit for limit in workspace.range)

@@ -8,6 +8,7 @@ import numpy as np
 import rerun as rr
 
 from urdfcal.output.charts import CONVERGENCE, PARTS, RESIDUALS
+from urdfcal.output.fastening import fastening_sentences
 from urdfcal.output.palette import (
     CALIBRATED,
     FAINT,
@@ -217,6 +218,8 @@ def _about(overview: Overview) -> list[str]:
         taken_out = ", taken out of the fit" if cut else ""
         lines[pose].append(f"{names[led]} {new[m]:.2f} mm off, nominal {old[m]:.2f} mm{taken_out}")
     legend = _LEGEND.format(factor=scene.factor)
+    if fastened := fastening_sentences(session):
+        legend += "\n" + " ".join(fastened) + "\n"
     if overview.verdict.reasons:
         legend += "\n**To check:**\n" + "\n".join(f"- {text}" for text in overview.verdict.reasons)
     return [

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 # A lens bends straight lines: each is projected at so many points.
 _POINTS = 5
+# So many pictures aside nothing is drawn: next to the plane of the lens pixels go to 1e13, which no viewer can take.
+_FARTHEST = 100.0
 # Subpixel bits of OpenCV's drawing.
 _SHIFT = 4
 
@@ -57,13 +59,14 @@ def project_line(camera: Camera, T_base_cam: Floats, corners: Floats) -> Floats:
         corners: (N, K, 3) in the base link's frame. [m]
 
     Returns:
-        (N, P, 2) px; NaN behind the camera.
+        (N, P, 2) px; NaN behind the camera, and far outside of its picture.
     """
     along = np.linspace(0.0, 1.0, _POINTS)[:-1, None]
     points = (1 - along) * corners[:, :-1, None] + along * corners[:, 1:, None]
     points = np.concatenate([points.reshape(len(corners), -1, 3), corners[:, -1:]], axis=1)
     T = inverse(T_base_cam)
     uv: Floats = camera.project(points @ np.swapaxes(T[:, :3, :3], 1, 2) + T[:, None, :3, 3])
+    uv[np.abs(uv).max(axis=-1) > _FARTHEST * max(camera.resolution)] = np.nan
     return uv
 
 
