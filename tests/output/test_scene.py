@@ -13,11 +13,10 @@ from urdfcal.output.placing import joint_frames, led_positions
 from urdfcal.output.rows import dh_frames
 from urdfcal.output.scene import exaggerated, lay_out, readable
 from urdfcal.output.stream import quaternions
-from urdfcal.robot.chain import Chain
 from urdfcal.robot.dh import PARAMETERS, DHTable
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.session.files import read_rig
-from urdfcal.session.rigs import find_rig, shipped_rigs
+from urdfcal.session.rigs import find_rig
 from urdfcal.session.simulate import simulate
 
 
@@ -27,7 +26,7 @@ def random_transforms(rng, count, angle=np.pi):
     return np.array([pin.exp6(twist).homogeneous for twist in twists])
 
 
-@pytest.mark.parametrize("rig", [rig for rig in shipped_rigs() if isinstance(read_rig(find_rig(rig)).chain, Chain)])
+@pytest.mark.parametrize("rig", ["elbow3r", "panda", "so101", "stanford", "ur5"])
 def test_frames_agree_with_the_dh_product_and_the_tip(rig):
     rng = np.random.default_rng(0)
     chain = read_rig(find_rig(rig)).chain
