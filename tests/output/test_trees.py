@@ -43,6 +43,15 @@ def in_hand(cameras):
     return replace(rig, rig=Rig(lenses, (np.eye(4), aside)[:cameras]), mounts=mounts)
 
 
+def strips(recorded, entity, component):
+    """The lines at each pose, each as long as it is."""
+    (batch,) = [b for chunk, b in recorded.chunks if chunk.entity_path == entity and component in b.schema.names]
+    return {
+        pose: [np.array(strip) for strip in row]
+        for pose, row in zip(batch.column("pose").to_pylist(), batch.column(component).to_pylist(), strict=True)
+    }
+
+
 @pytest.fixture(scope="module", params=RIGS)
 def calibration(request):
     return calibrate(simulate(read_rig(find_rig(request.param)), seed=2, poses=POSES).session)
@@ -140,7 +149,7 @@ def test_every_branch_is_recorded(calibration, recorded):
         )
     for i in range(len(table.labels) + 1):
         assert f"/base/dh/F{i}" in recorded.entities
-    bodies = {"tiago": ("head_2_link", "arm_7_link"), "tiago_dual": ("arm_left_5_link", "arm_right_5_link")}
+    bodies = {"tiago": ("head_2_link", "arm_6_link"), "tiago_dual": ("arm_left_5_link", "arm_right_5_link")}
     for link in bodies.get(chain.name, ("forearm_link",)):
         for arm in ("calibrated", "nominal"):
             assert len(recorded.rows(f"/base/{arm}/{link}", "Transform3D:translation")) == POSES
@@ -149,10 +158,10 @@ def test_every_branch_is_recorded(calibration, recorded):
 def test_the_arm_in_the_pictures_is_cut_where_no_camera_sees_it(calibration, recorded):
     for c, camera in enumerate(calibration.estimate.cameras):
         uv = arm_in_picture(calibration, calibration.session.q, c)
-        strips = recorded.rows(f"/base/cameras/{camera.name}/image/arm/calibrated", "LineStrips2D:strips")
-        for pose, strip in strips.items():
-            if len(strip):
-                drawn = np.concatenate([np.asarray(piece) for piece in strip]) - CORNER
+        image = f"/base/cameras/{camera.name}/image"
+        for pose, pieces in strips(recorded, f"{image}/arm/calibrated", "LineStrips2D:strips").items():
+            if pieces:
+                drawn = np.concatenate(pieces) - CORNER
                 ends = np.isfinite(uv[pose]).all(axis=1)
                 assert len(drawn) <= np.count_nonzero(ends)
                 apart = np.linalg.norm(uv[pose][ends][:, None] - drawn, axis=-1).min(axis=0)
@@ -177,8 +186,7 @@ def test_a_robot_without_meshes_is_a_stick_figure_with_all_its_limbs(calibration
     bare = replace(calibration, session=replace(calibration.session, urdf=None))
     write_recording(tmp_path / "stick.rrd", bare, overview)
     recorded = Recorded(tmp_path / "stick.rrd")
-    rows = recorded.rows("/base/calibrated/stick\\ figure", "LineStrips3D:strips")
     tips = link_poses(bare.chain, bare.session.q, bare.chain.tips, bare.placements)
-    for pose, strips in rows.items():
-        ends = [np.asarray(strip)[-1] for strip in strips]
+    for pose, limbs in strips(recorded, "/base/calibrated/stick\\ figure", "LineStrips3D:strips").items():
+        ends = [limb[-1] for limb in limbs]
         np.testing.assert_allclose(ends, [T[pose, :3, 3] for T in tips], atol=1e-6)
