@@ -9,7 +9,9 @@ from urdfcal.calibration import calibrate
 from urdfcal.estimation.state import State
 from urdfcal.output.blueprint import viewpoint
 from urdfcal.output.palette import by_sigma
-from urdfcal.output.scene import dh_frames, exaggerated, joint_frames, lay_out, led_positions, readable
+from urdfcal.output.placing import joint_frames, led_positions
+from urdfcal.output.rows import dh_frames
+from urdfcal.output.scene import exaggerated, lay_out, readable
 from urdfcal.output.stream import quaternions
 from urdfcal.robot.dh import PARAMETERS, DHTable
 from urdfcal.robot.kinematics import tip_poses

@@ -175,7 +175,7 @@ def _print(overview: Overview, paths: Sequence[Path], remarks: Sequence[str]) ->
     clocks = [f"{name} {_clock(**camera['time_offset'])}" for name, camera in cameras if "time_offset" in camera]
     if clocks:
         line(f"time offsets, robot less camera: {', '.join(clocks)}")
-    rows = len(calibration.chain.joints)
+    rows = len(calibration.geometry.labels)
     printed = 4 + bool(clocks) + 3  # the files below
     if rows <= _MOST_ROWS:
         console.print(_corrections(calibration))
@@ -205,7 +205,7 @@ def _corrections(calibration: FittedCalibration) -> object:
     columns = [f"{name} ({'mm' if name in LENGTHS else 'mrad'})" for name in calibration.geometry.columns]
     table = sheet("offsets ± standard deviation", ["joint", *columns])
     for joint, offsets, sigmas in zip(
-        calibration.chain.names, 1e3 * calibration.estimate.offsets, 1e3 * calibration.sigmas(), strict=True
+        calibration.geometry.labels, 1e3 * calibration.estimate.offsets, 1e3 * calibration.sigmas(), strict=True
     ):
         cells = [f"{o:.3f} ± {s:.3f}" if np.isfinite(s) else "" for o, s in zip(offsets, sigmas, strict=True)]
         table.add_row(joint, *cells)

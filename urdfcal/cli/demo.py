@@ -26,6 +26,8 @@ def command(rig: str, output: Path | None, seed: int) -> None:
     from urdfcal.errors import OutputError
     from urdfcal.estimation.evaluation import Spread, compare
     from urdfcal.robot.chain import Chain
+    from urdfcal.robot.mechanism import BASE
+    from urdfcal.robot.urdf import find_urdf
     from urdfcal.session.files import read_rig, read_session
     from urdfcal.session.rigs import find_rig
     from urdfcal.session.simulate import simulate, write_simulated
@@ -41,15 +43,21 @@ def command(rig: str, output: Path | None, seed: int) -> None:
     write_simulated(folder / "session", simulate(description, poses=50, seed=seed))
     calibration = run(read_session(folder / "session"), folder / "result", seed)
 
-    chain = calibration.chain
-    truth = Chain.from_urdf(folder / "session" / "truth.urdf", chain.tip_link, chain.base_link)
-    built = Chain.from_urdf(folder / "result" / calibration.urdf_name, chain.tip_link, chain.base_link)
-    q = chain.random_values(1000, np.random.default_rng(seed))
-    before, after = (asdict(Spread.of(1e3 * compare(robot, truth, q).position)) for robot in (chain, built))
-    click.echo(
-        f"tip against the true robot over the workspace: {before['rms']:.2f} -> {after['rms']:.2f} mm rms, "
-        f"{before['max']:.2f} -> {after['max']:.2f} mm max"
+    session = calibration.session
+    urdfs = (
+        find_urdf(session.urdf_reference, relative_to=session.folder),
+        folder / "result" / calibration.urdf_name,
+        folder / "session" / "truth.urdf",
     )
+    tips = [tip.link for tip in session.chain.tips if tip.joint != BASE]
+    for link in tips:
+        drawn, built, truth = (Chain.from_urdf(urdf, link, session.chain.base_link) for urdf in urdfs)
+        q = drawn.random_values(1000, np.random.default_rng(seed))
+        before, after = (asdict(Spread.of(1e3 * compare(robot, truth, q).position)) for robot in (drawn, built))
+        click.echo(
+            f"{'tip' if len(tips) == 1 else link} against the true robot over the workspace: "
+            f"{before['rms']:.2f} -> {after['rms']:.2f} mm rms, {before['max']:.2f} -> {after['max']:.2f} mm max"
+        )
 
 
 def _candidates() -> map[Path]:

@@ -9,6 +9,7 @@ import rerun as rr
 
 from urdfcal.output.bodies import MESH_FORMATS, visible_bodies
 from urdfcal.output.palette import CALIBRATED, GHOST, NOMINAL, PARAMETER_COLORS
+from urdfcal.output.placing import link_frames
 from urdfcal.output.stream import placed
 
 if TYPE_CHECKING:
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     from urdfcal.output.scene import Scene
     from urdfcal.output.stream import Layer
     from urdfcal.robot.dh import DHTable
+    from urdfcal.robot.mechanism import Mechanism
+    from urdfcal.robot.tree_dh import TreeTable
     from urdfcal.session.model import Session
 
 Color = tuple[int, ...]
@@ -39,29 +42,42 @@ def log_arms(layer: Layer, session: Session, scene: Scene) -> tuple[str, ...]:
         for body in bodies:
             _log_body(arm.at(body.link), body, frames, tint)
         if warnings or not bodies:
-            joints = np.concatenate([frames, frames[:, -1:] @ session.chain.T_last_tip], axis=1)
-            radius = 0.006 * session.chain.reach
+            strips = _sticks(session.chain, frames)
+            stick = arm.at("stick figure")
+            stick.fixed(rr.LineStrips3D.from_fields(colors=line, radii=0.006 * session.chain.reach))
             columns = rr.LineStrips3D.columns(
-                strips=joints[..., :3, 3].astype(np.float32), radii=[radius] * layer.poses
+                strips=[strip[k].astype(np.float32) for k in range(layer.poses) for strip in strips]
             )
-            arm.at("stick figure").fixed(rr.LineStrips3D.from_fields(colors=line))
-            arm.at("stick figure").each(columns)
+            stick.each(columns.partition([len(strips)] * layer.poses))
     return warnings
 
 
-def log_dh(layer: Layer, table: DHTable, offsets: Floats, scene: Scene) -> None:
-    """Log the DH frames F0 ... Fn as axes, and each row's way from one to the next, with d and a as labels."""
+def _sticks(mechanism: Mechanism, frames: Floats) -> list[Floats]:
+    """A line from the base link over the joints to each tip, (N, K, 3) in m."""
+    lines = []
+    for tip in mechanism.tips:
+        joints = frames[:, [0, *(joint + 1 for joint in mechanism.path(tip.joint))]]
+        line = np.concatenate([joints, link_frames(frames, tip)[:, None]], axis=1)
+        lines.append(line[..., :3, 3])
+    return lines
+
+
+def log_dh(layer: Layer, table: DHTable | TreeTable, offsets: Floats, scene: Scene) -> None:
+    """Log the DH frames as axes, and each row's way from one to the next, with d and a as labels.
+
+    Rows are numbered as in the table that stands beside them, from 1.
+    """
     length = 0.08 * table.chain.reach
     for i in range(scene.dh.shape[1]):
         layer.at(f"F{i}").moving(scene.dh[:, i])
         layer.at(f"F{i}").fixed(rr.TransformAxes3D(axis_length=length))
-    for i, values in enumerate(table.nominal + offsets):
-        feet, ends = scene.normals[:, i], scene.dh[:, i + 1, :3, 3]
-        for name, value, start, end in (
-            ("d", values[1], scene.dh[:, i, :3, 3], feet),
-            ("a", values[2], feet, ends),
+    sliding = {joint.name for joint in table.chain.joints if joint.prismatic}
+    for i, (joint, values) in enumerate(zip(table.labels, table.nominal + offsets, strict=True)):
+        for name, value, stretch in (
+            ("d", values[1], scene.corners[:, i, :2]),
+            ("a", values[2], scene.corners[:, i, 1:]),
         ):
-            if abs(value) < _NO_LENGTH * table.chain.reach and table.rows[i].type != "prismatic":
+            if abs(value) < _NO_LENGTH * table.chain.reach and joint not in sliding:
                 continue
             row = layer.at("rows", f"{name}{i + 1}")
             label = f"{name}{i + 1} {1e3 * value:.1f} mm"
@@ -71,7 +87,7 @@ def log_dh(layer: Layer, table: DHTable, offsets: Floats, scene: Scene) -> None:
                     colors=color, radii=0.004 * table.chain.reach, labels=label, show_labels=False
                 )
             )
-            row.each(rr.LineStrips3D.columns(strips=np.stack([start, end], axis=1).astype(np.float32)))
+            row.each(rr.LineStrips3D.columns(strips=stretch.astype(np.float32)))
 
 
 def _log_body(layer: Layer, body: Body, frames: Floats, tint: Color | None) -> None:
@@ -97,4 +113,4 @@ def _drawn(shape: Shape, tint: Color | None) -> AsComponents:
         return rr.Boxes3D(sizes=[shape.size], colors=color, fill_mode=fill)
     if shape.kind == "cylinder":
         return rr.Cylinders3D(radii=shape.size[0], lengths=shape.size[1], colors=color, fill_mode=fill)
-    return rr.Ellipsoids3D(radii=shape.size[0], colors=color, fill_mode=fill)
+    return rr.Ellipsoids3D(half_sizes=[shape.size * 3], colors=color, fill_mode=fill)

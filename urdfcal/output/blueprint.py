@@ -91,7 +91,7 @@ def _beside_arm(root: str, scene: Scene) -> rrb.Container:
 
 def _parameters(root: str, parent: str, overview: Overview) -> rrb.Container:
     table = overview.calibration.table
-    rows = [f"{root}/dh/rows/{name}{i + 1}" for i in range(len(table.rows)) for name in "da"]
+    rows = [f"{root}/dh/rows/{name}{i + 1}" for i in range(len(table.labels)) for name in "da"]
     reach = table.chain.reach
     towards = viewpoint(overview.scene)[0] - viewpoint(overview.scene)[1]
     target = overview.scene.frames[0, :, :3, 3].mean(axis=0)
@@ -116,8 +116,10 @@ def _workspace(root: str, parent: str, overview: Overview) -> rrb.Container:
     reach = overview.calibration.chain.reach
     middle = (workspace.tip.min(axis=0) + workspace.tip.max(axis=0)) / 2
     eye = _eye(middle + 2.2 * reach * np.array([0.8, -1.0, 0.5]) / np.linalg.norm([0.8, -1.0, 0.5]), middle)
+    tips = overview.calibration.chain.tips
+    tip = "tip" if len(tips) == 1 else tips[0].link
     found = (
-        ("nominal", "As drawn: distance to the calibrated tip", workspace.before),
+        ("nominal", f"As drawn: distance to the calibrated {tip}", workspace.before),
         ("calibrated", "Calibrated: predicted standard deviation", workspace.after),
     )
     smallest, largest = (1e3 * limit for limit in workspace.range)
@@ -175,7 +177,7 @@ def viewpoint(scene: Scene) -> tuple[Floats, Floats]:
         The eye and the point it looks at, (3,) each, in the base link's frame. [m]
     """
     arm = scene.frames[..., :3, 3].reshape(-1, 3)
-    cameras = scene.T_base_cam[:, :3, 3]
+    cameras = scene.views[..., :3, 3].reshape(-1, 3)
     points = np.concatenate([arm, scene.leds.measured[~scene.leds.outlier], cameras])
     target = (points.min(axis=0) + points.max(axis=0)) / 2
     forward = -_beside(cameras.mean(axis=0) - arm.mean(axis=0) if len(cameras) else np.zeros(3))

@@ -1,4 +1,4 @@
-"""The visible shapes of a URDF, hung on the frames of a chain."""
+"""The visible shapes of a URDF, hung on the frames of its joints."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pathlib import Path
     from xml.etree.ElementTree import Element
 
-    from urdfcal.robot.chain import Chain
+    from urdfcal.robot.mechanism import Mechanism
     from urdfcal.robot.urdf import Urdf
 
 Color: TypeAlias = tuple[float, float, float, float]
@@ -56,7 +56,7 @@ class Shape:
 
 @dataclass(frozen=True)
 class Body:
-    """A link that moves with a frame of the chain.
+    """A link that moves with a joint.
 
     Attributes:
         link: its name.
@@ -71,10 +71,10 @@ class Body:
     shapes: tuple[Shape, ...]
 
 
-def visible_bodies(urdf: Urdf, chain: Chain) -> tuple[tuple[Body, ...], tuple[str, ...]]:
+def visible_bodies(urdf: Urdf, chain: Mechanism) -> tuple[tuple[Body, ...], tuple[str, ...]]:
     """Collect the links of the arm that have something to show.
 
-    These are the chain's links, what is fixed to them, and everything beyond the last joint (a gripper's
+    These are the links that its joints carry, what is fixed to them, and everything beyond the last joints (a gripper's
     fingers, at zero joint values); other limbs of a larger robot are left out.
 
     Returns:
@@ -89,8 +89,9 @@ def visible_bodies(urdf: Urdf, chain: Chain) -> tuple[tuple[Body, ...], tuple[st
     return tuple(bodies), shapes.warnings()
 
 
-def _carried_links(urdf: Urdf, chain: Chain) -> list[tuple[str, int, Floats]]:
+def _carried_links(urdf: Urdf, chain: Mechanism) -> list[tuple[str, int, Floats]]:
     frame_of = {name: i + 1 for i, name in enumerate(chain.names)}
+    last = set(range(1, len(chain.joints) + 1)) - {parent + 1 for parent in chain.parents}
     carried = [(chain.base_link, 0, np.eye(4))]
     for link, frame, T in carried:  # grows while it is walked: parents come before children
         for joint in urdf.joints.values():
@@ -98,7 +99,7 @@ def _carried_links(urdf: Urdf, chain: Chain) -> list[tuple[str, int, Floats]]:
                 continue
             if joint.name in frame_of:
                 carried.append((joint.child, frame_of[joint.name], np.eye(4)))
-            elif joint.type == "fixed" or frame == len(chain.joints):
+            elif joint.type == "fixed" or frame in last:
                 carried.append((joint.child, frame, T @ joint.T_parent_joint))
     return carried
 

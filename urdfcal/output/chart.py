@@ -23,6 +23,8 @@ Color: TypeAlias = tuple[int, ...]
 
 # Size of the plotted area; only its shape is seen.
 _WIDTH, _HEIGHT = 150.0, 105.0
+# Rows with names need so much height each, lest the names overlap; beyond the limit they had better.
+_ROW, _TALLEST = 7.0, 205.0
 # Room for tick labels: numbers and names to the left, and right, above and below.
 _NUMBERS, _NAMES, _RIGHT, _ABOVE, _BELOW = 24.0, 75.0, 8.0, 6.0, 16.0
 # A logarithmic range shorter than this factor has hardly a round number inside.
@@ -140,13 +142,20 @@ class Chart:
     x_names: Mapping[float, str] | None = None
     y_names: Mapping[float, str] | None = None
 
+    @property
+    def _height(self) -> float:
+        """Of the plotted area."""
+        return max(_HEIGHT, min(_ROW * len(self.y_names or ()), _TALLEST))
+
     def view(self, parent: str) -> rrb.View:
         """The chart's view, its entity being a child of ``parent``."""
         left = _NUMBERS if self.y_names is None else _NAMES
         return rrb.Spatial2DView(
             origin=f"{parent}/{rr.escape_entity_path_part(self.name)}",
             name=self.title,
-            visual_bounds=rrb.VisualBounds2D(x_range=[-left, _WIDTH + _RIGHT], y_range=[-_ABOVE, _HEIGHT + _BELOW]),
+            visual_bounds=rrb.VisualBounds2D(
+                x_range=[-left, _WIDTH + _RIGHT], y_range=[-_ABOVE, self._height + _BELOW]
+            ),
             background=BACKGROUND,
         )
 
@@ -155,27 +164,27 @@ class Chart:
         chart = parent.at(self.name)
         x_names = {t: f"{t + 0.0:.6g}" for t in self.x.ticks()} if self.x_names is None else self.x_names
         y_names = {t: f"{t + 0.0:.6g}" for t in self.y.ticks()} if self.y_names is None else self.y_names
-        x, y = _WIDTH * self.x.share(list(x_names)), _HEIGHT * (1.0 - self.y.share(list(y_names)))
+        x, y = _WIDTH * self.x.share(list(x_names)), self._height * (1.0 - self.y.share(list(y_names)))
         grid = [[[0.0, v], [_WIDTH, v]] for v in y]
         chart.at("grid").fixed(rr.LineStrips2D(grid, colors=GRID, radii=_HAIR, draw_order=-1.0))
-        frame = [[0.0, 0.0], [0.0, _HEIGHT], [_WIDTH, _HEIGHT]]
+        frame = [[0.0, 0.0], [0.0, self._height], [_WIDTH, self._height]]
         chart.at("frame").fixed(rr.LineStrips2D([frame], colors=FAINT, radii=_HAIR))
         beside = _NUMBERS if self.y_names is None else _NAMES
         # rerun writes labels centred below their points.
-        places = [*([u, _HEIGHT] for u in x), *([-beside / 2, v - 5.0] for v in y)]
+        places = [*([u, self._height] for u in x), *([-beside / 2, v - 5.0] for v in y)]
         names = [*x_names.values(), *y_names.values()]
         chart.at("ticks").fixed(rr.Points2D(places, radii=_NONE, labels=names, colors=INK, show_labels=True))
         for order, mark in enumerate(self.marks):
             self._log_mark(chart.at(mark.name), mark, float(order))
 
     def _log_mark(self, layer: Layer, mark: Dots | Lines, order: float) -> None:
-        u, v = np.broadcast_arrays(_WIDTH * self.x.share(mark.x), _HEIGHT * (1.0 - self.y.share(mark.y)))
+        u, v = np.broadcast_arrays(_WIDTH * self.x.share(mark.x), self._height * (1.0 - self.y.share(mark.y)))
         places = np.stack([u, v], axis=-1)
         if isinstance(mark, Dots):
-            inside = ((places > -1e-6) & (places < np.add([_WIDTH, _HEIGHT], 1e-6))).all(axis=-1)
+            inside = ((places > -1e-6) & (places < np.add([_WIDTH, self._height], 1e-6))).all(axis=-1)
             layer.fixed(rr.Points2D(places[inside], radii=_DOT, colors=mark.color, draw_order=order))
         else:
-            lines = np.clip(places.reshape(-1, *places.shape[-2:]), 0.0, [_WIDTH, _HEIGHT])
+            lines = np.clip(places.reshape(-1, *places.shape[-2:]), 0.0, [_WIDTH, self._height])
             strips = [line[np.isfinite(line).all(axis=1)] for line in lines]
             radius = _HAIR if mark.thin else _LINE
             layer.fixed(rr.LineStrips2D(strips, colors=mark.color, radii=radius, draw_order=order))

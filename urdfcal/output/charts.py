@@ -56,7 +56,7 @@ def residual_charts(overview: Overview) -> list[Chart]:
     if scene.pixels is not None:
         names = [camera.name for camera in calibration.estimate.cameras]
         charts.insert(1, _by_camera(scene.pixels, names))
-        eyes = scene.T_base_cam[scene.pixels.camera, :3, 3]
+        eyes = scene.views[scene.pixels.camera, scene.pixels.pose, :3, 3]
         seen = scene.rays[:, 1]
         charts.append(_against("distance", "Distance to the camera [m]", np.linalg.norm(seen - eyes, axis=1), table))
     for j, joint in enumerate(calibration.chain.joints):
@@ -157,7 +157,7 @@ def _against(name: str, title: str, value: Floats, table: Sightings) -> Chart:
 def parameter_charts(calibration: FittedCalibration) -> list[Chart]:
     """Corrections of the DH rows as bars with their standard deviations, lengths and angles apart."""
     offsets, sigmas = 1e3 * calibration.estimate.offsets, 1e3 * calibration.sigmas()
-    columns, joints = calibration.geometry.columns, calibration.chain.names
+    columns, labels = calibration.geometry.columns, calibration.geometry.labels
     charts = []
     for kind, unit in (("lengths", "mm"), ("angles", "mrad")):
         entries = [
@@ -171,7 +171,7 @@ def parameter_charts(calibration: FittedCalibration) -> list[Chart]:
         y = np.arange(len(entries), 0.0, -1.0)
         ends = np.stack([y - 0.25, y - 0.25, y + 0.25, y + 0.25], axis=-1)
         zero = np.zeros_like(value)
-        names = [f"{joints[row]} {columns[k]}" for row, k in entries]
+        names = [f"{labels[row]} {columns[k]}" for row, k in entries]
         charts.append(
             Chart(
                 kind,
@@ -212,7 +212,7 @@ def _paths(calibration: FittedCalibration) -> Iterable[Chart]:
     paths, sigmas = parameter_paths(calibration), 1e3 * calibration.sigmas()
     number = np.arange(paths.shape[0], dtype=float)
     columns = calibration.geometry.columns
-    for i, joint in enumerate(calibration.chain.names):
+    for i, joint in enumerate(calibration.geometry.labels):
         estimated = [k for k in range(len(columns)) if np.isfinite(sigmas[i, k])]
         if not estimated:
             continue
@@ -234,7 +234,7 @@ def _paths(calibration: FittedCalibration) -> Iterable[Chart]:
 
 
 def parameter_paths(calibration: FittedCalibration) -> Floats:
-    """The arm's offsets at the start and after every iteration, (I + 1, n, columns) in mm and mrad."""
+    """The arm's offsets at the start and after every iteration, (I + 1, rows, columns) in mm and mrad."""
     states = [calibration.nominal, *(step.state for step in calibration.fit.history)]
     return 1e3 * np.array([state.offsets for state in states])
 

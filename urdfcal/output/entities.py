@@ -8,6 +8,7 @@ import numpy as np
 import rerun as rr
 
 from urdfcal.output.charts import CONVERGENCE, PARTS, RESIDUALS
+from urdfcal.output.fastening import fastening_sentences
 from urdfcal.output.palette import (
     CALIBRATED,
     FAINT,
@@ -20,7 +21,8 @@ from urdfcal.output.palette import (
     by_sigma,
 )
 from urdfcal.output.photographs import compressed, find_photographs
-from urdfcal.output.projection import project_line, skeleton
+from urdfcal.output.placing import Places
+from urdfcal.output.projection import finite_pieces, project_line, skeleton
 from urdfcal.output.stream import CORNER, placed, quaternions
 from urdfcal.output.summary import parameter_text
 
@@ -49,24 +51,32 @@ def log_cameras(base: Layer, calibration: FittedCalibration, scene: Scene) -> No
     estimate, nominal, q = calibration.estimate, calibration.nominal, calibration.session.q
     photographs = find_photographs(calibration.session)
     if estimate.cameras:
-        drawn = skeleton(calibration, estimate, q), skeleton(calibration, nominal, q)
+        arms = [
+            (name, Places.of(calibration, state, q).T_base_cam, skeleton(calibration, state, q), color, radius)
+            for name, state, color, radius in (
+                ("nominal", nominal, NOMINAL, 2 * _LINE),
+                ("calibrated", estimate, CALIBRATED, _THIN),
+            )
+        ]
     for index, camera in enumerate(estimate.cameras):
         image = base.at("cameras", camera.name, "image")
         _log_camera(base, index, camera, scene)
         _log_photographs(image, photographs[index])
-        for name, state, corners, color, radius in (
-            ("nominal", nominal, drawn[1], NOMINAL, 2 * _LINE),
-            ("calibrated", estimate, drawn[0], CALIBRATED, _THIN),
-        ):
-            _log_arm(image.at("arm", name), project_line(state, corners, index), color, radius)
+        for name, views, corners, color, radius in arms:
+            _log_arm(image.at("arm", name), project_line(camera, views[index], corners), color, radius)
 
 
 def _log_camera(base: Layer, index: int, camera: Camera, scene: Scene) -> None:
-    T = scene.T_base_cam[index]
-    distance = float(np.median(np.linalg.norm(scene.leds.measured - T[:3, 3], axis=1)))
+    link, views = scene.links[index], scene.views[index]
+    distance = float(np.median(np.linalg.norm(scene.leds.measured - views[scene.leds.pose, :3, 3], axis=1)))
     body = base.at("cameras", camera.name)
-    body.fixed(placed(T), rr.TransformAxes3D(axis_length=0.05 * distance))
-    body.at("name").fixed(rr.Points3D([[0, 0, 0]], radii=_SMALL_DOT, labels=camera.name, colors=INK))
+    if link is None:
+        body.fixed(placed(scene.T_base_cam[index]))
+    else:
+        body.moving(views)
+    body.fixed(rr.TransformAxes3D(axis_length=0.05 * distance))
+    label = camera.name if link is None else f"{camera.name}, on {link}"
+    body.at("name").fixed(rr.Points3D([[0, 0, 0]], radii=_SMALL_DOT, labels=label, colors=INK))
     body.at("image").fixed(
         rr.Pinhole(
             focal_length=camera.intrinsics[:2],
@@ -97,11 +107,12 @@ def _log_photographs(image: Layer, photographs: Mapping[int, Path]) -> None:
 
 def _log_arm(layer: Layer, uv: Floats, color: tuple[int, ...], radius: float) -> None:
     """Log the arm in a camera's picture, drawn from joint values alone: (N, P, 2) px."""
-    here = np.isfinite(uv).all(axis=(1, 2))
     # The calibrated arm, thinner, lies on the nominal one.
     layer.fixed(rr.LineStrips2D.from_fields(colors=color, radii=radius, draw_order=10.0 + radius))
-    strips = rr.LineStrips2D.columns(strips=(uv[here] + CORNER).astype(np.float32))
-    layer.each(strips, np.flatnonzero(here))
+    pieces = [(pose, piece + CORNER) for pose, line in enumerate(uv) for piece in finite_pieces(line)]
+    if pieces:
+        strips = rr.LineStrips2D.columns(strips=[piece.astype(np.float32) for _, piece in pieces])
+        layer.each(strips, np.array([pose for pose, _ in pieces]))
 
 
 def _log_image(image: Layer, scene: Scene, pixels: Sightings, seen: Ints) -> None:
@@ -207,6 +218,8 @@ def _about(overview: Overview) -> list[str]:
         taken_out = ", taken out of the fit" if cut else ""
         lines[pose].append(f"{names[led]} {new[m]:.2f} mm off, nominal {old[m]:.2f} mm{taken_out}")
     legend = _LEGEND.format(factor=scene.factor)
+    if fastened := fastening_sentences(session):
+        legend += "\n" + " ".join(fastened) + "\n"
     if overview.verdict.reasons:
         legend += "\n**To check:**\n" + "\n".join(f"- {text}" for text in overview.verdict.reasons)
     return [

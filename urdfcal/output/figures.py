@@ -29,6 +29,8 @@ _MANY = 2000
 _CELLS = 24
 # A portrait picture as wide as half the page would fill it. [in]
 _TALLEST = 3.6
+# Mean width of a letter of the figures' font at their size. [in]
+_LETTER = 0.066
 SYMBOLS = {"theta": "\u03b8", "alpha": "\u03b1", "beta": "\u03b2"}
 # The report's own sans-serif: text stays text, so that it can be searched and looks like the page.
 _STYLE: Any = {
@@ -130,8 +132,15 @@ def _corrections(calibration: FittedCalibration) -> Figure:
     ]
     height = 0.45 + 0.15 * max(map(len, kinds))
     figure, panels = _figure(height, 2)
-    figure.subplots_adjust(left=0.19, right=0.99, bottom=0.22 / height, top=1 - 0.22 / height, wspace=0.55)
-    for axes, kind, title in zip(panels, kinds, ("lengths [mm]", "angles [mrad]"), strict=True):
+    labels = [
+        [f"{calibration.geometry.labels[row]}  {SYMBOLS.get(name, name)}" for row, name in kind] for kind in kinds
+    ]
+    # Labels stand left of both panels; the right one's first is short of a few points to spare.
+    left = max(0.19, _LETTER / _WIDTH * max(len(label) for kind in labels for label in kind))
+    gap = left - 0.017
+    wspace = 2 * gap / (0.99 - left - gap)
+    figure.subplots_adjust(left=left, right=0.99, bottom=0.22 / height, top=1 - 0.22 / height, wspace=wspace)
+    for axes, kind, names, title in zip(panels, kinds, labels, ("lengths [mm]", "angles [mrad]"), strict=True):
         index = [(row, calibration.geometry.columns.index(name)) for row, name in kind]
         values = 1e3 * np.array([offsets[i] for i in index])
         errors = 1e3 * 1.96 * np.array([sigmas[i] for i in index])
@@ -143,7 +152,7 @@ def _corrections(calibration: FittedCalibration) -> Figure:
                 values[known], y[known], xerr=errors[known], fmt="o", ms=3, color=_CALIBRATED, elinewidth=1.2, capsize=2
             )
         axes.plot(values[~known], y[~known], "x", ms=3.5, color=_NOMINAL)
-        axes.set_yticks(y, [f"{calibration.chain.names[row]}  {SYMBOLS.get(name, name)}" for row, name in kind])
+        axes.set_yticks(y, names)
         axes.set_ylim(len(kind) - 0.4, -0.6)
         axes.set_title(title, loc="left")
         axes.grid(visible=False, axis="y")
@@ -161,7 +170,7 @@ def _workspace(workspace: Workspace) -> Figure:
         edges, cells = _binned(radius, height, 1e3 * error)
         picture = axes.pcolormesh(*edges, cells.T, cmap="viridis")
         axes.set(aspect="equal", xlabel="from the base's z axis [m]")
-        axes.locator_params(axis="x", nbins=2, steps=[1, 5, 10])
+        axes.locator_params(axis="x", nbins=2, steps=[1, 2, 5, 10])
         axes.set_title(f"{name} [mm]", loc="left")
         figure.colorbar(picture, ax=axes, fraction=0.06, pad=0.03).outline.set(visible=False)
         shares.plot(1e3 * np.sort(error), np.linspace(0, 100, len(error)), color=color, label=name)

@@ -56,7 +56,7 @@ def log_convergence(base: Layer, calibration: FittedCalibration) -> None:
         rms = scale * np.sqrt([np.mean(np.sum(r**2, axis=1)) for r in residuals])
         _log_iterations(plots.at(f"rms_{unit}"), 0, rms)
     paths, sigmas = parameter_paths(calibration), 1e3 * calibration.sigmas()
-    for i, joint in enumerate(calibration.chain.names):
+    for i, joint in enumerate(calibration.geometry.labels):
         for k, name in enumerate(calibration.geometry.columns):
             if np.isfinite(sigmas[i, k]):
                 band = np.repeat([paths[-1, i, k] + sigmas[i, k] * np.array([-1.0, 1.0])], len(paths), axis=0)

@@ -6,8 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from urdfcal.arrays import inverse
 from urdfcal.output.palette import CALIBRATED, MEASURED, NOMINAL
-from urdfcal.output.scene import dh_frames, joint_frames, normal_feet, row_offsets
+from urdfcal.output.placing import Places, joint_frames
+from urdfcal.output.rows import row_lines, row_offsets
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -17,9 +19,12 @@ if TYPE_CHECKING:
     from urdfcal.arrays import Floats
     from urdfcal.calibration import FittedCalibration
     from urdfcal.estimation.state import State
+    from urdfcal.vision.camera import Camera
 
 # A lens bends straight lines: each is projected at so many points.
 _POINTS = 5
+# So many pictures aside nothing is drawn: next to the plane of the lens pixels go to 1e13, which no viewer can take.
+_FARTHEST = 100.0
 # Subpixel bits of OpenCV's drawing.
 _SHIFT = 4
 
@@ -34,33 +39,52 @@ def arm_in_picture(calibration: FittedCalibration, q: ArrayLike, camera: int = 0
         nominal: draw the arm as drawn, where it fits the sightings best, instead of the calibrated one.
 
     Returns:
-        (N, P, 2) or (P, 2): a line from the base over all DH rows to the tip, in px; NaN behind the camera.
+        (N, P, 2) or (P, 2): a line from the base over all DH rows to the tip, in px; NaN behind the camera, and between
+        the lines of an arm that branches.
     """
     state = calibration.nominal if nominal else calibration.estimate
     q = np.asarray(q, dtype=float)
-    uv = project_line(state, skeleton(calibration, state, np.atleast_2d(q)), camera)
+    poses = np.atleast_2d(q)
+    T_base_cam = Places.of(calibration, state, poses).T_base_cam[camera]
+    uv = project_line(state.cameras[camera], T_base_cam, skeleton(calibration, state, poses))
     return uv if q.ndim == 2 else uv[0]
 
 
-def project_line(state: State, corners: Floats, camera: int) -> Floats:
-    """Project lines through corners (N, K, 3), in m in the base link's frame, bent by the lens: (N, P, 2) px."""
+def project_line(camera: Camera, T_base_cam: Floats, corners: Floats) -> Floats:
+    """Project lines into a camera's pictures, bent by the lens.
+
+    Args:
+        camera: the lens.
+        T_base_cam: (N, 4, 4) where it is at each pose. [m]
+        corners: (N, K, 3) in the base link's frame. [m]
+
+    Returns:
+        (N, P, 2) px; NaN behind the camera, and far outside of its picture.
+    """
     along = np.linspace(0.0, 1.0, _POINTS)[:-1, None]
     points = (1 - along) * corners[:, :-1, None] + along * corners[:, 1:, None]
     points = np.concatenate([points.reshape(len(corners), -1, 3), corners[:, -1:]], axis=1)
-    T = state.T_cam_world[camera] @ state.T_world_base
-    uv: Floats = state.cameras[camera].project(points @ T[:3, :3].T + T[:3, 3])
+    T = inverse(T_base_cam)
+    uv: Floats = camera.project(points @ np.swapaxes(T[:, :3, :3], 1, 2) + T[:, None, :3, 3])
+    uv[np.abs(uv).max(axis=-1) > _FARTHEST * max(camera.resolution)] = np.nan
     return uv
 
 
 def skeleton(calibration: FittedCalibration, state: State, q: Floats) -> Floats:
-    """Corners of the arm's DH rows, (N, 2 n + 3, 3) in m in the base link's frame: base, F_0, foot, F_1, ..., tip."""
+    """Corners of the arm's DH rows, (N, 2 n + 3, 3) in m in the base link's frame: base, F_0, foot, F_1, ..., tip.
+
+    Of an arm that branches one such line after the other, NaN in between.
+    """
     frames = joint_frames(calibration.geometry, state, q)
-    offsets = row_offsets(calibration, state)
-    dh = dh_frames(calibration.table, offsets, frames)
-    feet = normal_feet(calibration.table, offsets, dh)
-    pairs = np.stack([feet, dh[:, 1:, :3, 3]], axis=2).reshape(len(dh), -1, 3)
-    tip = (frames[:, -1] @ calibration.chain.T_last_tip)[:, None, :3, 3]
-    return np.concatenate([frames[:, :1, :3, 3], dh[:, :1, :3, 3], pairs, tip], axis=1)
+    gap = np.full((len(frames), 1, 3), np.nan)
+    lines = row_lines(calibration.table, row_offsets(calibration, state), frames)
+    return np.concatenate([part for line in lines for part in (gap, line)][1:], axis=1)
+
+
+def finite_pieces(uv: Floats) -> list[Floats]:
+    """The stretches of a line (P, 2) that are in front of the camera."""
+    ends = np.flatnonzero(np.diff(np.isfinite(uv).all(axis=1).astype(int))) + 1
+    return [piece for piece in np.split(uv, ends) if len(piece) > 1 and np.isfinite(piece).all()]
 
 
 def draw_picture(
@@ -87,19 +111,13 @@ def draw_picture(
     size = max(canvas.shape) / 1000
     thickness = max(1, round(2 * size))
     for kind, uv in lines:
-        for piece in _finite_pieces(uv):
+        for piece in finite_pieces(uv):
             cv2.polylines(canvas, [_fixed_point(piece)], False, _COLORS[kind], thickness, cv2.LINE_AA, _SHIFT)
     for kind, uv in leds:
         for centre in _fixed_point(uv[np.isfinite(uv).all(axis=-1)]):
             radius = round((9 if kind == "sighted" else 5) * size * 2**_SHIFT)
             cv2.circle(canvas, centre.tolist(), radius, _COLORS[kind], thickness, cv2.LINE_AA, _SHIFT)
     return canvas
-
-
-def _finite_pieces(uv: Floats) -> list[Floats]:
-    """The stretches of a line (P, 2) that are in front of the camera."""
-    ends = np.flatnonzero(np.diff(np.isfinite(uv).all(axis=1).astype(int))) + 1
-    return [piece for piece in np.split(uv, ends) if len(piece) > 1 and np.isfinite(piece).all()]
 
 
 def _fixed_point(uv: Floats) -> NDArray[np.int32]:

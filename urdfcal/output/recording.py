@@ -64,7 +64,7 @@ def log_calibration(
     import rerun as rr
 
     from urdfcal.output import arms, charts, entities, plots
-    from urdfcal.output.scene import row_offsets
+    from urdfcal.output.rows import row_offsets
     from urdfcal.output.stream import Layer
 
     overview = overview or Overview.of(calibration)

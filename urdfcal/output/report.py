@@ -11,10 +11,12 @@ import numpy as np
 
 from urdfcal import files
 from urdfcal.output import figures
+from urdfcal.output.fastening import MOUNTS, fastening_sentences, listed
 from urdfcal.output.findings import look_up
 from urdfcal.output.overview import Overview
 from urdfcal.output.palette import SIGMA_LEGEND
 from urdfcal.output.scene import LENGTHS
+from urdfcal.robot.tree_dh import MOUNT
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -65,6 +67,9 @@ def write_report(path: Path, calibration: FittedCalibration, overview: Overview 
             f"{figures.SYMBOLS.get(c, c)} [{'mm' if c in LENGTHS else 'mrad'}]" for c in calibration.geometry.columns
         ],
         is_dh=calibration.geometry is calibration.table,
+        tips=listed([tip.link for tip in calibration.chain.tips]),
+        fastened=" ".join(fastening_sentences(calibration.session)),
+        mounts=MOUNTS if any(label.endswith(MOUNT) for label in calibration.geometry.labels) else "",
         held=_held(document),
         largest=largest,
         shown=_OUTLIERS_SHOWN,

@@ -6,21 +6,19 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pinocchio as pin
 
 from urdfcal.arrays import Floats, Ints, inverse, skew
 from urdfcal.estimation.residuals import predict
-from urdfcal.robot.dh import PARAMETERS, row_transform
+from urdfcal.output.placing import Places
+from urdfcal.output.rows import dh_frames, row_corners, row_offsets
 from urdfcal.vision.rig import Rig
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from urdfcal.calibration import FittedCalibration
-    from urdfcal.estimation.parameters import Geometry
     from urdfcal.estimation.state import State
-    from urdfcal.robot.chain import Chain
-    from urdfcal.robot.dh import DHTable
+    from urdfcal.session.frames import Frames
 
     Bools = NDArray[np.bool_]
 
@@ -64,12 +62,15 @@ class Sightings:
 class Leds:
     """LEDs in space, one row for every LED and pose at which it was measured, ordered by pose.
 
+    What cameras that stand still and cameras on different links see of one LED are rows of their own.
+
     Attributes:
         pose: (M,) index of the pose.
         led: (M,) index of the LED.
         measured: (M, 3) triangulated, or the tracker's point, in the base link's frame. [m]
         predicted: (M, 3) by the calibrated arm. [m]
-        nominal: (M, 3) by the arm as drawn. [m]
+        nominal: (M, 3) by the arm as drawn, as it lies to the calibrated one for who looks on: in the world, or as
+            seen from the link that the camera rides on. [m]
         size: (M,) of the residual after calibration, in standard deviations (rms over the LED's sightings).
         size_nominal: (M,) the same for the arm as drawn.
         outlier: (M,) whether one of its sightings was taken out of the fit.
@@ -89,14 +90,15 @@ class Leds:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A calibration laid out in the base link's frame, at N poses of a chain of n joints.
+    """A calibration laid out in the base link's frame, at N poses of n joints with R DH rows.
 
     Attributes:
         frames: (N, n + 1, 4, 4) base link and joint frames of the calibrated arm. [m]
         ghost: (N, n + 1, 4, 4) those of the arm as drawn, their deviation from the calibrated arm enlarged. [m]
-        dh: (N, n + 1, 4, 4) DH frames F_0 ... F_n of the calibrated arm. [m]
-        normals: (N, n, 3) where each row's common normal leaves its joint's axis: d above F_i-1, a before F_i. [m]
-        T_base_cam: (C, 4, 4) camera frames. [m]
+        dh: (N, R + 1, 4, 4) DH frames F_0 ... F_R of the calibrated arm. [m]
+        corners: (N, R, 3, 3) where each row starts, where its common normal leaves its axis, where it ends. [m]
+        views: (C, N, 4, 4) camera frames. [m]
+        links: (C,) for each camera the link that it rides on, None where it stands still.
         leds: where the LEDs were measured and predicted.
         tables: the measurements, each kind that there is.
         rays: (S, 2, 3) for every row of ``pixels``: the camera, and the point of the sighting's ray as far away as
@@ -109,14 +111,20 @@ class Scene:
     frames: Floats
     ghost: Floats
     dh: Floats
-    normals: Floats
-    T_base_cam: Floats
+    corners: Floats
+    views: Floats
+    links: tuple[str | None, ...]
     leds: Leds
     tables: tuple[Sightings, ...]
     rays: Floats
     factor: float
     pixel_factor: float
     field_factor: float
+
+    @property
+    def T_base_cam(self) -> Floats:
+        """(C, 4, 4) camera frames at the first pose: at all of them where a camera stands still. [m]."""
+        return self.views[:, 0]
 
     @property
     def pixels(self) -> Sightings | None:
@@ -132,31 +140,31 @@ def pixels_of(tables: tuple[Sightings, ...]) -> Sightings | None:
 def lay_out(calibration: FittedCalibration) -> Scene:
     """Work out where everything of a calibration stands, seen from the base link."""
     session, table, estimate = calibration.session, calibration.table, calibration.estimate
-    frames = joint_frames(calibration.geometry, estimate, session.q)
-    # The two arms are compared in the world they share, seen by the same cameras (wrong lenses would put the drawn
-    # arm anywhere); the calibrated base carries the picture.
-    drawn = calibration.comparison.drawn.fit.state
-    T_base_drawn = inverse(estimate.T_world_base) @ drawn.T_world_base
-    nominal = T_base_drawn @ joint_frames(calibration.geometry, drawn, session.q)
-    predicted_leds = led_positions(table.chain, frames, estimate.leds)
-    nominal_leds = led_positions(table.chain, nominal, drawn.leds)
+    places = Places.of(calibration, estimate, session.q)
+    # The two arms are compared in what they share, the world or the link that watches, seen by the same cameras
+    # (wrong lenses would put the drawn arm anywhere); the calibrated base carries the picture.
+    drawn = Places.of(calibration, calibration.comparison.drawn.fit.state, session.q)
+    T_base_drawn = places.T_base_frame @ inverse(drawn.T_base_frame)
+    nominal = T_base_drawn[0, :, None] @ drawn.frames
+    nominal_leds = np.einsum("fnij,nlj->fnli", T_base_drawn[..., :3, :3], drawn.leds) + T_base_drawn[:, :, None, :3, 3]
     tables = tuple(_tabulated(calibration, index) for index in range(len(calibration.observations)))
     pixels = pixels_of(tables)
-    T_base_cam = inverse(estimate.T_world_base) @ inverse(estimate.T_cam_world)
-    rays = _rays(pixels, estimate, T_base_cam, predicted_leds) if pixels else np.zeros((0, 2, 3))
-    parts = [_leds(block, estimate, rays, predicted_leds, nominal_leds) for block in tables]
+    rays = _rays(pixels, estimate, places) if pixels else np.zeros((0, 2, 3))
+    parts = [_leds(block, estimate, session.frames, rays, places, nominal_leds) for block in tables]
     leds = parts[0] if len(parts) == 1 else _merged(parts)
-    apart = np.linalg.norm(nominal[..., :3, 3] - frames[..., :3, 3], axis=-1).mean(axis=0).max()
+    apart = np.linalg.norm(nominal[..., :3, 3] - places.frames[..., :3, 3], axis=-1).mean(axis=0).max()
     offsets = row_offsets(calibration, estimate)
-    dh = dh_frames(table, offsets, frames)
+    dh = dh_frames(table, offsets, places.frames)
     factor = readable(max(float(apart), _typical(leds.nominal - leds.measured)), 0.1 * table.chain.reach)
     width = float(np.mean([camera.resolution[0] for camera in estimate.cameras])) if pixels else 0.0
+    links = (None, *(tip.link for tip in session.frames.tips))
     return Scene(
-        frames=frames,
-        ghost=exaggerated(frames, nominal, factor),
+        frames=places.frames,
+        ghost=exaggerated(places.frames, nominal, factor),
         dh=dh,
-        normals=normal_feet(table, offsets, dh),
-        T_base_cam=T_base_cam,
+        corners=row_corners(table, offsets, places.frames, dh),
+        views=places.T_base_cam,
+        links=tuple(links[frame] for frame in session.frames.camera[: len(estimate.cameras)]),
         leds=leds,
         tables=tables,
         rays=rays,
@@ -187,65 +195,6 @@ def _tabulated(calibration: FittedCalibration, index: int) -> Sightings:
         size_nominal=size(calibration.nominal_fit.deviation[index]),
         outlier=fit.outlier[index][rows],
     )
-
-
-def joint_frames(geometry: Geometry, state: State, q: Floats) -> Floats:
-    """T_base_joint of the base link and every joint at every pose, (N, n + 1, 4, 4) in m."""
-    model = geometry.chain.build_model(geometry.placements(state.offsets))
-    data = model.createData()
-    T = np.empty((len(q), model.njoints, 4, 4))
-    for k, q_k in enumerate(q):
-        pin.forwardKinematics(model, data, q_k)
-        T[k] = [M.homogeneous for M in data.oMi]
-    return T
-
-
-def led_positions(chain: Chain, frames: Floats, leds: Floats) -> Floats:
-    """Where every LED is at every pose, (N, L, 3), in m in the base link's frame."""
-    T = frames[:, -1] @ chain.T_last_tip
-    result: Floats = leds @ np.swapaxes(T[:, :3, :3], 1, 2) + T[:, None, :3, 3]
-    return result
-
-
-def row_offsets(calibration: FittedCalibration, state: State) -> Floats:
-    """Offsets (n, 5) of the DH rows; zero where whole placements were estimated, the drawn rows riding on them."""
-    if calibration.geometry is calibration.table:
-        return state.offsets
-    return np.zeros_like(calibration.table.nominal)
-
-
-def dh_frames(table: DHTable, offsets: Floats, frames: Floats) -> Floats:
-    """T_base_F of the DH frames F_0 ... F_n at every pose, (N, n + 1, 4, 4) in m.
-
-    F_i rides on joint i's link: F_i = L_i K_i^-1 B_i, the joint variable's own offset being part of L_i already.
-
-    Args:
-        table: the rows as drawn.
-        offsets: (n, 5) added to them.
-        frames: (N, n + 1, 4, 4) joint frames.
-    """
-    T = np.empty_like(frames)
-    T[:, 0] = table.base
-    for i, (row, offset) in enumerate(zip(table.rows, offsets, strict=True)):
-        values = np.add(row.values, np.where([p == row.variable for p in PARAMETERS], 0.0, offset))
-        T[:, i + 1] = frames[:, i + 1] @ inverse(table.K[i]) @ row_transform(values)
-    return T
-
-
-def normal_feet(table: DHTable, offsets: Floats, dh: Floats) -> Floats:
-    """The foot of every row's common normal on the joint's own axis, in m in the base link's frame.
-
-    Args:
-        table: the rows as drawn.
-        offsets: (n, 5) added to them.
-        dh: (N, n + 1, 4, 4) DH frames with these offsets.
-
-    Returns:
-        (N, n, 3); F_i-1, foot and F_i are the corners of row i.
-    """
-    back = [inverse(row_transform([0.0, 0.0, *values[2:]])) for values in table.nominal + offsets]
-    result: Floats = (dh[:, 1:] @ np.array(back))[..., :3, 3]
-    return result
 
 
 def exaggerated(T_base_here: Floats, T_base_there: Floats, factor: float) -> Floats:
@@ -288,9 +237,9 @@ def _typical(vectors: Floats) -> float:
     return float(np.nanmedian(np.linalg.norm(vectors, axis=-1)))
 
 
-def _rays(pixels: Sightings, state: State, T_base_cam: Floats, predicted: Floats) -> Floats:
-    T = T_base_cam[pixels.camera]
-    depth = np.einsum("si,si->s", T[:, :3, 2], predicted[pixels.pose, pixels.led] - T[:, :3, 3])
+def _rays(pixels: Sightings, state: State, places: Places) -> Floats:
+    T = places.T_base_cam[pixels.camera, pixels.pose]
+    depth = np.einsum("si,si->s", T[:, :3, 2], places.leds[pixels.pose, pixels.led] - T[:, :3, 3])
     ray = np.empty((len(T), 3))
     for c, camera in enumerate(state.cameras):
         ray[pixels.camera == c] = camera.unproject(pixels.measured[pixels.camera == c])
@@ -298,17 +247,19 @@ def _rays(pixels: Sightings, state: State, T_base_cam: Floats, predicted: Floats
     return np.stack([T[:, :3, 3], end], axis=1)
 
 
-def _leds(block: Sightings, state: State, rays: Floats, predicted: Floats, nominal: Floats) -> Leds:
-    keys, row = np.unique(block.pose * len(state.leds) + block.led, return_inverse=True)
-    pose, led = np.divmod(keys, len(state.leds))
+def _leds(block: Sightings, state: State, fastened: Frames, rays: Floats, places: Places, nominal: Floats) -> Leds:
+    """Gather sightings of an LED at a pose; nominal LEDs (F, N, L, 3) as seen from each frame that cameras are in."""
+    in_space = block.measured.shape[1] == 3
+    view = np.zeros_like(block.camera) if in_space else fastened.camera[block.camera]
+    shape = (len(places.frames), len(state.leds), len(places.T_base_frame))
+    keys, row = np.unique(np.ravel_multi_index((block.pose, block.led, view), shape), return_inverse=True)
+    pose, led, view = np.unravel_index(keys, shape)
     # A tracker measures every LED once a pose: the keys are in its table's order.
-    if block.measured.shape[1] == 3:
-        world, covariance = block.measured, block.sigma[:, None, None] ** 2 * np.eye(3)
+    if in_space:
+        T_base_world = places.T_base_frame[0, pose]
+        measured, covariance = _moved(T_base_world, block.measured, block.sigma[:, None, None] ** 2 * np.eye(3))
     else:
-        world, covariance = _triangulated(block, state, row, len(keys))
-    T = inverse(state.T_world_base)
-    measured = world @ T[:3, :3].T + T[:3, 3]
-    covariance = T[:3, :3] @ covariance @ T[:3, :3].T
+        measured, covariance = _triangulated(block, state, fastened, places, row, pose, view)
     # Where a single camera sees an LED there is no distance: its ray stands in, at the predicted one.
     alone = np.isnan(measured[row]).any(axis=1)
     if alone.any():
@@ -323,8 +274,8 @@ def _leds(block: Sightings, state: State, rays: Floats, predicted: Floats, nomin
         pose=pose[somewhere],
         led=led[somewhere],
         measured=measured[somewhere],
-        predicted=predicted[pose, led][somewhere],
-        nominal=nominal[pose, led][somewhere],
+        predicted=places.leds[pose, led][somewhere],
+        nominal=nominal[view, pose, led][somewhere],
         size=rms(block.size),
         size_nominal=rms(block.size_nominal),
         outlier=np.bincount(row, block.outlier)[somewhere] > 0,
@@ -332,12 +283,31 @@ def _leds(block: Sightings, state: State, rays: Floats, predicted: Floats, nomin
     )
 
 
-def _triangulated(pixels: Sightings, state: State, row: Ints, count: int) -> tuple[Floats, Floats]:
-    uv = np.full((count, len(state.cameras), 2), np.nan)
+def _triangulated(
+    pixels: Sightings, state: State, fastened: Frames, places: Places, row: Ints, pose: Ints, view: Ints
+) -> tuple[Floats, Floats]:
+    """Points (M, 3) and covariances, in the base link's frame, each by the cameras that are in one frame; else NaN."""
+    uv = np.full((len(pose), len(state.cameras), 2), np.nan)
     sigma = np.ones(uv.shape[:2])
     uv[row, pixels.camera], sigma[row, pixels.camera] = pixels.measured, pixels.sigma
-    found = Rig(state.cameras, tuple(state.T_cam_world)).triangulate(uv, sigma)
-    return found.points, found.covariances
+    points, covariances = np.full((len(pose), 3), np.nan), np.full((len(pose), 3, 3), np.nan)
+    for frame in np.unique(view):
+        cameras = np.flatnonzero(fastened.camera == frame)
+        if len(cameras) < 2:
+            continue
+        mine = view == frame
+        first = cameras[0]
+        T_cam_first = (np.eye(4), *(state.T_cam_world[c] @ inverse(state.T_cam_world[first]) for c in cameras[1:]))
+        rig = Rig(tuple(state.cameras[c] for c in cameras), T_cam_first)
+        found = rig.triangulate(uv[mine][:, cameras], sigma[mine][:, cameras])
+        points[mine], covariances[mine] = _moved(places.T_base_cam[first, pose[mine]], found.points, found.covariances)
+    return points, covariances
+
+
+def _moved(T_a_b: Floats, points: Floats, covariances: Floats) -> tuple[Floats, Floats]:
+    """Points (M, 3) with covariances (M, 3, 3) by transforms (M, 4, 4)."""
+    R = T_a_b[:, :3, :3]
+    return (R @ points[..., None])[..., 0] + T_a_b[:, :3, 3], R @ covariances @ np.swapaxes(R, 1, 2)
 
 
 def _merged(parts: list[Leds]) -> Leds:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from urdfcal.output.fastening import MOUNTS
 from urdfcal.output.scene import LENGTHS
+from urdfcal.robot.tree_dh import MOUNT
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -18,12 +20,13 @@ def parameter_text(document: Document) -> str:
     entries: Sequence[Mapping[str, Any]] = document["dh"]
     names = list(dict.fromkeys(entry["parameter"] for entry in entries))
     columns = [f"{name} [{'mm' if name in LENGTHS else 'mrad'}]" for name in names]
-    lines = [f"| joint | {' | '.join(columns)} |", f"|---|{'---|' * len(columns)}"]
-    for first in range(0, len(entries), len(names)):
+    lines = [f"| row | joint | {' | '.join(columns)} |", f"|---|---|{'---|' * len(columns)}"]
+    for number, first in enumerate(range(0, len(entries), len(names)), start=1):
         row = entries[first : first + len(names)]
-        lines.append(f"| {row[0]['joint']} | {' | '.join(map(_cell, row))} |")
+        lines.append(f"| {number} | {row[0]['joint']} | {' | '.join(map(_cell, row))} |")
     lost = document["identifiability"]["lost"]
     text = "\n".join(lines)
+    text += f"\n\n{MOUNTS}" if any(entry["joint"].endswith(MOUNT) for entry in entries) else ""
     text += "\n\n**What could not be told:**\n" + "\n".join(f"- {sentence}" for sentence in lost) if lost else ""
     held: dict[str, list[str]] = {}
     for entry in entries:

@@ -1,0 +1,31 @@
+from __future__ import annotations
+
+import pytest
+
+from urdfcal.output.fastening import fastening_sentences, listed
+from urdfcal.session.files import read_rig
+from urdfcal.session.rigs import find_rig
+
+
+@pytest.mark.parametrize("rig", ["ur5", "stanford"])
+def test_what_goes_without_saying_is_not_said(rig):
+    assert fastening_sentences(read_rig(find_rig(rig))) == ()
+
+
+@pytest.mark.parametrize(
+    ("rig", "said"),
+    [
+        ("tiago", ("LEDs: left, right and front on arm_tool_link.", "head rides on xtion", "is about arm_tool_link")),
+        ("tiago_dual", ("left on arm_left_tool_link; right on arm_right_tool_link", "is about arm_left_tool_link")),
+        ("ur5_handeye", ("a, b, c and d fixed in the world", "hand rides on tool0", "on its ray")),
+    ],
+)
+def test_what_is_fastened_to_what_is_said(rig, said):
+    text = " ".join(fastening_sentences(read_rig(find_rig(rig))))
+    for part in said:
+        assert part in text
+    assert ("rides" in text) == (rig != "tiago_dual")
+
+
+def test_lists_read_like_sentences():
+    assert [listed(["a", "b", "c"][:k]) for k in (1, 2, 3)] == ["a", "a and b", "a, b and c"]

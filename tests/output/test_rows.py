@@ -1,0 +1,66 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from urdfcal.estimation.state import State
+from urdfcal.output.placing import joint_frames
+from urdfcal.output.rows import branches_of, dh_frames, row_corners, row_lines
+from urdfcal.robot.dh import PARAMETERS
+from urdfcal.robot.kinematics import link_poses
+from urdfcal.robot.tree_dh import MOUNT, rows_of
+from urdfcal.session.files import read_rig
+from urdfcal.session.rigs import find_rig
+
+RIGS = ("stanford", "tiago", "tiago_dual")
+
+
+@pytest.fixture(params=RIGS)
+def built(request):
+    """A robot's rows, offsets of every free parameter, joint values and the frames that follow."""
+    rng = np.random.default_rng(5)
+    chain = read_rig(find_rig(request.param)).chain
+    table = rows_of(chain)
+    offsets = np.zeros((len(table.labels), 5))
+    for row, name in table.parameters:
+        offsets[row, PARAMETERS.index(name)] = rng.normal(0, 0.01)
+    q = chain.random_values(4, rng)
+    state = State(offsets=offsets, T_world_base=np.eye(4), leds=np.zeros((0, 3)))
+    return table, offsets, q, joint_frames(table, state, q)
+
+
+def test_every_joint_turns_about_the_z_axis_that_its_row_starts_from(built):
+    table, offsets, _, frames = built
+    dh = dh_frames(table, offsets, frames)
+    chain = table.chain
+    for j, joint in enumerate(chain.joints):
+        F, L = dh[:, table.labels.index(joint.name)], frames[:, j + 1]
+        axis = L[:, :3, :3] @ joint.axis
+        np.testing.assert_allclose(F[:, :3, 2], axis, atol=1e-9)
+        if not joint.prismatic:  # of a sliding joint's axis only the direction means something
+            off = np.cross(F[:, :3, 3] - L[:, :3, 3], axis)
+            np.testing.assert_allclose(off, 0.0, atol=1e-9)
+
+
+def test_stretches_are_as_long_as_d_and_a(built):
+    table, offsets, q, frames = built
+    corners = row_corners(table, offsets, frames, dh_frames(table, offsets, frames))
+    lengths = np.linalg.norm(np.diff(corners, axis=2), axis=-1)
+    values = np.broadcast_to(table.nominal + offsets, (len(q), *offsets.shape)).copy()
+    for j, joint in enumerate(table.chain.joints):
+        if joint.prismatic:
+            values[:, table.labels.index(joint.name), 1] += q[:, j]
+    np.testing.assert_allclose(lengths[..., 0], np.abs(values[..., 1]), atol=1e-9)
+    np.testing.assert_allclose(lengths[..., 1], np.abs(values[..., 2]), atol=1e-9)
+
+
+def test_every_branch_is_one_line_from_its_link_to_its_tip(built):
+    table, offsets, q, frames = built
+    chain, lines = table.chain, row_lines(table, offsets, frames)
+    assert len(lines) == len(branches_of(table)) == 1 + sum(label.endswith(MOUNT) for label in table.labels)
+    tips = link_poses(chain, q, chain.tips, table.placements(offsets))
+    for branch, line in zip(branches_of(table), lines, strict=True):
+        carrier = frames[:, chain.parents[branch.joints[0]] + 1]
+        np.testing.assert_allclose(line[:, 0], carrier[:, :3, 3], atol=1e-12)
+        end = next(T for tip, T in zip(chain.tips, tips, strict=True) if tip.joint == branch.joints[-1])
+        np.testing.assert_allclose(line[:, -1], end[:, :3, 3], atol=1e-12)
