@@ -37,6 +37,8 @@ _HELD_PART = 0.1
 _NAMED_PART = 0.05
 _ORDER = ("d", "a", "theta", "alpha", "beta", "z", "x", "y", "rz", "rx", "ry")
 _BLOCK = 1024
+# Poses of each LED in each camera: more tell the same directions, only more surely, and cost a pass over all of them.
+_ENOUGH = 300
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,15 +65,19 @@ class Identifiability:
 def identify(table: Geometry, blocks: Sequence[Observations], state: State, parameters: Parameters) -> Identifiability:
     """Find the directions that the sightings cannot tell, and hold a parameter for each.
 
+    Of thousands of poses an even selection serves; the indices describe that.
+
     Of the parameters that take a fair part in a lost direction, the first in the order d, a, theta, alpha, beta, inner
     rows first, is named for it, so that two runs agree; then LED coordinates, then the base. It is held at its nominal
     value unless several DH parameters with tolerances share the direction (as all lengths share the scale that one
     camera cannot tell): their tolerances then say more together than one nominal value.
     """
     with threadpoolctl.threadpool_limits(1, user_api="blas"):  # two threads are slower at these sizes
+        blocks = [block.at(block.spread(_ENOUGH)) for block in blocks]
         R = _triangle(table, blocks, state, parameters)
+    rows = sum(block.dimension * block.count for block in blocks)
     columns = np.flatnonzero(parameters.active)
-    R = R * _scales(parameters, state)[columns]
+    R = R * parameters.scales(state)[columns]
     norms = np.linalg.norm(R, axis=0)
     R = R / np.maximum(norms, _LEAST_NORM * norms.max())
     order = sorted(range(len(columns)), key=lambda k: _rank_key(parameters, int(columns[k])))
@@ -102,7 +108,7 @@ def identify(table: Geometry, blocks: Sequence[Observations], state: State, para
         parameters=parameters.holding(held),
         rank=int(np.count_nonzero(kept)),
         condition_number=float(left[0] / left[-1]),
-        observability=_observability(left, sum(block.dimension * block.count for block in blocks)),
+        observability=_observability(left, rows),
         lost=tuple(lost),
     )
 
@@ -149,16 +155,6 @@ def _triangle(table: Geometry, blocks: Sequence[Observations], state: State, par
             J = W[poses] @ tangent.linearise(poses).J
             R = np.asarray(np.linalg.qr(np.vstack([R, J.reshape(-1, parameters.count)]), mode="r"))
     return R
-
-
-def _scales(parameters: Parameters, state: State) -> Floats:
-    """What brings a unit of each parameter to about the same effect: pixels of a lens count in focal lengths."""
-    scales = np.ones(parameters.size)
-    for position, c in enumerate(parameters.lenses):
-        fx, fy = state.cameras[c].intrinsics[:2]
-        first = parameters.lens(position).start
-        scales[first : first + 4] = fx, fy, fx, fy
-    return scales
 
 
 def _rank_key(parameters: Parameters, index: int) -> tuple[int, int]:

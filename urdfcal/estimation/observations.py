@@ -47,7 +47,16 @@ class Observations:
         """(N, n) joint values under the cameras' time offsets (C,) in s. [rad or m]."""
         return self.q if self.trajectory is None else self.trajectory.values(time_offsets)
 
-    def at(self, poses: slice | Bools) -> Observations:
+    def spread(self, most: int) -> Ints:
+        """Indices of poses spread evenly over what each camera saw of each LED, at most so many of each."""
+        views = np.where(self.valid, (self.camera + 1) * (1 + self.led.max(initial=0)) + self.led, -1)
+        chosen = []
+        for one in np.unique(views[self.valid]):
+            poses = np.flatnonzero((views == one).any(axis=1))
+            chosen.append(poses[np.linspace(0, len(poses) - 1, min(most, len(poses))).astype(np.intp)])
+        return np.unique(np.concatenate(chosen))
+
+    def at(self, poses: slice | Bools | Ints) -> Observations:
         """The observations of some of the poses."""
         trajectory = None if self.trajectory is None else self.trajectory.at(np.arange(len(self.pose))[poses])
         arrays = ("pose", "q", "row", "led", "camera", "value", "covariance")

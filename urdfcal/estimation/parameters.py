@@ -149,6 +149,15 @@ class Parameters:
         active[list(held)] = False
         return replace(self, active=frozen(active, bool), reasons={**self.reasons, **held})
 
+    def scales(self, state: State) -> Floats:
+        """What brings a unit of each parameter to about the same effect: pixels of a lens count in focal lengths."""
+        scales = np.ones(self.size)
+        for position, c in enumerate(self.lenses):
+            fx, fy = state.cameras[c].intrinsics[:2]
+            first = self.lens(position).start
+            scales[first : first + 4] = fx, fy, fx, fy
+        return scales
+
     @property
     def _clock_block(self) -> slice:
         return slice(self.clock(0).start, self.size)

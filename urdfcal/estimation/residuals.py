@@ -50,13 +50,25 @@ def view(table: Geometry, observations: Observations, state: State) -> Floats:
     frames = observations.frames
     q = observations.joints(state.time_offsets)
     poses = link_poses(table.chain, q, frames.tips, table.placements(state.offsets))
-    T_base_world = np.broadcast_to(inverse(state.T_world_base), (len(q), 4, 4))
-    T_base_frame = np.array([T_base_world, *poses])
-    each = np.arange(len(q))[:, None]
-    T_base_led = T_base_frame[observations.led_frame, each]
-    p_base = T_base_led[..., :3, 3] + (T_base_led[..., :3, :3] @ state.leds[observations.led][..., None])[..., 0]
-    T_view_base = inverse(T_base_frame)[observations.view_frame, each]
-    result: Floats = (T_view_base[..., :3, :3] @ p_base[..., None])[..., 0] + T_view_base[..., :3, 3]
+    T_base_world = inverse(state.T_world_base)
+    view_frame = observations.view_frame
+    p_base = np.zeros((*view_frame.shape, 3))
+    for index, led in enumerate(state.leds):
+        seen = observations.led == index
+        T = poses[frames.led[index] - 1] if frames.led[index] else T_base_world[None]
+        place = np.broadcast_to((T[:, :3, :3] @ led + T[:, :3, 3])[:, None], p_base.shape)
+        p_base = place if seen.all() else np.where(seen[..., None], place, p_base)
+    result = np.zeros_like(p_base)
+    for frame in range(len(frames.tips) + 1):
+        here = view_frame == frame
+        if not here.any():
+            continue
+        if frame == 0:
+            place = p_base @ state.T_world_base[:3, :3].T + state.T_world_base[:3, 3]
+        else:
+            T = poses[frame - 1]
+            place = (p_base - T[:, None, :3, 3]) @ T[:, :3, :3]
+        result = place if here.all() else np.where(here[..., None], place, result)
     return result
 
 

@@ -6,14 +6,14 @@ LED sighting, and what is left far outside the noise is taken out at the end (DE
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 import numpy as np
 import threadpoolctl
 
 from urdfcal.errors import CalibrationError, CameraError
-from urdfcal.estimation.residuals import Tangent
+from urdfcal.estimation.residuals import Tangent, predict
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -30,6 +30,13 @@ _BLOCK = 1024
 # Ordinary sessions settle in ten; lenses that start a thousand pixels off need a hundred along a bent valley.
 _MAX_ITERATIONS = 300
 _MAX_CUTS = 5
+# A session of more poses than this is first solved on an even selection of some: the rest then need few passes.
+_MANY, _SOME = 1000, 300
+# Within this distance (rad, m, focal lengths, s) derivatives are the same to one part in a few thousand: steps taken
+# with them shrink by as much each, and the estimate is off by less than that share of a standard deviation.
+_NEAR = 1e-4
+# Within this distance the joint readings' noise changes by a percent at most.
+_SAME_NOISE = 1e-2
 _FIRST_DAMPING, _MOST_DAMPING = 1e-3, 1e16
 # A step of this many standard deviations of the estimate is no step; the coarse one is for cross-validation.
 _CONVERGED, _CONVERGED_COARSE = 1e-6, 1e-2
@@ -136,8 +143,9 @@ def solve(
 ) -> Solution:
     """Estimate the active parameters from a start that is near enough for Gauss-Newton.
 
-    First Huber weights that follow a robust scale of the residuals (the nominal arm is many sigmas off); once they
-    have settled, outliers are cut and least squares on the rest finishes, until the cut stays the same.
+    First Huber weights that follow a robust scale of the residuals (the nominal arm is many sigmas off), of thousands
+    of poses on an even selection; once they have settled, outliers are cut and least squares on the rest of all poses
+    finishes, until the cut stays the same.
 
     Args:
         table: the arm's parameters.
@@ -152,16 +160,23 @@ def solve(
     """
     with threadpoolctl.threadpool_limits(1, user_api="blas"):  # two threads are slower at these sizes
         problem = _Problem(table, tuple(blocks), parameters, joint_sigma)
-        settled = _SETTLED * np.sqrt(sum(block.count for block in blocks))
-        descent = _descend(problem, start, _ones(problem.blocks), _Huber(), _FIRST_DAMPING, settled, progress)
-        history = list(descent.history)
+        robust = problem
+        if max(len(block.pose) for block in blocks) > _MANY:
+            robust = replace(problem, blocks=tuple(block.at(block.spread(_SOME)) for block in blocks))
+        survey, ones = robust.survey(start), _ones(robust.blocks)
+        descent = _descend(robust, survey, ones, _Huber(), _FIRST_DAMPING, robust.settled, progress)
+        history, at, survey = list(descent.history), descent.at, descent.survey
+        if robust is not problem or descent.travelled > _SAME_NOISE:
+            survey = problem.survey(descent.state)
+            at = problem.evaluate(survey, problem.whitening(survey.noise, _ones(problem.blocks)))
         for _ in range(_MAX_CUTS):
-            outlier = _outliers(problem.blocks, descent.at)
+            outlier = _outliers(problem.blocks, at)
             kept = [np.where(cut, _REJECTED, 1.0) for cut in outlier]
             damping = min(descent.damping, _FIRST_DAMPING)
-            descent = _descend(problem, descent.state, kept, _same_weights, damping, _CONVERGED, progress)
+            descent = _descend(problem, survey, kept, _same_weights, damping, _CONVERGED, progress)
+            survey, at = descent.survey, descent.at
             history += descent.history
-            again = _outliers(problem.blocks, descent.at)
+            again = _outliers(problem.blocks, at)
             if all(np.array_equal(a, b) for a, b in zip(outlier, again, strict=True)):
                 break
     left = sum(block.dimension * int(np.sum(block.valid & ~cut)) for block, cut in zip(blocks, outlier, strict=True))
@@ -200,7 +215,8 @@ def refit(
     weights = [np.where(keep, 1.0, _REJECTED) for keep in kept]
     with threadpoolctl.threadpool_limits(1, user_api="blas"):
         problem = _Problem(table, tuple(blocks), parameters, joint_sigma)
-        return _descend(problem, start, weights, _same_weights, _FIRST_DAMPING, _CONVERGED_COARSE, None).state
+        survey = problem.survey(start)
+        return _descend(problem, survey, weights, _same_weights, _FIRST_DAMPING, _CONVERGED_COARSE, None).state
 
 
 def deviations(
@@ -208,7 +224,8 @@ def deviations(
 ) -> Floats:
     """Whitened length (N, m) of every sighting's residual at a state: its noise and its joint readings' count."""
     problem = _Problem(table, (block,), parameters, joint_sigma)
-    return problem.survey(state, _ones((block,)))[1].deviation[0]
+    survey = problem.survey(state)
+    return problem.evaluate(survey, problem.whitening(survey.noise, _ones((block,)))).deviation[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,6 +252,25 @@ class _Noise:
 
 
 @dataclass(frozen=True, eq=False)
+class _Survey:
+    """The residuals at a state, and what they do in its neighbourhood.
+
+    Attributes:
+        state: where.
+        residual: for each block (N, m, D).
+        J: for each block (N, m D, count) derivative, taken here or nearby.
+        drift: how far (rad, m, focal lengths, s) the state may be from where J was taken.
+        noise: for each block, of the joint readings; taken where the descent began.
+    """
+
+    state: State
+    residual: tuple[Floats, ...]
+    J: tuple[Floats, ...]
+    drift: float
+    noise: tuple[_Noise, ...]
+
+
+@dataclass(frozen=True, eq=False)
 class _Problem:
     """Observations, parameters and noise; evaluates states, knows nothing of the iteration."""
 
@@ -243,25 +279,28 @@ class _Problem:
     parameters: Parameters
     joint_sigma: float
 
-    def survey(self, state: State, weights: Weights) -> tuple[tuple[_Noise, ...], _Evaluation]:
-        """Find the noise that the joint readings give at a state, and evaluate it under that noise."""
-        noises: list[_Noise] = []
-        sums = _Sums.of_priors(self.parameters, state)
-        for block, weight in zip(self.blocks, weights, strict=True):
-            tangent = Tangent.at(self.table, block, state, self.parameters)
-            N, m, D = block.value.shape
-            noise = _Noise(np.zeros((N, m * D, m * D)), np.empty((N, m, D, D)))
-            deviation = np.empty((N, m))
-            for poses in _chunks(N):
-                at = tangent.linearise(poses)
-                if self.joint_sigma > 0.0:
-                    noise.joint[poses] = self._joint_noise(at)
-                noise.marginal[poses] = _marginal_whitening(block.covariance[poses], noise.joint[poses])
-                W = _whitening(block.covariance[poses], noise.joint[poses], weight[poses])
-                deviation[poses] = sums.add(at, W, noise.marginal[poses])
-            noises.append(noise)
-            sums.deviations.append(deviation)
-        return tuple(noises), sums.evaluation()
+    @property
+    def settled(self) -> float:
+        """The step below which weights are settled."""
+        return _SETTLED * float(np.sqrt(sum(block.count for block in self.blocks)))
+
+    def survey(self, state: State) -> _Survey:
+        """Find residuals, derivatives, and the noise that the joint readings give at a state."""
+        return self._linearise(state, None)
+
+    def step(self, survey: _Survey, step: Floats) -> _Survey:
+        """Find the residuals a step of the active parameters further; derivatives anew only where it leads far.
+
+        Raises:
+            CameraError: a lens that is none.
+        """
+        state = self.parameters.move(survey.state, step)
+        scales = self.parameters.scales(survey.state)[self.parameters.active]
+        drift = survey.drift + float(np.abs(step / scales).max(initial=0.0))
+        if drift > _NEAR:
+            return self._linearise(state, survey.noise)
+        residual = tuple(predict(self.table, block, state) - block.value for block in self.blocks)
+        return replace(survey, state=state, residual=residual, drift=drift)
 
     def whitening(self, noise: Sequence[_Noise], weights: Weights) -> tuple[Floats, ...]:
         """What gives the residuals of whole poses unit variance, for each block (N, mD, mD)."""
@@ -270,16 +309,42 @@ class _Problem:
             for block, own, weight in zip(self.blocks, noise, weights, strict=True)
         )
 
-    def evaluate(self, state: State, noise: Sequence[_Noise], whitening: Sequence[Floats]) -> _Evaluation:
-        """Accumulate the normal equations over all poses."""
-        sums = _Sums.of_priors(self.parameters, state)
-        for block, own, W in zip(self.blocks, noise, whitening, strict=True):
+    def evaluate(self, survey: _Survey, whitening: Sequence[Floats]) -> _Evaluation:
+        """Accumulate the normal equations over all poses, whole poses whitened (N, mD, mD)."""
+        r, J = self.parameters.prior_residuals(survey.state)
+        H, g, cost = J.T @ J, J.T @ r, float(r @ r)
+        deviations: list[Floats] = []
+        for residual, J, noise, W in zip(survey.residual, survey.J, survey.noise, whitening, strict=True):
+            N, m, D = residual.shape
+            for poses in _chunks(N):
+                r = (W[poses] @ residual[poses].reshape(-1, m * D, 1)).ravel()
+                J_poses = (W[poses] @ J[poses]).reshape(len(r), -1)
+                H += J_poses.T @ J_poses
+                g += J_poses.T @ r
+                cost += float(r @ r)
+            own = (noise.marginal @ residual[..., None])[..., 0]
+            deviations.append(np.sqrt(np.einsum("nmd,nmd->nm", own, own)))
+        return _Evaluation(H, g, cost, tuple(deviations))
+
+    def _linearise(self, state: State, noise: tuple[_Noise, ...] | None) -> _Survey:
+        residuals: list[Floats] = []
+        derivatives: list[Floats] = []
+        noises: list[_Noise] = []
+        for block in self.blocks:
             tangent = Tangent.at(self.table, block, state, self.parameters)
-            deviation = np.empty(block.row.shape)
-            for poses in _chunks(len(deviation)):
-                deviation[poses] = sums.add(tangent.linearise(poses), W[poses], own.marginal[poses])
-            sums.deviations.append(deviation)
-        return sums.evaluation()
+            N, m, D = block.value.shape
+            residual, J = np.empty((N, m, D)), np.empty((N, m * D, self.parameters.count))
+            joint = np.zeros((N, m * D, m * D))
+            for poses in _chunks(N):
+                at = tangent.linearise(poses)
+                residual[poses], J[poses] = at.residual, at.J.reshape(-1, m * D, self.parameters.count)
+                if noise is None and self.joint_sigma > 0.0:
+                    joint[poses] = self._joint_noise(at)
+            residuals.append(residual)
+            derivatives.append(J)
+            if noise is None:
+                noises.append(_Noise(joint, _marginal_whitening(block.covariance, joint)))
+        return _Survey(state, tuple(residuals), tuple(derivatives), 0.0, noise or tuple(noises))
 
     def _joint_noise(self, at: Linearisation) -> Floats:
         N, m, D = at.residual.shape
@@ -288,36 +353,6 @@ class _Problem:
         J_q = self.joint_sigma * J_q.reshape(N, m * D, -1)
         covariance: Floats = J_q @ np.swapaxes(J_q, -1, -2)
         return covariance
-
-
-@dataclass(eq=False)
-class _Sums:
-    """The normal equations while they are added up."""
-
-    H: Floats
-    g: Floats
-    cost: float
-    deviations: list[Floats]
-
-    @classmethod
-    def of_priors(cls, parameters: Parameters, state: State) -> _Sums:
-        r, J = parameters.prior_residuals(state)
-        return cls(J.T @ J, J.T @ r, float(r @ r), [])
-
-    def add(self, at: Linearisation, W: Floats, marginal: Floats) -> Floats:
-        """Add a block of poses whitened by W; returns its sightings' deviations (N, m)."""
-        N, m, D = at.residual.shape
-        r = (W @ at.residual.reshape(N, m * D, 1)).ravel()
-        J = (W @ at.J.reshape(N, m * D, -1)).reshape(N * m * D, -1)
-        self.H += J.T @ J
-        self.g += J.T @ r
-        self.cost += float(r @ r)
-        own = (marginal @ at.residual[..., None])[..., 0]
-        deviation: Floats = np.sqrt(np.einsum("nmd,nmd->nm", own, own))
-        return deviation
-
-    def evaluation(self) -> _Evaluation:
-        return _Evaluation(self.H, self.g, self.cost, tuple(self.deviations))
 
 
 def _whitening(covariance: Floats, joint: Floats, weight: Floats) -> Floats:
@@ -340,16 +375,32 @@ def _marginal_whitening(covariance: Floats, joint: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class _Descent:
-    state: State
+    """Where a descent ended.
+
+    Attributes:
+        survey: of its last state.
+        at: the normal equations there.
+        damping: Levenberg-Marquardt's lambda.
+        history: accepted steps.
+        converged: whether the last step was small.
+        travelled: upper bound of how far it went (rad, m, focal lengths, s).
+    """
+
+    survey: _Survey
     at: _Evaluation
     damping: float
     history: tuple[Iteration, ...]
     converged: bool
+    travelled: float
+
+    @property
+    def state(self) -> State:
+        return self.survey.state
 
 
 def _descend(
     problem: _Problem,
-    state: State,
+    survey: _Survey,
     weights: Weights,
     renew: Callable[[Sequence[Observations], _Evaluation, Weights], Weights],
     damping: float,
@@ -359,17 +410,17 @@ def _descend(
     """Levenberg-Marquardt until steps are shorter than ``tolerance`` and stay so when weights are renewed.
 
     Damping follows the gain, the cost's fall over what the linear model promised (Nielsen, IMM-REP-1999-05). The
-    joint readings' noise is that at the first state: a start may be another arm, but from there it hardly moves.
+    joint readings' noise is that of the survey: a start may be another arm, but from there it hardly moves.
     """
-    noise, at = problem.survey(state, weights)
+    whitening = problem.whitening(survey.noise, weights)
+    at = problem.evaluate(survey, whitening)
     if not np.isfinite(at.cost):
         raise CalibrationError(
             "the start puts an LED behind a camera",
             remedy="Check the order of the cameras, the units of the joint readings and the tip link.",
         )
-    whitening: tuple[Floats, ...] | None = None
     history: list[Iteration] = []
-    growth, length, ahead, fresh = 2.0, np.inf, np.inf, False
+    growth, length, ahead, fresh, travelled = 2.0, np.inf, np.inf, False, 0.0
     while damping < _MOST_DAMPING and len(history) < _MAX_ITERATIONS:
         if ahead < tolerance or not history:
             renewed = renew(problem.blocks, at, weights)
@@ -377,19 +428,19 @@ def _descend(
             if ahead < tolerance and (same or fresh):
                 break
             if not same:
-                weights, whitening = renewed, problem.whitening(noise, renewed)
-                at = problem.evaluate(state, noise, whitening)
+                weights, whitening = renewed, problem.whitening(survey.noise, renewed)
+                at = problem.evaluate(survey, whitening)
             length, fresh = np.inf, True
-        whitening = whitening or problem.whitening(noise, weights)
         step = _damped_step(at, damping)
         promised = -float(step @ (2.0 * at.g + at.H @ step))
         try:
-            candidate = problem.parameters.move(state, step)
-            new = problem.evaluate(candidate, noise, whitening)
+            candidate = problem.step(survey, step)
+            new = problem.evaluate(candidate, whitening)
         except CameraError:  # a trial lens that is none
-            new = None
+            damping, growth = damping * growth, 2.0 * growth
+            continue
         # NaN (an LED behind a camera) is no improvement either.
-        if new is None or not new.cost <= at.cost * (1.0 + _COST_ROUNDING) + _COST_ROUNDING:
+        if not new.cost <= at.cost * (1.0 + _COST_ROUNDING) + _COST_ROUNDING:
             damping, growth = damping * growth, 2.0 * growth
             continue
         before, length = length, float(np.sqrt(max(float(step @ at.H @ step), 0.0)))
@@ -398,11 +449,12 @@ def _descend(
         fresh = fresh and ahead < tolerance
         gain = (at.cost - new.cost) / promised if promised > 0.0 else 1.0
         damping, growth = damping * max(0.1, 1.0 - (2.0 * gain - 1.0) ** 3), 2.0
-        state, at = candidate, new
-        history.append(Iteration(at.cost, damping, length, state))
+        travelled += candidate.drift if candidate.drift else np.inf
+        survey, at = candidate, new
+        history.append(Iteration(at.cost, damping, length, survey.state))
         if progress is not None:
             progress(len(history), at.cost)
-    return _Descent(state, at, damping, tuple(history), ahead < tolerance)
+    return _Descent(survey, at, damping, tuple(history), ahead < tolerance, travelled)
 
 
 def _damped_step(at: _Evaluation, damping: float) -> Floats:

@@ -47,19 +47,20 @@ def link_motions(mechanism: Mechanism, model: pin.Model, q: Floats, tips: Sequen
     R, p = np.empty((len(moving), len(q), 3, 3)), np.empty((len(moving), len(q), 3))
     regressor = np.empty((len(moving), len(q), 6, columns))
     aligned = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+    links = [se3(tip.T_joint_link) for tip in moving]
     # Views of what every pass writes: asking Pinocchio for them each time costs a third of the loop.
     views = [
-        (tip.joint + 1, se3(tip.T_joint_link), data.oMi[tip.joint + 1].rotation, data.oMi[tip.joint + 1].translation)
-        for tip in moving
+        (tip.joint + 1, link, *_live(data, tip), R[i], p[i], regressor[i])
+        for i, (tip, link) in enumerate(zip(moving, links, strict=True))
     ]
     for k, q_k in enumerate(q):
         pin.forwardKinematics(model, data, q_k)
-        for i, (joint, link, rotation, translation) in enumerate(views):
-            regressor[i, k] = pin.computeJointKinematicRegressor(model, data, joint, aligned, link)
-            R[i, k], p[i, k] = rotation, translation
+        for joint, link, rotation, translation, R_i, p_i, regressor_i in views:
+            regressor_i[k] = pin.computeJointKinematicRegressor(model, data, joint, aligned, link)
+            R_i[k] = rotation
+            p_i[k] = translation
     motions = (
-        LinkMotion(R[i] @ link.rotation, p[i] + R[i] @ link.translation, regressor[i])
-        for i, (_, link, _, _) in enumerate(views)
+        LinkMotion(R[i] @ link.rotation, p[i] + R[i] @ link.translation, regressor[i]) for i, link in enumerate(links)
     )
     return tuple(_at_rest(tip, len(q), columns) if tip.joint == BASE else next(motions) for tip in tips)
 
@@ -85,12 +86,14 @@ def link_poses(
     """
     model = mechanism.build_model(placements)
     data = model.createData()
-    # Pinocchio's joint 0 is the base link.
-    T = np.empty((len(tips), len(q), 4, 4))
+    T = np.zeros((len(tips), len(q), 4, 4))
+    T[..., 3, 3] = 1.0
+    views = [(*_live(data, tip), T[i, :, :3, :3], T[i, :, :3, 3]) for i, tip in enumerate(tips)]
     for k, q_k in enumerate(q):
         pin.forwardKinematics(model, data, q_k)
-        for i, tip in enumerate(tips):
-            T[i, k] = data.oMi[tip.joint + 1].homogeneous
+        for rotation, translation, R_i, p_i in views:
+            R_i[k] = rotation
+            p_i[k] = translation
     return tuple(T[i] @ tip.T_joint_link for i, tip in enumerate(tips))
 
 
@@ -109,6 +112,11 @@ def joint_axes(mechanism: Mechanism) -> Floats:
         first = 6 * i + (0 if joint.prismatic else 3)
         S[first : first + 3, i] = joint.axis
     return S
+
+
+def _live(data: pin.Data, tip: Tip) -> tuple[Floats, Floats]:
+    """Rotation and translation of the joint that a link is on, as every pass writes them; joint 0 is the base link."""
+    return data.oMi[tip.joint + 1].rotation, data.oMi[tip.joint + 1].translation
 
 
 def _at_rest(tip: Tip, count: int, columns: int) -> LinkMotion:
