@@ -468,7 +468,7 @@ def calibrate(
         comparison=comparison,
         solutions=solutions,
         seed=seed,
-        warnings=(*session.warnings, *_doubts(comparison.chosen.fit)),
+        warnings=(*session.warnings, *_doubts(comparison.chosen.fit), *_strange_mounts(session, comparison.chosen.fit)),
     )
 
 
@@ -501,6 +501,23 @@ def _doubts(fit: Solution) -> list[str]:
             doubts.append(
                 f"{fit.parameters.names[index]} is off by {1e3 * offset:.1f} {'mm' if name in _LENGTHS else 'mrad'}, "
                 f"{abs(offset) / prior:.0f} times its tolerance"
+            )
+    return doubts
+
+
+def _strange_mounts(session: Session, fit: Solution) -> list[str]:
+    """Cameras that sit far from where the session puts them on their links."""
+    doubts = []
+    for mount in session.mounts:
+        if mount.T_link_camera is None or mount.sigma is None or not fit.state.cameras or session.rig is None:
+            continue
+        T = fit.state.T_cam_world[session.rig.index(mount.camera)] @ mount.T_link_camera
+        motion = pin.log6(T).vector
+        if np.abs(motion / mount.sigma).max() > _FAR:
+            doubts.append(
+                f"camera {mount.camera!r} comes out {1e3 * np.linalg.norm(motion[:3]):.0f} mm and "
+                f"{1e3 * np.linalg.norm(motion[3:]):.0f} mrad from where the session puts it on {mount.link!r}, "
+                f"{np.abs(motion / mount.sigma).max():.0f} times its sigma: check position, rpy (rad) and link"
             )
     return doubts
 

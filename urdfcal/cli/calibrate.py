@@ -124,6 +124,10 @@ def run(
             raise
         say("writing URDF, report and recording")
         overview = Overview.of(calibration)
+        if overview.verdict.level == "bad" and not force:
+            raise CalibrationError(
+                "; ".join(overview.verdict.reasons), where="not written", remedy="--force writes it all the same."
+            )
         paths, remarks = write_results(calibration, output, overview)
         if view is not None:
             view.finish(calibration, overview)
@@ -168,8 +172,8 @@ def _print(overview: Overview, paths: Sequence[Path], remarks: Sequence[str]) ->
     ]
     line(f"residual {', '.join(parts)} rms, {fit['reduced_chi2'] ** 0.5:.2g} times the declared noise")
     line(
-        f"{fit['poses']} poses, {fit['observations']} measured numbers, {fit['parameters']} parameters, "
-        f"{len(document['outliers'])} outliers"
+        f"{fit['poses']} poses, {fit['observations']} measured numbers, {fit['parameters']} parameters "
+        f"({calibration.comparison.chosen.freedoms}), {_counted(len(document['outliers']), 'outlier')}"
     )
     cameras = document["cameras"].items()
     clocks = [f"{name} {_clock(**camera['time_offset'])}" for name, camera in cameras if "time_offset" in camera]
@@ -189,6 +193,10 @@ def _print(overview: Overview, paths: Sequence[Path], remarks: Sequence[str]) ->
     for path in paths:
         if path.suffix != ".json":
             line(str(path) if path.suffix != ".rrd" else f"{path}   (urdfcal view {path.parent})")
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 
 def _clock(value: float, sigma: float | None) -> str:

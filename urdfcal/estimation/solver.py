@@ -417,7 +417,8 @@ def _descend(
     if not np.isfinite(at.cost):
         raise CalibrationError(
             "the start puts an LED behind a camera",
-            remedy="Check the order of the cameras, the units of the joint readings and the tip link.",
+            remedy="Check the order of the cameras, where those that ride on the robot sit, the units of the joint "
+            "readings and the tip link.",
         )
     history: list[Iteration] = []
     growth, length, ahead, fresh, travelled = 2.0, np.inf, np.inf, False, 0.0

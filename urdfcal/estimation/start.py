@@ -220,9 +220,12 @@ class View:
                 "more are needed to place it",
                 remedy="Measure more poses in its view, give its place, or the LEDs'.",
             )
-        found, rvec, tvec, _ = cv2.solvePnPRansac(
-            objects[good], rays[good], np.eye(3), None, reprojectionError=_PNP_TOLERANCE, flags=cv2.SOLVEPNP_SQPNP
-        )
+        try:
+            found, rvec, tvec, _ = cv2.solvePnPRansac(
+                objects[good], rays[good], np.eye(3), None, reprojectionError=_PNP_TOLERANCE, flags=cv2.SOLVEPNP_SQPNP
+            )
+        except cv2.error:  # points that hardly differ
+            found = False
         if not found:
             raise CalibrationError(
                 f"camera {lens.name!r} cannot be placed from its sightings",

@@ -88,7 +88,13 @@ class _Recorded:
         from rerun.chunk import RrdReader
 
         self._columns: dict[tuple[str, str], tuple[Any, Any]] = {}
-        for chunk in RrdReader(path).stream():
+        try:
+            chunks = list(RrdReader(path).stream())
+        except RuntimeError as error:
+            raise OutputError(
+                "the recording cannot be read: it is damaged", where=str(path), remedy="Calibrate again."
+            ) from error
+        for chunk in chunks:
             if "/cameras/" not in chunk.entity_path and "/texts/" not in chunk.entity_path:
                 continue
             batch = chunk.to_record_batch()

@@ -34,7 +34,7 @@ def open_recording(recording: Path) -> None:
     Raises:
         OutputError: the viewer cannot open a window.
     """
-    ended = subprocess.run([_rerun(), str(recording)], check=False).returncode  # noqa: S603
+    ended = subprocess.run([_rerun(), "--bind", _LOOPBACK, str(recording)], check=False).returncode  # noqa: S603
     if ended != 0:
         raise OutputError(
             f"the rerun viewer stopped with code {ended}",

@@ -249,12 +249,15 @@ def _has_images(document: Document) -> bool:
 
 def _yaml_file(path: Path, name: str) -> Path:
     """The YAML file meant by ``path``, a folder or the file itself."""
-    if not path.is_dir():
-        if not path.exists():
-            raise SessionError("there is no such folder", where=str(path), remedy=f"Name a folder with a {name}.")
-        return path
-    if (path / name).is_file():
-        return path / name
+    try:
+        if not path.is_dir():
+            if not path.exists():
+                raise SessionError("there is no such folder", where=str(path), remedy=f"Name a folder with a {name}.")
+            return path
+        if (path / name).is_file():
+            return path / name
+    except PermissionError as error:
+        raise SessionError(f"cannot be read: {error.strerror}", where=str(path)) from error
     if name == _SESSION and (path / _RIG).is_file():
         remedy = "It is a rig: `urdfcal simulate` makes a session of it."
     elif name == _RIG and (path / _SESSION).is_file():

@@ -119,6 +119,7 @@ def check_positions(inputs: Inputs) -> tuple[str, ...]:
     _check_reading_units(inputs)
     _check_limits(inputs)
     _check_led_units(inputs)
+    _check_mount_units(inputs)
     _check_noise_units(inputs)
     return (*_still_joints(inputs), *_same_readings(inputs.joints))
 
@@ -206,6 +207,26 @@ def _check_led_units(inputs: Inputs) -> None:
                 f"a sigma of {led.sigma:g} m looks like millimetres: the arm reaches {inputs.chain.reach:.3g} m",
                 where=inputs.document.place("leds", led.name, "sigma"),
                 remedy="Write metres.",
+            )
+
+
+def _check_mount_units(inputs: Inputs) -> None:
+    named = inputs.document.data.get("cameras")
+    for camera, keys in named.items() if isinstance(named, dict) else ():
+        if not isinstance(keys, dict) or "position" not in keys:
+            continue
+        if np.linalg.norm(keys["position"]) > _TOO_FAR * inputs.scale:
+            raise SessionError(
+                f"{np.linalg.norm(keys['position']):g} m from its link looks like millimetres: "
+                f"the arm reaches {inputs.chain.reach:.3g} m",
+                where=inputs.document.place("cameras", camera, "position"),
+                remedy="Write metres.",
+            )
+        if np.abs(keys["rpy"]).max() > 2.0 * np.pi:
+            raise SessionError(
+                f"{np.abs(keys['rpy']).max():g} rad is more than a turn: these look like degrees",
+                where=inputs.document.place("cameras", camera, "rpy"),
+                remedy="Write radians.",
             )
 
 

@@ -334,6 +334,7 @@ _NEEDED = {
     "model_type": "a mapping of keys to values",
     "dict_type": "a mapping of keys to values",
     "list_type": "a list of numbers",
+    "tuple_type": "a list of two: [m, rad], or two names",
 }
 
 
