@@ -142,7 +142,8 @@ def _strangeness(session: Session, solution: Solution) -> float:
 def _same_arm(table: Geometry, blocks: Sequence[Observations], a: Solution, b: Solution) -> bool:
     """Whether two solutions move the LEDs alike, wherever the arm goes, up to where base and cameras are."""
     for block in blocks:
-        elsewhere = replace(block, q=table.chain.random_values(len(block.q), np.random.default_rng(0)))
+        q = table.chain.random_values(len(block.q), np.random.default_rng(0))
+        elsewhere = replace(block, q=q, trajectory=None)  # where an arm went that moved must not decide
         p, r = (view(table, elsewhere, solution.state) for solution in (a, b))
         for frame in np.unique(block.view_frame[block.valid]):
             here = block.valid & (block.view_frame == frame)
