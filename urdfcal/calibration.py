@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -447,7 +447,7 @@ def calibrate(
     start = start_state(session, geometry, np.zeros((len(geometry.labels), len(geometry.columns))))
     blocks = observe(session)
     if method == "points":
-        blocks, start = _as_points(session), replace(start, cameras=(), T_cam_world=np.zeros((0, 4, 4)))
+        blocks, start = _as_points(session), start.without_cameras
     comparison = compare_models(session, geometry, blocks, start, priors=priors, seed=seed, progress=progress)
     solutions: tuple[Candidate, ...] = ()
     if starts:

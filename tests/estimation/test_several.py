@@ -69,3 +69,12 @@ def test_arms_that_differ_only_where_a_moving_arm_did_not_go_are_not_the_same(si
     a, b = (SimpleNamespace(state=state) for state in (drawn, other))
     assert _same_arm(table, blocks, a, a)
     assert not _same_arm(table, blocks, a, b)
+
+
+def test_cameras_have_no_part_in_other_starts_from_points(simulated: Callable) -> None:
+    session = replace(simulated("ur5").session, estimate=Estimate("dh", "fixed", "fixed"))
+    calibration = calibrate(session, method="points", starts=2)
+    states = [candidate.solution.state for candidate in calibration.solutions if candidate.solution]
+    assert len(states) == 3
+    assert not any(state.cameras for state in states)
+    assert "rms_px" not in calibration.validation()  # whichever of the equal minima was kept

@@ -99,7 +99,8 @@ def _start(session: Session, table: Geometry, first: Solution, rng: np.random.Ge
         near = _NEAR * (session.tolerances.length if length else session.tolerances.zero)
         offsets[row, parameters.columns.index(name)] = rng.uniform(-limit, limit) if far else rng.normal(0.0, near)
     clocks = first.state.time_offsets
-    return replace(first_state(session.with_clocks(clocks), table, offsets), time_offsets=clocks)
+    start = replace(first_state(session.with_clocks(clocks), table, offsets), time_offsets=clocks)
+    return start if first.state.cameras else start.without_cameras
 
 
 def _screen(
