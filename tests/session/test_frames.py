@@ -64,6 +64,14 @@ def test_a_place_by_a_camera_on_something_else_is_refused() -> None:
         fasten(one.chain, [None], pair, {"head": one.mounts[0]})
 
 
+def test_a_second_camera_on_a_link_has_no_place_of_its_own_there() -> None:
+    one = read_rig(find_rig("tiago"))
+    pair = Rig((one.rig.cameras[0], replace(one.rig.cameras[0], name="second")), (np.eye(4), None))
+    mounts = {"head": one.mounts[0], "second": replace(one.mounts[0], camera="second")}
+    with pytest.raises(SessionError, match=r"camera 'second'.*there it goes with 'head'"):
+        fasten(one.chain, [None], pair, mounts)
+
+
 def test_something_must_be_on_the_robot() -> None:
     rig = read_rig(find_rig("ur5"))
     with pytest.raises(SessionError, match="neither an LED nor a camera is on the robot"):
