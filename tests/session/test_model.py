@@ -11,7 +11,7 @@ import pytest
 
 from tests.session.making import write_points, write_valid
 from urdfcal.errors import SessionError
-from urdfcal.session.files import read_session
+from urdfcal.session.files import read_rig, read_session
 from urdfcal.session.model import (
     Detections,
     Estimate,
@@ -23,6 +23,7 @@ from urdfcal.session.model import (
     Stand,
     Tolerances,
 )
+from urdfcal.session.rigs import find_rig
 
 
 @pytest.fixture(scope="module")
@@ -209,3 +210,12 @@ def test_some_of_its_poses_are_a_session(session: Session, tracked: Session) -> 
         assert 0 < kept.sum() < len(table)
         np.testing.assert_array_equal(chosen[getattr(some, name).pose], table.pose[kept])
         np.testing.assert_array_equal(getattr(getattr(some, name), values), getattr(table, values)[kept])
+
+
+def test_tolerances_of_a_mount_need_a_branch_that_it_carries() -> None:
+    dual, single = (read_rig(find_rig(name)) for name in ("tiago_dual", "ur5"))
+    right = Tolerances(joints={"arm_right_1_joint.mount": {"a": 0.0}})
+    assert replace(dual, tolerances=right).tolerances == right
+    for rig, label in ((dual, "arm_left_1_joint.mount"), (single, "elbow_joint.mount")):
+        with pytest.raises(SessionError, match=f"there is no joint '{label}'"):
+            replace(rig, tolerances=Tolerances(joints={label: {"a": 0.0}}))

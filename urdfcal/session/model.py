@@ -12,7 +12,7 @@ import numpy as np
 from urdfcal.arrays import Floats, Ints, frozen
 from urdfcal.errors import SessionError
 from urdfcal.robot.dh import PARAMETERS
-from urdfcal.robot.tree_dh import MOUNT
+from urdfcal.robot.tree_dh import rows_of
 from urdfcal.session.frames import CameraMount, Frames, fasten
 from urdfcal.session.names import check_names, suggest
 
@@ -146,7 +146,7 @@ class Tolerances:
         length: of d and a. [m]
         angle: of theta, alpha and beta. [rad]
         zero: of a joint's zero offset. [rad or m]
-        joints: exceptions, by joint and DH parameter. [rad or m]
+        joints: exceptions, by joint (or mount of a branch) and DH parameter. [rad or m]
     """
 
     length: float = 0.001
@@ -269,12 +269,13 @@ class Setup:
         if not self.leds:
             raise SessionError("there is no LED", remedy="Name at least one.")
         check_names("LEDs", [led.name for led in self.leds])
+        rows = rows_of(self.chain).labels if self.tolerances.joints else ()
         for joint in self.tolerances.joints:
-            if joint.removesuffix(MOUNT) not in self.chain.names:
+            if joint not in rows:
                 raise SessionError(
                     f"there is no joint {joint!r} between {self.chain.base_link!r} and {self.chain.tip_link!r}",
                     where="tolerances",
-                    remedy=suggest(joint, self.chain.names, "joints"),
+                    remedy=suggest(joint, rows, "joints"),
                 )
         object.__setattr__(self, "mounts", tuple(self.mounts))
         names = self.rig.names if self.rig is not None else ()
