@@ -85,6 +85,7 @@ def test_something_must_be_on_the_robot() -> None:
 @pytest.mark.parametrize(
     ("mount", "message"),
     [
+        ({"link": "world"}, "a camera that stands in the world rides on no link"),
         ({"T_link_camera": np.diag([1.0, 1.0, -1.0, 1.0])}, "no rigid"),
         ({"sigma": np.ones(6)}, "sigma is given without a place"),
         ({"T_link_camera": np.eye(4), "sigma": np.zeros(6)}, "not six positive numbers"),
@@ -92,7 +93,7 @@ def test_something_must_be_on_the_robot() -> None:
 )
 def test_mounts_that_make_no_sense_are_refused(mount: dict, message: str) -> None:
     with pytest.raises(SessionError, match=message):
-        CameraMount("cam", "tool0", **mount)
+        CameraMount(**{"camera": "cam", "link": "tool0", **mount})
 
 
 @pytest.mark.parametrize("rig", TREES)
@@ -137,7 +138,12 @@ def broken(folder: Path, **changes: object) -> Path:
             "position and rpy are given together",
         ),
         ({"cameras": {"head": {"link": "head_2_link"}}}, "the key 'file' is missing"),
+        (
+            {"cameras": {"file": "cameras.yaml", "head": {"link": "world"}}},
+            "'head'.*a camera that stands in the world rides on no link",
+        ),
         ({"cameras": "cameras.yaml"}, "the key 'stand' is missing"),
+        ({"stand": {"position": [1, 0, 0], "look_at": [0, 0, 0]}}, "stand: no camera stands: all ride"),
     ],
 )
 def test_what_is_wrong_in_a_file_is_told_with_its_place(tmp_path: Path, changes: dict, message: str) -> None:

@@ -40,6 +40,12 @@ class CameraMount:
 
     def __post_init__(self) -> None:
         where = f"camera {self.camera!r}"
+        if self.link == WORLD:
+            raise SessionError(
+                "a camera that stands in the world rides on no link",
+                where=where,
+                remedy="Name the camera file alone: T_cn_cnm1 says where it stands, or it is estimated.",
+            )
         if self.T_link_camera is not None:
             T = frozen(self.T_link_camera)
             R = T[:3, :3] if T.shape == (4, 4) else np.zeros((3, 3))

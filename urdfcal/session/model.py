@@ -337,6 +337,10 @@ class RigDescription(Setup):
         super().__post_init__()
         if self.stand is None and len(self.frames.standing):
             raise SessionError("where the first camera stands is not given", where="stand")
+        if self.stand is not None and self.mounts and not len(self.frames.standing):
+            raise SessionError(
+                "no camera stands: all ride on the robot", where="stand", remedy="Leave the key 'stand' out."
+            )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
