@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from types import MappingProxyType
@@ -17,7 +18,6 @@ from urdfcal.session.frames import CameraMount, Frames, fasten
 from urdfcal.session.names import check_names, suggest
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
     from pathlib import Path
 
     from numpy.typing import ArrayLike
@@ -132,10 +132,12 @@ class Estimate:
         known_words = {"geometry": Geometry, "intrinsics": Freedom, "extrinsics": Freedom, "time_offset": TimeOffset}
         for name, known in known_words.items():
             value, choices = getattr(self, name), get_args(known)
-            if value is not None and value not in choices:
-                raise SessionError(
-                    f"{name} is {value!r}", where="estimate", remedy=f"Use {', '.join(choices)}, or None."
-                )
+            by_camera = name in ("intrinsics", "extrinsics") and isinstance(value, Mapping)
+            for word in value.values() if by_camera else (value,) * (value is not None):
+                if word not in choices:
+                    raise SessionError(
+                        f"{name} is {word!r}", where="estimate", remedy=f"Use {', '.join(choices)}, or None."
+                    )
 
 
 @dataclass(frozen=True)
@@ -287,6 +289,12 @@ class Setup:
                     remedy=suggest(mount.camera, names, "cameras"),
                 )
         check_names("cameras on links", [mount.camera for mount in self.mounts])
+        for said in (self.estimate.intrinsics, self.estimate.extrinsics):
+            for name in () if said is None or isinstance(said, str) else said:
+                if name not in names:
+                    raise SessionError(
+                        f"there is no camera {name!r}", where="estimate", remedy=suggest(name, names, "cameras")
+                    )
         _ = self.frames  # a link that is none of the robot's is told now, not when it is first needed
 
     def __reduce__(self) -> tuple[Any, ...]:
