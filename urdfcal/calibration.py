@@ -113,7 +113,7 @@ class FittedCalibration(Calibration):
 
     @cached_property
     def placements(self) -> Floats:
-        """(n, 4, 4) calibrated placement of each joint in the previous joint's frame. [m]."""
+        """(n, 4, 4) calibrated placement of each joint in the frame of the one it hangs on. [m]."""
         return frozen(self.geometry.placements(self.estimate.offsets))
 
     def tip_sigma(self, q: Floats) -> Floats:
