@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from urdfcal.arrays import inverse
-from urdfcal.errors import RobotError, SessionError
+from urdfcal.errors import OutputError, RobotError, SessionError
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.tree import Tree
 from urdfcal.session.files import read_rig, read_session
@@ -17,6 +17,7 @@ from urdfcal.session.frames import CameraMount, fasten
 from urdfcal.session.model import Led
 from urdfcal.session.rigs import find_rig
 from urdfcal.session.simulate import write_simulated
+from urdfcal.session.writing import write_session
 from urdfcal.vision.rig import Rig
 
 if TYPE_CHECKING:
@@ -110,6 +111,15 @@ def test_a_session_reads_back_as_it_was_written(rig: str, tmp_path: Path, simula
         np.testing.assert_array_equal(a.sigma, b.sigma)
     np.testing.assert_array_equal(found.detections.uv, session.detections.uv)
     np.testing.assert_array_equal(found.q, session.q)
+
+
+def test_what_a_file_cannot_say_of_a_mount_is_refused(tmp_path: Path, simulated: Callable) -> None:
+    session = simulated("ur5_handeye", poses=12).session
+    (mount,) = session.mounts
+    uneven = replace(session, mounts=(replace(mount, sigma=1e-3 * np.arange(1.0, 7.0)),))
+    with pytest.raises(OutputError, match="camera 'hand': the standard deviations of its place differ by direction"):
+        write_session(tmp_path / "s", uneven)
+    assert not list(tmp_path.iterdir())
 
 
 def broken(folder: Path, **changes: object) -> Path:
