@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -113,7 +113,7 @@ class FittedCalibration(Calibration):
 
     @cached_property
     def placements(self) -> Floats:
-        """(n, 4, 4) calibrated placement of each joint in the previous joint's frame. [m]."""
+        """(n, 4, 4) calibrated placement of each joint in the frame of the one it hangs on. [m]."""
         return frozen(self.geometry.placements(self.estimate.offsets))
 
     def tip_sigma(self, q: Floats) -> Floats:
@@ -447,7 +447,7 @@ def calibrate(
     start = start_state(session, geometry, np.zeros((len(geometry.labels), len(geometry.columns))))
     blocks = observe(session)
     if method == "points":
-        blocks, start = _as_points(session), replace(start, cameras=(), T_cam_world=np.zeros((0, 4, 4)))
+        blocks, start = _as_points(session), start.without_cameras
     comparison = compare_models(session, geometry, blocks, start, priors=priors, seed=seed, progress=progress)
     solutions: tuple[Candidate, ...] = ()
     if starts:

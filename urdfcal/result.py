@@ -138,7 +138,8 @@ class Calibration(ABC):
     def compensate(self, q: ArrayLike) -> Compensation:
         """Find joint commands for a controller that keeps its nominal kinematics.
 
-        With them the real tip goes where the nominal robot's would go with ``q``.
+        With them the real tip, the first one of joints that branch, goes where the nominal robot's would go with ``q``.
+        Joints that do not carry it keep their values.
 
         Args:
             q: (..., k) nominal values of the actuated joints, in the order of ``chain.actuated``. [rad or m]

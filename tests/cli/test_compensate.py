@@ -8,7 +8,7 @@ import pytest
 
 import urdfcal
 from urdfcal.cli import run
-from urdfcal.robot.kinematics import tip_poses
+from urdfcal.robot.kinematics import link_poses, tip_poses
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -104,3 +104,21 @@ def test_a_trajectory_is_not_compensated_over_itself(
     assert run(["compensate", str(result), str(path), "-o", str(path)]) == 2
     assert "the trajectory itself" in capsys.readouterr().err
     assert path.read_bytes() == before
+
+
+def test_the_other_arm_is_said_not_to_be_compensated(
+    calibrated: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result = calibrated("tiago_dual") / "result"
+    loaded = urdfcal.Calibration.load(result)
+    chain = loaded.chain
+    q = chain.readings(chain.random_values(50, np.random.default_rng(2)))
+    path = write(tmp_path / "given.csv", chain, q)
+    assert run(["compensate", str(result), str(path), "-o", str(tmp_path / "out.csv")]) == 0
+    (said,) = [line for line in capsys.readouterr().out.splitlines() if "is not compensated" in line]
+    assert said.startswith("arm_right_tool_link ")
+    wanted = link_poses(chain, chain.joint_values(q), chain.tips)[1]
+    for commands, end in ((q, " mm rms as given"), (loaded.compensate(q).q, " mm with these commands")):
+        real = link_poses(loaded.calibrated, chain.joint_values(commands), chain.tips)[1]
+        miss = np.sqrt(np.mean(np.sum((real - wanted)[:, :3, 3] ** 2, axis=1)))
+        assert f"{1e3 * miss:.3g}{end}" in said

@@ -6,15 +6,25 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from urdfcal.arrays import inverse
 from urdfcal.estimation.freedoms import Freedoms
 from urdfcal.estimation.observations import arrange, observe
 from urdfcal.estimation.parameters import choose_parameters
 from urdfcal.estimation.residuals import Tangent, predict
+from urdfcal.estimation.state import State
 from urdfcal.robot.dh import DHTable
+from urdfcal.robot.tree import read_mechanism
 from urdfcal.robot.tree_dh import rows_of
+from urdfcal.session.frames import CameraMount
+from urdfcal.session.model import Led, Points
+from urdfcal.session.scene import look_at
+from urdfcal.vision.rig import Rig
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from urdfcal.estimation.observations import Observations
+    from urdfcal.estimation.parameters import Geometry, Parameters
 
 EVERY = slice(None)
 
@@ -29,17 +39,8 @@ RIGS = {
 }
 
 
-@pytest.mark.parametrize("rig", RIGS)
-def test_every_jacobian_block_agrees_with_finite_differences(
-    rig: str, simulated: Callable, true_state: Callable
-) -> None:
-    session = simulated(rig, poses=8).session
-    table = rows_of(session.chain)
-    (block,) = observe(session)
-    centre = true_state(simulated(rig, poses=8))
-    extrinsics = RIGS[rig]
-    parameters = choose_parameters(session, table, centre, Freedoms("dh", ("free",) * len(extrinsics), extrinsics))
-    state = parameters.move(centre, np.random.default_rng(0).normal(0.0, 1e-3, parameters.count))
+def assert_derivatives(table: Geometry, block: Observations, state: State, parameters: Parameters) -> None:
+    """By every active parameter, against finite differences."""
     J = Tangent.at(table, block, state, parameters).linearise(EVERY).J
     names = [name for name, active in zip(parameters.names, parameters.active, strict=True) if active]
     for k, name in enumerate(names):
@@ -51,6 +52,64 @@ def test_every_jacobian_block_agrees_with_finite_differences(
         numeric = (after.residual - before.residual) / (2 * step[k])
         scale = max(np.abs(numeric).max(), 1.0)  # px a metre or radian: less is nothing
         assert np.abs(J[..., k] - numeric).max() < 1e-6 * scale, name
+
+
+@pytest.mark.parametrize("rig", RIGS)
+def test_every_jacobian_block_agrees_with_finite_differences(
+    rig: str, simulated: Callable, true_state: Callable
+) -> None:
+    session = simulated(rig, poses=8).session
+    table = rows_of(session.chain)
+    (block,) = observe(session)
+    centre = true_state(simulated(rig, poses=8))
+    extrinsics = RIGS[rig]
+    parameters = choose_parameters(session, table, centre, Freedoms("dh", ("free",) * len(extrinsics), extrinsics))
+    state = parameters.move(centre, np.random.default_rng(0).normal(0.0, 1e-3, parameters.count))
+    assert_derivatives(table, block, state, parameters)
+
+
+def test_all_ways_of_fastening_at_once_agree_with_finite_differences(simulated: Callable) -> None:
+    """A camera that stands, two that ride together; LEDs in the world, on the base link, on the way, and on the tip."""
+    hand = simulated("ur5_handeye", poses=8).session
+    T_world_base = inverse(look_at(np.array([1.8, -0.6, 0.9]), np.array([0.5, 0.0, 0.1])))
+    in_world = T_world_base[:3, :3] @ [0.5, -0.05, 0.0] + T_world_base[:3, 3]
+    places = {
+        "world": in_world,
+        "base": [-0.55, 0.05, 0.02],
+        "forearm_link": [0.0, 0.05, 0.1],
+        "tool0": [0.0, 0.0, 0.1],
+    }
+    (lens,) = hand.rig.cameras
+    aside = np.eye(4)
+    aside[0, 3] = -0.1
+    session = replace(
+        hand,
+        chain=read_mechanism(hand.urdf, ["tool0", "forearm_link", "base"], "base_link"),
+        leds=tuple(Led(link, np.array(place), link=link) for link, place in places.items()),
+        rig=Rig(tuple(replace(lens, name=name) for name in "abc"), (np.eye(4), None, None)),
+        mounts=(replace(hand.mounts[0], camera="b"), CameraMount("c", "tool0")),
+        detections=None,
+        points=Points(np.zeros(1, int), np.zeros(1, int), np.zeros((1, 3)), np.ones(1)),
+    )
+    T_link_b = hand.mounts[0].T_link_camera
+    seen = [(0, led) for led in range(4)] + [(camera, led) for camera in (1, 2) for led in (0, 1, 3)]
+    camera, led = np.array([pair for _ in session.poses for pair in seen]).T
+    pose = np.repeat(np.arange(8), len(seen))
+    covariance = np.broadcast_to(np.eye(2), (len(pose), 2, 2))
+    block = arrange(session.q, pose, led, camera, np.zeros((len(pose), 2)), covariance, session.frames)
+    table = rows_of(session.chain)
+    centre = State(
+        np.zeros_like(table.nominal),
+        T_world_base,
+        np.array([led.position for led in session.leds]),
+        session.rig.cameras,
+        np.array([np.eye(4), inverse(T_link_b), aside @ inverse(T_link_b)]),
+    )
+    assert session.frames.leader.tolist() == [0, 1, 1]
+    parameters = choose_parameters(session, table, centre, Freedoms("dh", ("free",) * 3, ("fixed", "free", "free")))
+    state = parameters.move(centre, np.random.default_rng(0).normal(0.0, 1e-3, parameters.count))
+    assert np.isfinite(predict(table, block, state)).all()
+    assert_derivatives(table, block, state, parameters)
 
 
 @pytest.mark.parametrize("rig", ["stanford", "tiago", "tiago_dual", "ur5_handeye"])

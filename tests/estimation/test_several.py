@@ -1,16 +1,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from urdfcal.calibration import calibrate
+from urdfcal.estimation.clocks import start_state
 from urdfcal.estimation.observations import observe
 from urdfcal.estimation.residuals import predict, view
+from urdfcal.estimation.several import _same_arm
 from urdfcal.estimation.start import kabsch
 from urdfcal.robot.dh import DHTable
 from urdfcal.session.model import Estimate, Noise
+from urdfcal.session.simulate_motion import Motion, set_in_motion
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -52,3 +56,25 @@ def test_the_kept_solution_is_the_one_near_the_drawing(simulated: Callable) -> N
     alone, among = calibrate(session), calibrate(session, starts=6)
     np.testing.assert_allclose(alone.placements, among.placements, atol=1e-7)
     assert len(among.to_dict()["solutions"]) == 7
+
+
+def test_arms_that_differ_only_where_a_moving_arm_did_not_go_are_not_the_same(simulated: Callable) -> None:
+    session = set_in_motion(simulated("ur5", poses=8), Motion()).session
+    table = DHTable.from_chain(session.chain)
+    drawn = start_state(session, table, np.zeros_like(table.nominal))
+    other = replace(drawn, offsets=0.1 * (np.arange(5) == 0) * np.ones_like(table.nominal))
+    log = session.trajectory.log  # of an arm that stayed where it was: any arm puts one LED there
+    still = replace(log, values=np.broadcast_to(log.values[0], log.values.shape))
+    blocks = observe(replace(session, trajectory=replace(session.trajectory, log=still)))
+    a, b = (SimpleNamespace(state=state) for state in (drawn, other))
+    assert _same_arm(table, blocks, a, a)
+    assert not _same_arm(table, blocks, a, b)
+
+
+def test_cameras_have_no_part_in_other_starts_from_points(simulated: Callable) -> None:
+    session = replace(simulated("ur5").session, estimate=Estimate("dh", "fixed", "fixed"))
+    calibration = calibrate(session, method="points", starts=2)
+    states = [candidate.solution.state for candidate in calibration.solutions if candidate.solution]
+    assert len(states) == 3
+    assert not any(state.cameras for state in states)
+    assert "rms_px" not in calibration.validation()  # whichever of the equal minima was kept

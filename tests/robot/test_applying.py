@@ -11,6 +11,7 @@ from urdfcal.errors import RobotError
 from urdfcal.robot.applying import apply_to_model, apply_to_urdf
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.origins import origins_of, rewrite_origins
+from urdfcal.robot.tree import Tree
 from urdfcal.robot.urdf import Urdf
 
 if TYPE_CHECKING:
@@ -156,3 +157,14 @@ def test_a_urdf_of_another_robot_is_refused_by_the_joints_name(simulated: Callab
         apply_to_urdf(arm.urdf, turned, arm.built)
     with pytest.raises(RobotError, match="no link 'base_link'"):
         apply_to_urdf(Arm(simulated("panda")).urdf, arm.chain, arm.built)
+
+
+def test_a_link_that_moved_on_the_base_link_is_told_as_such(simulated: Callable) -> None:
+    arm = Arm(simulated("ur5"))
+    tree = Tree.from_urdf(arm.urdf, ["tool0", "base"], "base_link")
+    fixed = "base_link-base_fixed_joint"
+    T = arm.urdf.joints[fixed].T_parent_joint.copy()
+    T[0, 3] += 0.01
+    moved = Urdf.parse(rewrite_origins(arm.urdf, {fixed: T}))
+    with pytest.raises(RobotError, match="link 'base' is elsewhere on link 'base_link' than"):
+        apply_to_urdf(moved, tree, arm.built)

@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from urdfcal.arrays import inverse
-from urdfcal.errors import RobotError, SessionError
+from urdfcal.errors import OutputError, RobotError, SessionError
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.tree import Tree
 from urdfcal.session.files import read_rig, read_session
@@ -17,6 +17,7 @@ from urdfcal.session.frames import CameraMount, fasten
 from urdfcal.session.model import Led
 from urdfcal.session.rigs import find_rig
 from urdfcal.session.simulate import write_simulated
+from urdfcal.session.writing import write_session
 from urdfcal.vision.rig import Rig
 
 if TYPE_CHECKING:
@@ -64,6 +65,14 @@ def test_a_place_by_a_camera_on_something_else_is_refused() -> None:
         fasten(one.chain, [None], pair, {"head": one.mounts[0]})
 
 
+def test_a_second_camera_on_a_link_has_no_place_of_its_own_there() -> None:
+    one = read_rig(find_rig("tiago"))
+    pair = Rig((one.rig.cameras[0], replace(one.rig.cameras[0], name="second")), (np.eye(4), None))
+    mounts = {"head": one.mounts[0], "second": replace(one.mounts[0], camera="second")}
+    with pytest.raises(SessionError, match=r"camera 'second'.*there it goes with 'head'"):
+        fasten(one.chain, [None], pair, mounts)
+
+
 def test_something_must_be_on_the_robot() -> None:
     rig = read_rig(find_rig("ur5"))
     with pytest.raises(SessionError, match="neither an LED nor a camera is on the robot"):
@@ -77,6 +86,7 @@ def test_something_must_be_on_the_robot() -> None:
 @pytest.mark.parametrize(
     ("mount", "message"),
     [
+        ({"link": "world"}, "a camera that stands in the world rides on no link"),
         ({"T_link_camera": np.diag([1.0, 1.0, -1.0, 1.0])}, "no rigid"),
         ({"sigma": np.ones(6)}, "sigma is given without a place"),
         ({"T_link_camera": np.eye(4), "sigma": np.zeros(6)}, "not six positive numbers"),
@@ -84,7 +94,7 @@ def test_something_must_be_on_the_robot() -> None:
 )
 def test_mounts_that_make_no_sense_are_refused(mount: dict, message: str) -> None:
     with pytest.raises(SessionError, match=message):
-        CameraMount("cam", "tool0", **mount)
+        CameraMount(**{"camera": "cam", "link": "tool0", **mount})
 
 
 @pytest.mark.parametrize("rig", TREES)
@@ -101,6 +111,15 @@ def test_a_session_reads_back_as_it_was_written(rig: str, tmp_path: Path, simula
         np.testing.assert_array_equal(a.sigma, b.sigma)
     np.testing.assert_array_equal(found.detections.uv, session.detections.uv)
     np.testing.assert_array_equal(found.q, session.q)
+
+
+def test_what_a_file_cannot_say_of_a_mount_is_refused(tmp_path: Path, simulated: Callable) -> None:
+    session = simulated("ur5_handeye", poses=12).session
+    (mount,) = session.mounts
+    uneven = replace(session, mounts=(replace(mount, sigma=1e-3 * np.arange(1.0, 7.0)),))
+    with pytest.raises(OutputError, match="camera 'hand': the standard deviations of its place differ by direction"):
+        write_session(tmp_path / "s", uneven)
+    assert not list(tmp_path.iterdir())
 
 
 def broken(folder: Path, **changes: object) -> Path:
@@ -129,7 +148,12 @@ def broken(folder: Path, **changes: object) -> Path:
             "position and rpy are given together",
         ),
         ({"cameras": {"head": {"link": "head_2_link"}}}, "the key 'file' is missing"),
+        (
+            {"cameras": {"file": "cameras.yaml", "head": {"link": "world"}}},
+            "'head'.*a camera that stands in the world rides on no link",
+        ),
         ({"cameras": "cameras.yaml"}, "the key 'stand' is missing"),
+        ({"stand": {"position": [1, 0, 0], "look_at": [0, 0, 0]}}, "stand: no camera stands: all ride"),
     ],
 )
 def test_what_is_wrong_in_a_file_is_told_with_its_place(tmp_path: Path, changes: dict, message: str) -> None:

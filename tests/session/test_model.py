@@ -4,14 +4,14 @@ import pickle
 import subprocess
 import sys
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
 from tests.session.making import write_points, write_valid
 from urdfcal.errors import SessionError
-from urdfcal.session.files import read_session
+from urdfcal.session.files import read_rig, read_session
 from urdfcal.session.model import (
     Detections,
     Estimate,
@@ -23,6 +23,11 @@ from urdfcal.session.model import (
     Stand,
     Tolerances,
 )
+from urdfcal.session.rigs import find_rig
+from urdfcal.session.writing import write_session
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 @pytest.fixture(scope="module")
@@ -144,6 +149,7 @@ def test_sightings_that_do_not_fit_are_refused(changes: dict[str, Any], message:
         ({"detections": pixels(camera=np.array([0, 2, 1]))}, "camera 2 does not exist: there are 2"),
         ({"detections": pixels(led=np.array([0, 2, 1]))}, "led 2 does not exist: there are 2"),
         ({"tolerances": Tolerances(joints={"wrist": {}})}, "there is no joint 'wrist'"),
+        ({"estimate": Estimate(extrinsics={"cam9": "free"})}, "there is no camera 'cam9'"),
     ],
 )
 def test_sessions_that_do_not_fit_are_refused(session: Session, changes: dict[str, Any], message: str) -> None:
@@ -164,6 +170,8 @@ def test_sessions_that_do_not_fit_are_refused(session: Session, changes: dict[st
         lambda: Noise(pixel="0.1"),  # type: ignore[arg-type]
         lambda: Estimate("hd"),  # type: ignore[arg-type]
         lambda: Estimate(intrinsics="none"),  # type: ignore[arg-type]
+        lambda: Estimate(intrinsics={"cam0": "none"}),  # type: ignore[dict-item]
+        lambda: Estimate(geometry={"cam0": "free"}),  # type: ignore[arg-type]
         lambda: Tolerances(length=-1.0),
         lambda: Tolerances(joints={"a": {"gamma": 1.0}}),
         lambda: Tolerances(joints={"a": {"theta": -1.0}}),
@@ -209,3 +217,21 @@ def test_some_of_its_poses_are_a_session(session: Session, tracked: Session) -> 
         assert 0 < kept.sum() < len(table)
         np.testing.assert_array_equal(chosen[getattr(some, name).pose], table.pose[kept])
         np.testing.assert_array_equal(getattr(getattr(some, name), values), getattr(table, values)[kept])
+
+
+def test_tolerances_of_a_mount_need_a_branch_that_it_carries() -> None:
+    dual, single = (read_rig(find_rig(name)) for name in ("tiago_dual", "ur5"))
+    right = Tolerances(joints={"arm_right_1_joint.mount": {"a": 0.0}})
+    assert replace(dual, tolerances=right).tolerances == right
+    for rig, label in ((dual, "arm_left_1_joint.mount"), (single, "elbow_joint.mount")):
+        with pytest.raises(SessionError, match=f"there is no joint '{label}'"):
+            replace(rig, tolerances=Tolerances(joints={label: {"a": 0.0}}))
+
+
+def test_each_camera_may_have_a_word_of_its_own(session: Session, tmp_path: Path) -> None:
+    name = session.rig.names[1]
+    one = replace(session, estimate=Estimate("dh", {name: "refine"}, {name: "free"}))
+    assert [one.estimate.of("intrinsics", camera) for camera in session.rig.names] == [None, "refine"]
+    assert pickle.loads(pickle.dumps(one)).estimate == one.estimate  # noqa: S301 - our own
+    write_session(tmp_path / "session", one)
+    assert read_session(tmp_path / "session").estimate == one.estimate

@@ -61,6 +61,16 @@ def test_an_led_on_a_long_tool_is_no_wrong_unit(folder: Path) -> None:
     assert read_session(folder).warnings == ()
 
 
+def test_an_led_in_the_world_may_be_as_far_as_a_camera(folder: Path) -> None:
+    reach, given = read_session(folder).chain.reach, "position: [0.05, 0.02, 0.03]"
+    near, far = (f"link: world, position: [0, 0, {share * reach}]" for share in (10.0, 30.0))
+    swap(YAML, given, near)(folder)
+    assert read_session(folder).leds[0].link == "world"
+    swap(YAML, near, far)(folder)
+    with pytest.raises(SessionError, match="m from the world's origin looks like millimetres"):
+        read_session(folder)
+
+
 def test_a_tracker_may_stand_far_away(tracked: Path) -> None:
     cells(POINTS, lambda _, row: {**row, "x": str(float(row["x"]) + 25.0)})(tracked)
     assert read_session(tracked).warnings == ()

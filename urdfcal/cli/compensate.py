@@ -12,6 +12,7 @@ from urdfcal.errors import OutputError
 if TYPE_CHECKING:
     from urdfcal.arrays import Floats
     from urdfcal.output.trajectory import Trajectory
+    from urdfcal.result import Calibration
     from urdfcal.robot.compensation import Compensation
 
 _BLOCK = 4096  # poses between two steps of the progress bar
@@ -24,6 +25,8 @@ _BLOCK = 4096  # poses between two steps of the progress bar
 def command(result: Path, trajectory: Path, output: Path) -> None:
     """Correct the joint commands of TRAJECTORY.csv so that the real tip goes where the nominal one would.
 
+    Of joints that branch this is the session's tip link; what becomes of the other links is said.
+
     OUT is a folder that calibrate has written, or its calibration.json. Columns are joint names, in rad and m; others,
     such as time, are kept.
     """
@@ -31,7 +34,6 @@ def command(result: Path, trajectory: Path, output: Path) -> None:
     from urdfcal.cli.console import progress_bar
     from urdfcal.output.trajectory import Trajectory
     from urdfcal.result import Calibration
-    from urdfcal.robot.kinematics import tip_poses
 
     calibration = Calibration.load(result)
     given = Trajectory.read(trajectory, calibration.chain)
@@ -46,9 +48,13 @@ def command(result: Path, trajectory: Path, output: Path) -> None:
             advance(len(parts[-1].q))
     found = _joined(parts)
     files.write_text(output, given.with_commands(found.q))
-    values = calibration.chain.joint_values(given.q)
-    error = tip_poses(calibration.calibrated, values) - tip_poses(calibration.chain, values)
-    _print(output, given, found, error[:, :3, 3])
+    before, after = (_misses(calibration, given.q, commands) for commands in (given.q, found.q))
+    _print(output, given, found, next(iter(before.values())))
+    for link in list(before)[1:]:
+        click.echo(
+            f"{link} is not compensated: {1e3 * before[link]:.3g} mm rms as given, "
+            f"{1e3 * after[link]:.3g} mm with these commands"
+        )
 
 
 def _joined(parts: list[Compensation]) -> Compensation:
@@ -59,22 +65,35 @@ def _joined(parts: list[Compensation]) -> Compensation:
     return Compensation(*(np.concatenate([getattr(p, name) for p in parts]) for name in ("q", "position", "angle")))
 
 
-def _print(path: Path, given: Trajectory, found: Compensation, before: Floats) -> None:
+def _misses(calibration: Calibration, wanted: Floats, commands: Floats) -> dict[str, float]:
+    """How far (rms, m) the real links of interest are with commands (N, k) from the nominal ones as wanted (N, k)."""
+    from urdfcal.robot.kinematics import link_poses
+    from urdfcal.robot.mechanism import BASE
+
+    chain = calibration.chain
+    tips = [chain.tips[0], *(tip for tip in chain.tips[1:] if tip.joint != BASE)]
+    nominal = link_poses(chain, chain.joint_values(wanted), tips)
+    real = link_poses(calibration.calibrated, chain.joint_values(commands), tips)
+    return {
+        tip.link: _rms_length(T[:, :3, 3] - S[:, :3, 3]) for tip, T, S in zip(chain.tips, real, nominal, strict=True)
+    }
+
+
+def _print(path: Path, given: Trajectory, found: Compensation, before: float) -> None:
     """What the commands leave, and where most: beside a singularity, at a limit, or of too few joints."""
     import numpy as np
 
-    distance = np.linalg.norm(before, axis=1)
     worst, most_turned = int(np.argmax(found.position)), int(np.argmax(found.angle))
     click.echo(
         f"{path}: {len(given.q)} poses\n"
-        f"tip against the nominal one, by the calibrated model: {1e3 * _rms(distance):.3g} mm rms as given, "
-        f"{1e3 * _rms(found.position):.3g} mm compensated\n"
+        f"tip against the nominal one, by the calibrated model: {1e3 * before:.3g} mm rms as given, "
+        f"{1e3 * _rms_length(found.position[:, None]):.3g} mm compensated\n"
         f"worst residual: {1e3 * found.position[worst]:.3g} mm (line {given.line(worst)}), "
         f"{1e3 * found.angle[most_turned]:.3g} mrad (line {given.line(most_turned)})"
     )
 
 
-def _rms(values: Floats) -> float:
+def _rms_length(vectors: Floats) -> float:
     import numpy as np
 
-    return float(np.sqrt(np.mean(values**2)))
+    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))

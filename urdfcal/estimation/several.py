@@ -99,7 +99,8 @@ def _start(session: Session, table: Geometry, first: Solution, rng: np.random.Ge
         near = _NEAR * (session.tolerances.length if length else session.tolerances.zero)
         offsets[row, parameters.columns.index(name)] = rng.uniform(-limit, limit) if far else rng.normal(0.0, near)
     clocks = first.state.time_offsets
-    return replace(first_state(session.with_clocks(clocks), table, offsets), time_offsets=clocks)
+    start = replace(first_state(session.with_clocks(clocks), table, offsets), time_offsets=clocks)
+    return start if first.state.cameras else start.without_cameras
 
 
 def _screen(
@@ -142,7 +143,8 @@ def _strangeness(session: Session, solution: Solution) -> float:
 def _same_arm(table: Geometry, blocks: Sequence[Observations], a: Solution, b: Solution) -> bool:
     """Whether two solutions move the LEDs alike, wherever the arm goes, up to where base and cameras are."""
     for block in blocks:
-        elsewhere = replace(block, q=table.chain.random_values(len(block.q), np.random.default_rng(0)))
+        q = table.chain.random_values(len(block.q), np.random.default_rng(0))
+        elsewhere = replace(block, q=q, trajectory=None)  # where an arm went that moved must not decide
         p, r = (view(table, elsewhere, solution.state) for solution in (a, b))
         for frame in np.unique(block.view_frame[block.valid]):
             here = block.valid & (block.view_frame == frame)

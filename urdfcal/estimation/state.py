@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -38,3 +38,8 @@ class State:
             value = getattr(self, entry.name)
             if isinstance(value, np.ndarray):
                 object.__setattr__(self, entry.name, frozen(value))
+
+    @property
+    def without_cameras(self) -> State:
+        """The same where points in space are estimated from, and cameras have no part."""
+        return replace(self, cameras=(), T_cam_world=np.zeros((0, 4, 4)))

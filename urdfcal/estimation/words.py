@@ -41,7 +41,7 @@ def sentence(table: Geometry, parameters: Parameters, victim: int, partners: Seq
         return f"{name} cannot be told from where the robot stands (T_world_base): {outcome}"
     if not arm and len(leds) == len(partners):
         return f"{name} cannot be told from where the LEDs sit: {outcome}"
-    cameras = [k for k in partners if k >= parameters.base.stop + 3 * parameters.leds]
+    cameras = [k for k in partners if parameters.camera(0).start <= k < parameters.lens(0).start]
     if len(cameras) == len(partners):
         named = " and ".join(sorted({parameters.names[k].rpartition(".")[0] for k in cameras}))
         return f"{name} cannot be told from where {named} is fastened: {outcome}"

@@ -9,14 +9,14 @@ import pinocchio as pin
 
 from urdfcal.arrays import Floats, inverse
 from urdfcal.errors import RobotError
-from urdfcal.robot.mechanism import se3
+from urdfcal.robot.mechanism import BASE, se3
 from urdfcal.robot.origins import origins_of, rewrite_origins
 from urdfcal.robot.tree import read_mechanism
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from urdfcal.robot.mechanism import Joint, Mechanism
+    from urdfcal.robot.mechanism import Joint, Mechanism, Tip
     from urdfcal.robot.urdf import Urdf
 
 # Placements that differ by no more are the same drawing through different roundings. [m, entries of the rotation]
@@ -112,11 +112,15 @@ def apply_to_urdf(urdf: Urdf, chain: Mechanism, built: Floats) -> bytes:
     for tip, same in zip(chain.tips, other.tips, strict=True):
         if tip.joint != same.joint or not np.allclose(tip.T_joint_link, same.T_joint_link, rtol=0.0, atol=_SAME):
             raise RobotError(
-                f"link {tip.link!r} is elsewhere on joint {chain.names[tip.joint]!r} than when it was calibrated",
+                f"link {tip.link!r} is elsewhere on {_carrier(chain, tip)} than when it was calibrated",
                 where=where,
                 remedy="Apply the calibration to a description of the same robot.",
             )
     return rewrite_origins(urdf, origins_of(urdf, other, built))
+
+
+def _carrier(chain: Mechanism, tip: Tip) -> str:
+    return f"link {chain.base_link!r}" if tip.joint == BASE else f"joint {chain.names[tip.joint]!r}"
 
 
 def _base(model: pin.Model, chain: Mechanism) -> tuple[int, Floats, Floats]:

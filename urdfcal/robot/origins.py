@@ -38,7 +38,7 @@ def origins_of(urdf: Urdf, chain: Mechanism, placements: ArrayLike) -> dict[str,
     Args:
         urdf: the description that ``chain`` was read from.
         chain: as drawn.
-        placements: (n, 4, 4) each joint's frame in the previous joint's. [m]
+        placements: (n, 4, 4) each joint's frame in that of the one it hangs on. [m]
 
     Returns:
         Joint name -> (4, 4) new T_parent_joint, of the joints whose placement differs from the drawn one.

@@ -10,7 +10,7 @@ import numpy as np
 
 from urdfcal.errors import SessionError
 from urdfcal.robot.tree import read_mechanism
-from urdfcal.robot.tree_dh import MOUNT
+from urdfcal.robot.tree_dh import rows_of
 from urdfcal.robot.urdf import Urdf, find_urdf
 from urdfcal.session import frame_tables, tables
 from urdfcal.session.frames import WORLD
@@ -318,12 +318,13 @@ def _read_setup(document: Document, keys: SetupFile) -> dict[str, Any]:
                     where=document.place("cameras", mount.camera),
                     remedy=suggest(mount.camera, rig.names, "cameras"),
                 )
+    rows = rows_of(chain).labels if keys.tolerances.joints else ()
     for joint in keys.tolerances.joints:
-        if joint.removesuffix(MOUNT) not in chain.names:
+        if joint not in rows:
             raise SessionError(
                 f"there is no joint {joint!r} between {chain.base_link!r} and {chain.tip_link!r}",
                 where=document.place("tolerances", joint),
-                remedy=suggest(joint, chain.names, "joints"),
+                remedy=suggest(joint, rows, "joints"),
             )
     return {
         **keys.setup(),

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
     from pathlib import Path
 
-    from urdfcal.robot.chain import Chain
+    from urdfcal.robot.mechanism import Mechanism
 
 STILL = 1e-3
 """An arm whose joints move by less between two frames may look the same in both. [rad or m]"""
@@ -46,7 +46,7 @@ class LogTable:
     readings: Floats
     warnings: tuple[str, ...]
 
-    def log(self, chain: Chain) -> JointLog:
+    def log(self, chain: Mechanism) -> JointLog:
         """The motion of all joints of the chain, those without limits without jumps of a turn."""
         endless = [joint.type == "continuous" for joint in chain.joints if joint.mimic is None]
         return JointLog(
@@ -75,7 +75,7 @@ class FrameTable:
     time: Floats
 
 
-def read_log(path: Path, chain: Chain, robot_joints: Collection[str]) -> LogTable:
+def read_log(path: Path, chain: Mechanism, robot_joints: Collection[str]) -> LogTable:
     """Read joints.csv of a moving arm.
 
     Args:
@@ -138,7 +138,7 @@ def read_frames(path: Path, cameras: Sequence[str]) -> FrameTable:
     return FrameTable(table, tuple(cameras), camera, frame, row, frozen(time))
 
 
-def combine(log_table: LogTable, frames: FrameTable, chain: Chain) -> tuple[Trajectory, Ints, tuple[str, ...]]:
+def combine(log_table: LogTable, frames: FrameTable, chain: Mechanism) -> tuple[Trajectory, Ints, tuple[str, ...]]:
     """Find the joint values of every frame, as far as they were recorded.
 
     Returns:

@@ -40,6 +40,12 @@ class CameraMount:
 
     def __post_init__(self) -> None:
         where = f"camera {self.camera!r}"
+        if self.link == WORLD:
+            raise SessionError(
+                "a camera that stands in the world rides on no link",
+                where=where,
+                remedy="Name the camera file alone: T_cn_cnm1 says where it stands, or it is estimated.",
+            )
         if self.T_link_camera is not None:
             T = frozen(self.T_link_camera)
             R = T[:3, :3] if T.shape == (4, 4) else np.zeros((3, 3))
@@ -110,7 +116,8 @@ def fasten(
 
     Raises:
         RobotError: a link is none of the mechanism's tips.
-        SessionError: nothing is on the robot, or a camera's place is given by one in another frame.
+        SessionError: nothing is on the robot, a camera's place is given by one in another frame, or on its link though
+            another camera leads it there.
     """
     names = [WORLD]
 
@@ -134,6 +141,12 @@ def fasten(
                 "T_cn_cnm1 places it by a camera that is fastened to something else",
                 where=f"camera {one.name!r}",
                 remedy="Leave T_cn_cnm1 out: where it is comes from its link, or is estimated.",
+            )
+        if c != first and one.name in mounts and mounts[one.name].T_link_camera is not None:
+            raise SessionError(
+                f"its place on {mounts[one.name].link!r} is given, but there it goes with {cameras[first].name!r}",
+                where=f"camera {one.name!r}",
+                remedy="Leave position, rpy and sigma out: T_cn_cnm1 says where it is, or it is estimated.",
             )
         if c == first:
             T_cam_leader.append(np.eye(4))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from types import MappingProxyType
@@ -12,12 +13,11 @@ import numpy as np
 from urdfcal.arrays import Floats, Ints, frozen
 from urdfcal.errors import SessionError
 from urdfcal.robot.dh import PARAMETERS
-from urdfcal.robot.tree_dh import MOUNT
+from urdfcal.robot.tree_dh import rows_of
 from urdfcal.session.frames import CameraMount, Frames, fasten
 from urdfcal.session.names import check_names, suggest
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
     from pathlib import Path
 
     from numpy.typing import ArrayLike
@@ -132,10 +132,12 @@ class Estimate:
         known_words = {"geometry": Geometry, "intrinsics": Freedom, "extrinsics": Freedom, "time_offset": TimeOffset}
         for name, known in known_words.items():
             value, choices = getattr(self, name), get_args(known)
-            if value is not None and value not in choices:
-                raise SessionError(
-                    f"{name} is {value!r}", where="estimate", remedy=f"Use {', '.join(choices)}, or None."
-                )
+            by_camera = name in ("intrinsics", "extrinsics") and isinstance(value, Mapping)
+            for word in value.values() if by_camera else (value,) * (value is not None):
+                if word not in choices:
+                    raise SessionError(
+                        f"{name} is {word!r}", where="estimate", remedy=f"Use {', '.join(choices)}, or None."
+                    )
 
 
 @dataclass(frozen=True)
@@ -146,7 +148,7 @@ class Tolerances:
         length: of d and a. [m]
         angle: of theta, alpha and beta. [rad]
         zero: of a joint's zero offset. [rad or m]
-        joints: exceptions, by joint and DH parameter. [rad or m]
+        joints: exceptions, by joint (or mount of a branch) and DH parameter. [rad or m]
     """
 
     length: float = 0.001
@@ -269,12 +271,13 @@ class Setup:
         if not self.leds:
             raise SessionError("there is no LED", remedy="Name at least one.")
         check_names("LEDs", [led.name for led in self.leds])
+        rows = rows_of(self.chain).labels if self.tolerances.joints else ()
         for joint in self.tolerances.joints:
-            if joint.removesuffix(MOUNT) not in self.chain.names:
+            if joint not in rows:
                 raise SessionError(
                     f"there is no joint {joint!r} between {self.chain.base_link!r} and {self.chain.tip_link!r}",
                     where="tolerances",
-                    remedy=suggest(joint, self.chain.names, "joints"),
+                    remedy=suggest(joint, rows, "joints"),
                 )
         object.__setattr__(self, "mounts", tuple(self.mounts))
         names = self.rig.names if self.rig is not None else ()
@@ -286,6 +289,12 @@ class Setup:
                     remedy=suggest(mount.camera, names, "cameras"),
                 )
         check_names("cameras on links", [mount.camera for mount in self.mounts])
+        for said in (self.estimate.intrinsics, self.estimate.extrinsics):
+            for name in () if said is None or isinstance(said, str) else said:
+                if name not in names:
+                    raise SessionError(
+                        f"there is no camera {name!r}", where="estimate", remedy=suggest(name, names, "cameras")
+                    )
         _ = self.frames  # a link that is none of the robot's is told now, not when it is first needed
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -336,6 +345,10 @@ class RigDescription(Setup):
         super().__post_init__()
         if self.stand is None and len(self.frames.standing):
             raise SessionError("where the first camera stands is not given", where="stand")
+        if self.stand is not None and self.mounts and not len(self.frames.standing):
+            raise SessionError(
+                "no camera stands: all ride on the robot", where="stand", remedy="Leave the key 'stand' out."
+            )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -12,6 +12,7 @@ import numpy as np
 
 from urdfcal.errors import SessionError
 from urdfcal.session.exchange import Rays, check_names_by_rays
+from urdfcal.session.frames import WORLD
 from urdfcal.session.names import listed
 from urdfcal.session.tables import JointTable
 
@@ -195,9 +196,11 @@ def _check_limits(inputs: Inputs) -> None:
 
 def _check_led_units(inputs: Inputs) -> None:
     for led in inputs.leds:
-        if led.position is not None and np.linalg.norm(led.position) > _TOO_FAR * inputs.scale:
+        # A camera, from which places in the world are counted, may stand farther away than an arm carries anything.
+        farthest, origin = (_TOO_WIDE, "world's origin") if led.link == WORLD else (_TOO_FAR, led.link or "tip")
+        if led.position is not None and np.linalg.norm(led.position) > farthest * inputs.scale:
             raise SessionError(
-                f"{np.linalg.norm(led.position):g} m from the tip looks like millimetres: "
+                f"{np.linalg.norm(led.position):g} m from the {origin} looks like millimetres: "
                 f"the arm reaches {inputs.chain.reach:.3g} m",
                 where=inputs.document.place("leds", led.name, "position"),
                 remedy="Write metres.",

@@ -42,7 +42,8 @@ def write_session(folder: str | Path, session: Positions) -> None:
         session: what to write.
 
     Raises:
-        OutputError: one of the files is already there, the folder cannot be written, or the session has no URDF.
+        OutputError: one of the files is already there, the folder cannot be written, or the session has no URDF, or
+            a camera's place is known differently well in different directions.
     """
     folder = Path(folder)
     urdf = session.urdf
@@ -186,6 +187,12 @@ def _mount_keys(mount: CameraMount) -> dict[str, Any]:
         keys["position"] = mount.T_link_camera[:3, 3].tolist()
         keys["rpy"] = matrix_to_rpy(mount.T_link_camera[:3, :3]).tolist()
     if mount.sigma is not None:
+        if not np.array_equal(mount.sigma, np.repeat(mount.sigma[::3], 3)):
+            raise OutputError(
+                f"the standard deviations of its place differ by direction: {mount.sigma.tolist()}",
+                where=f"camera {mount.camera!r}",
+                remedy="session.yaml has one for its position and one for its turn: give three and three alike.",
+            )
         keys["sigma"] = mount.sigma[::3].tolist()
     return keys
 

@@ -91,3 +91,6 @@ def test_names_that_are_taken_or_none_are_refused(results: Callable) -> None:
     document["leds"] = {"the led": document["leds"]["led"]}
     with pytest.raises(OutputError, match="'the led' is no name"):
         found_frames(replace(result.calibration, text=json.dumps(document)))
+    document["leds"] = {"tool0": result.calibration.to_dict()["leds"]["led"]}
+    with pytest.raises(OutputError, match="'tool0' is a link of the robot"):
+        found_frames(replace(result.calibration, text=json.dumps(document)))

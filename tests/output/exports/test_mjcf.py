@@ -10,11 +10,14 @@ import pinocchio as pin
 import pytest
 
 from urdfcal.arrays import inverse
-from urdfcal.errors import RobotError
+from urdfcal.errors import OutputError, RobotError
 from urdfcal.output.exports.mjcf import mjcf
+from urdfcal.output.exports.mjcf_text import Mjcf
 from urdfcal.robot.kinematics import tip_poses
+from urdfcal.robot.mechanism import BASE, Tip
 from urdfcal.robot.motion import joint_motion
 from urdfcal.robot.origins import origins_of, rewrite_origins
+from urdfcal.robot.tree import Tree
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -262,3 +265,28 @@ def test_an_axis_that_points_the_other_way_is_another_robot(results: Callable, t
     model = Model(replace(chain, joints=joints), np.random.default_rng(4), as_quat)
     with pytest.raises(RobotError, match=r"'wrist_1_joint' is not where it was drawn.*3.14e"):
         written(result, tmp_path, model.text)
+
+
+def test_a_defect_shows_where_something_is_fixed_to_the_base_link(
+    results: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # What no body carries must not stand for the last joint's: nothing would be found wrong beside its error.
+    result = results("ur5")
+    chain = result.calibration.chain
+    tree = Tree(
+        chain.name,
+        chain.base_link,
+        chain.joints,
+        chain.parents,
+        chain.placements,
+        (chain.tips[0], Tip("base", BASE, np.eye(4))),
+    )
+    path = tmp_path / "arm.xml"
+    path.write_text(Model(chain, np.random.default_rng(4), as_quat).text)
+    calibration = replace(result.calibration, drawn=tree)
+    q = chain.random_values(5, np.random.default_rng(3))
+    (data,) = mjcf(calibration, result.urdf, path).values()
+    np.testing.assert_allclose(tips(data, chain, q), tip_poses(result.calibration.calibrated, q), rtol=0, atol=1e-9)
+    monkeypatch.setattr(Mjcf, "with_places", lambda *_: path.read_bytes())
+    with pytest.raises(OutputError, match="does not move as the calibrated robot"):
+        mjcf(calibration, result.urdf, path)

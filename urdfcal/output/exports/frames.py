@@ -41,7 +41,7 @@ def found_frames(calibration: Calibration) -> tuple[Frame, ...]:
     ``<camera>_optical_frame``, an LED's as the LED; LEDs have no orientation: theirs is their link's.
 
     Raises:
-        OutputError: a name is none for a frame, or two frames have one name.
+        OutputError: a name is none for a frame, that of a link, or two frames have one name.
     """
     document, chain = calibration.to_dict(), calibration.chain
     T_base_world = inverse(np.array(document["T_world_base"]))
@@ -60,7 +60,10 @@ def found_frames(calibration: Calibration) -> tuple[Frame, ...]:
         T[:3, 3] = led["position"]
         frames.append(fixed(name, led["link"], T))
     names = [frame.name for frame in frames]
+    links = (chain.base_link, *(tip.link for tip in chain.tips))
     for i, name in enumerate(names):
+        if name in links:
+            raise OutputError(f"{name!r} is a link of the robot", remedy="Rename the LED or the camera.")
         if not _NAME.fullmatch(name):
             raise OutputError(f"{name!r} is no name for a frame", remedy="Use letters, digits, _, - and . in names.")
         if name in names[:i]:

@@ -19,6 +19,7 @@ from urdfcal.errors import OutputError, RobotError
 from urdfcal.output.exports.mjcf_bodies import match
 from urdfcal.output.exports.mjcf_text import Mjcf
 from urdfcal.robot.kinematics import link_poses
+from urdfcal.robot.mechanism import BASE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -95,15 +96,16 @@ def _check(calibration: Calibration, found: Match, old: Any, new: Any, where: st
     """Let MuJoCo move both models and compare with the chain, as drawn and as built."""
     chain = calibration.chain
     q = chain.random_values(_CHECK_POSES, np.random.default_rng(0))
-    joints = [tip.joint for tip in chain.tips]
+    tips = [tip for tip in chain.tips if tip.joint != BASE]  # what is fixed to the base link no body carries
+    joints = [tip.joint for tip in tips]
     at_zero = _bodies_at(old, found, joints, np.zeros((1, len(chain.joints))))[0, 0]
     T_world_base = at_zero @ inverse(found.T_base_body[joints[0]])
-    to_tip = np.array([found.T_body_link[tip.joint] @ tip.T_joint_link for tip in chain.tips])[:, None]
+    to_tip = np.array([found.T_body_link[tip.joint] @ tip.T_joint_link for tip in tips])[:, None]
     drawn_error, built_error = (
         float(
             np.abs(
                 _bodies_at(model, found, joints, q) @ to_tip
-                - T_world_base @ np.array(link_poses(chain, q, chain.tips, placements))
+                - T_world_base @ np.array(link_poses(chain, q, tips, placements))
             ).max()
         )
         for model, placements in ((old, chain.placements), (new, calibration.placements))
