@@ -40,8 +40,10 @@ FIXED = Freedoms("dh", ("fixed",) * 2, ("fixed",) * 2)
 
 
 @cache
-def filmed(rig: str, poses: int, rate: float, offsets: tuple[float, ...] = OFFSETS, outliers: float = 0.0) -> Simulated:
-    still = simulate(read_rig(find_rig(rig)), poses=poses, seed=1, pixel=0.1, outliers=outliers)
+def filmed(
+    rig: str, poses: int, rate: float, offsets: tuple[float, ...] = OFFSETS, outliers: float = 0.0, seed: int = 1
+) -> Simulated:
+    still = simulate(read_rig(find_rig(rig)), poses=poses, seed=seed, pixel=0.1, outliers=outliers)
     return set_in_motion(still, Motion(frame_rate=rate, time_offsets=offsets))
 
 
@@ -95,19 +97,24 @@ def test_priors_of_the_time_offsets_have_their_derivatives(true_state: Callable)
 
 
 def test_a_moving_arm_calibrates_as_well_as_a_still_one_and_the_clocks_are_found() -> None:
-    # ur5: its encoders' noise, drawn anew for the arm at rest, is small beside the pixels', which are the same.
-    moving = filmed("ur5", 12, 8.0)
-    found, still = (
-        calibrate(replace(session, estimate=ARM_ALONE), force=True) for session in (moving.session, at_rest(moving))
-    )
-    assert np.abs(found.estimate.time_offsets - OFFSETS).max() < 2e-4
-    assert tip_error(found, moving) < 1.3 * tip_error(still, moving)
-    clocks = found.to_dict()["cameras"]
-    for c, offset in zip(("cam0", "cam1"), OFFSETS, strict=True):
-        value, sigma = clocks[c]["time_offset"]["value"], clocks[c]["time_offset"]["sigma"]
-        assert abs(value - offset) < 4.0 * sigma
-        assert sigma < 1e-4
-    np.testing.assert_allclose(found.session.q, moving.truth.q, atol=6.0 * moving.session.noise.joint)
+    # ur5: its encoders' noise, drawn anew for the arm at rest, is small beside the pixels', which are the same. Clocks
+    # two or three of their standard deviations off make a single arm half as bad again: so rms over three.
+    errors = []
+    for seed in range(3):
+        moving = filmed("ur5", 30, 3.0, seed=seed)
+        found, still = (
+            calibrate(replace(session, estimate=ARM_ALONE), force=True) for session in (moving.session, at_rest(moving))
+        )
+        assert np.abs(found.estimate.time_offsets - OFFSETS).max() < 2e-4
+        errors.append((tip_error(found, moving), tip_error(still, moving)))
+        clocks = found.to_dict()["cameras"]
+        for c, offset in zip(("cam0", "cam1"), OFFSETS, strict=True):
+            value, sigma = clocks[c]["time_offset"]["value"], clocks[c]["time_offset"]["sigma"]
+            assert abs(value - offset) < 4.0 * sigma
+            assert sigma < 1e-4
+        np.testing.assert_allclose(found.session.q, moving.truth.q, atol=6.0 * moving.session.noise.joint)
+    moved, rested = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert moved < 1.3 * rested
 
 
 def test_without_the_offsets_the_arm_would_be_wrong() -> None:
