@@ -137,6 +137,27 @@ def test_clocks_that_are_off_by_a_second_are_found_by_trying(offsets: tuple[floa
     assert np.abs(found.estimate.time_offsets - offsets).max() < 5e-4
 
 
+def test_frames_that_the_log_does_not_reach_once_the_clocks_are_set_are_left_out() -> None:
+    moving = filmed("ur5", 12, 4.0, (0.93, -0.9))
+    trajectory = moving.session.trajectory
+    inner = (trajectory.log.time > 5.0) & (trajectory.log.time < trajectory.log.time[-1] - 5.0)
+    log = JointLog(trajectory.log.time[inner], trajectory.log.values[inner])
+    # As a table of frames is read: by what the clocks say themselves.
+    read = replace(moving.session, trajectory=replace(trajectory, log=log)).at(
+        np.flatnonzero(log.covers(trajectory.time))
+    )
+    true = read.trajectory.robot_time(np.array([0.93, -0.9]))
+    assert np.count_nonzero((true < log.time[0]) | (true > log.time[-1])) > 4
+    found = calibrate(replace(read, estimate=ARM_ALONE), force=True)
+    assert np.abs(found.estimate.time_offsets - (0.93, -0.9)).max() < 5e-4
+    times = found.session.trajectory.robot_time(found.estimate.time_offsets)
+    assert log.time[0] < times.min() < log.time[0] + 0.5
+    assert log.time[-1] - 0.5 < times.max() < log.time[-1]
+    assert found.outliers() == []
+    assert "frames have no joint readings at their time once the cameras' clocks are set" in found.warnings[-1]
+    assert moving.session.recorded(np.array([0.93, -0.9])) is moving.session
+
+
 def test_outliers_are_found_in_motion_as_well() -> None:
     moving = filmed("elbow3r", 12, 8.0, OFFSETS, 0.1)
     found = calibrate(replace(moving.session, estimate=ARM_ALONE), force=True)
