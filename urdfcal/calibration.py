@@ -445,6 +445,7 @@ def calibrate(
     table = rows_of(session.chain)
     geometry: Geometry = PlacementTable(session.chain) if session.estimate.geometry == "full" else table
     start = start_state(session, geometry, np.zeros((len(geometry.labels), len(geometry.columns))))
+    session = session.recorded(start.time_offsets)
     blocks = observe(session)
     if method == "points":
         blocks, start = _as_points(session), start.without_cameras

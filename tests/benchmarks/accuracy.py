@@ -56,6 +56,7 @@ def true_state(simulated: Simulated) -> State:
         leds=truth.leds,
         cameras=session.rig.cameras,
         T_cam_world=np.array(session.rig.T_cam_world),
+        time_offsets=truth.time_offsets,
     )
 
 
@@ -107,6 +108,8 @@ class Knowledge:
         drawn[: len(parameters.rows)] = [spread[row, parameters.columns.index(name)] for row, name in parameters.rows]
         for index, led in enumerate(session.leds):
             drawn[parameters.led(index)] = led.sigma
+        for position, camera in enumerate(parameters.clocks):
+            drawn[parameters.clock(position)] = abs(truth.time_offsets[camera])
         return cls(
             information_of(table, block, truth, parameters, session.noise.joint),
             A - rigid @ np.linalg.lstsq(rigid, A, rcond=None)[0],

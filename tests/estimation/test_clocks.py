@@ -40,8 +40,10 @@ FIXED = Freedoms("dh", ("fixed",) * 2, ("fixed",) * 2)
 
 
 @cache
-def filmed(rig: str, poses: int, rate: float, offsets: tuple[float, ...] = OFFSETS, outliers: float = 0.0) -> Simulated:
-    still = simulate(read_rig(find_rig(rig)), poses=poses, seed=1, pixel=0.1, outliers=outliers)
+def filmed(
+    rig: str, poses: int, rate: float, offsets: tuple[float, ...] = OFFSETS, outliers: float = 0.0, seed: int = 1
+) -> Simulated:
+    still = simulate(read_rig(find_rig(rig)), poses=poses, seed=seed, pixel=0.1, outliers=outliers)
     return set_in_motion(still, Motion(frame_rate=rate, time_offsets=offsets))
 
 
@@ -95,19 +97,24 @@ def test_priors_of_the_time_offsets_have_their_derivatives(true_state: Callable)
 
 
 def test_a_moving_arm_calibrates_as_well_as_a_still_one_and_the_clocks_are_found() -> None:
-    # ur5: its encoders' noise, drawn anew for the arm at rest, is small beside the pixels', which are the same.
-    moving = filmed("ur5", 12, 8.0)
-    found, still = (
-        calibrate(replace(session, estimate=ARM_ALONE), force=True) for session in (moving.session, at_rest(moving))
-    )
-    assert np.abs(found.estimate.time_offsets - OFFSETS).max() < 2e-4
-    assert tip_error(found, moving) < 1.3 * tip_error(still, moving)
-    clocks = found.to_dict()["cameras"]
-    for c, offset in zip(("cam0", "cam1"), OFFSETS, strict=True):
-        value, sigma = clocks[c]["time_offset"]["value"], clocks[c]["time_offset"]["sigma"]
-        assert abs(value - offset) < 4.0 * sigma
-        assert sigma < 1e-4
-    np.testing.assert_allclose(found.session.q, moving.truth.q, atol=6.0 * moving.session.noise.joint)
+    # ur5: its encoders' noise, drawn anew for the arm at rest, is small beside the pixels', which are the same. Clocks
+    # two or three of their standard deviations off make a single arm half as bad again: so rms over three.
+    errors = []
+    for seed in range(3):
+        moving = filmed("ur5", 30, 3.0, seed=seed)
+        found, still = (
+            calibrate(replace(session, estimate=ARM_ALONE), force=True) for session in (moving.session, at_rest(moving))
+        )
+        assert np.abs(found.estimate.time_offsets - OFFSETS).max() < 2e-4
+        errors.append((tip_error(found, moving), tip_error(still, moving)))
+        clocks = found.to_dict()["cameras"]
+        for c, offset in zip(("cam0", "cam1"), OFFSETS, strict=True):
+            value, sigma = clocks[c]["time_offset"]["value"], clocks[c]["time_offset"]["sigma"]
+            assert abs(value - offset) < 4.0 * sigma
+            assert sigma < 1e-4
+        np.testing.assert_allclose(found.session.q, moving.truth.q, atol=6.0 * moving.session.noise.joint)
+    moved, rested = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert moved < 1.3 * rested
 
 
 def test_without_the_offsets_the_arm_would_be_wrong() -> None:
@@ -128,6 +135,27 @@ def test_clocks_that_are_off_by_a_second_are_found_by_trying(offsets: tuple[floa
     assert np.abs(start.time_offsets - offsets).max() <= 0.1
     found = calibrate(replace(moving.session, estimate=ARM_ALONE), force=True)
     assert np.abs(found.estimate.time_offsets - offsets).max() < 5e-4
+
+
+def test_frames_that_the_log_does_not_reach_once_the_clocks_are_set_are_left_out() -> None:
+    moving = filmed("ur5", 12, 4.0, (0.93, -0.9))
+    trajectory = moving.session.trajectory
+    inner = (trajectory.log.time > 5.0) & (trajectory.log.time < trajectory.log.time[-1] - 5.0)
+    log = JointLog(trajectory.log.time[inner], trajectory.log.values[inner])
+    # As a table of frames is read: by what the clocks say themselves.
+    read = replace(moving.session, trajectory=replace(trajectory, log=log)).at(
+        np.flatnonzero(log.covers(trajectory.time))
+    )
+    true = read.trajectory.robot_time(np.array([0.93, -0.9]))
+    assert np.count_nonzero((true < log.time[0]) | (true > log.time[-1])) > 4
+    found = calibrate(replace(read, estimate=ARM_ALONE), force=True)
+    assert np.abs(found.estimate.time_offsets - (0.93, -0.9)).max() < 5e-4
+    times = found.session.trajectory.robot_time(found.estimate.time_offsets)
+    assert log.time[0] < times.min() < log.time[0] + 0.5
+    assert log.time[-1] - 0.5 < times.max() < log.time[-1]
+    assert found.outliers() == []
+    assert "frames have no joint readings at their time once the cameras' clocks are set" in found.warnings[-1]
+    assert moving.session.recorded(np.array([0.93, -0.9])) is moving.session
 
 
 def test_outliers_are_found_in_motion_as_well() -> None:

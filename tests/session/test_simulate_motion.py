@@ -9,7 +9,7 @@ import pytest
 
 from urdfcal.errors import SessionError
 from urdfcal.session.simulate import find_clearance, true_scene
-from urdfcal.session.simulate_motion import Motion, set_in_motion
+from urdfcal.session.simulate_motion import Motion, _Path, set_in_motion
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -28,6 +28,20 @@ def test_the_arm_moves_smoothly_within_its_limits_and_clear_of_itself(rig: str, 
         assert values.max() < joint.upper + noise
     clearance, _ = find_clearance(true_scene(still), still.session)
     assert clearance is None or all(clearance.free(q) for q in moving.truth.q[::20])
+
+
+def test_legs_are_ridden_at_full_speed_and_short_ones_no_more_steeply() -> None:
+    lengths = np.array([0.01, 0.3, 0.6, 2.0])
+    path = _Path.through(np.concatenate([[0.0], np.cumsum(lengths)])[:, None] * [[1.0, -0.5]], 0.5)
+    step = 1e-3
+    values = path.at(np.arange(0.0, path.end + 1.0, step))
+    velocity = np.diff(values, axis=0) / step
+    acceleration = np.diff(velocity, axis=0) / step
+    assert np.abs(velocity).max() == pytest.approx(0.5)
+    assert np.abs(acceleration).max() == pytest.approx(0.75, rel=1e-3)
+    assert np.abs(np.diff(acceleration, axis=0)).max() < 0.75 * 6.0 * step / np.sqrt(0.02)  # no jumps, on any leg
+    np.testing.assert_allclose(path.at(path.times), path.places, atol=1e-12)
+    assert np.diff(path.times)[2:] == pytest.approx(lengths[2:] / 0.5 + 1.0)
 
 
 def test_frames_show_the_true_arm_at_the_robots_time(simulated: Callable) -> None:

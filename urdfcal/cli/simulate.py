@@ -14,9 +14,7 @@ _POSITIVE = click.FloatRange(min=0.0, min_open=True)
 @click.command("simulate")
 @click.argument("rig", metavar="RIG")
 @click.option("-o", "--output", "session", type=click.Path(path_type=Path), required=True, help="Folder to write.")
-@click.option(
-    "--poses", type=click.IntRange(min=3), help="Number of arm positions.  [default: 50; with --trajectory 15]"
-)
+@click.option("--poses", type=click.IntRange(min=3), default=50, show_default=True, help="Number of arm positions.")
 @seed_option
 @click.option("--pixel", type=click.FloatRange(min=0.0), help="Noise of the sightings in px.  [default: the rig's]")
 @click.option(
@@ -60,7 +58,7 @@ _POSITIVE = click.FloatRange(min=0.0, min_open=True)
 def command(
     rig: str,
     session: Path,
-    poses: int | None,
+    poses: int,
     seed: int,
     pixel: float | None,
     error_scale: float,
@@ -92,7 +90,6 @@ def command(
         raise click.UsageError("--images and --video: choose one")
     if time_offsets and not trajectory:
         raise click.UsageError("--time-offset goes with --trajectory")
-    poses = poses or (15 if trajectory else 50)
     description = read_rig(find_rig(rig))
     with progress_bar("posing", poses) as advance:
         simulated = simulate(

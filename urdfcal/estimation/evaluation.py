@@ -116,7 +116,7 @@ class Explanation:
 
     Attributes:
         residuals: for each kind of sighting (S, D) predicted minus measured, in the order of the session's
-            table: pixels (D = 2), points (D = 3). [px or m]
+            table, without frames that have no joint readings: pixels (D = 2), points (D = 3). [px or m]
         fit: base pose, LED places and camera poses.
     """
 
@@ -137,8 +137,9 @@ def explain(chain: Mechanism, session: Session, progress: Progress | None = None
     """
     session = replace(session, chain=chain)
     table = rows_of(chain)
-    blocks = observe(session)
     start = start_state(session, table, np.zeros_like(table.nominal))
+    session = session.recorded(start.time_offsets)
+    blocks = observe(session)
     freedoms = nominal(session, start)
     free: Freedom = "free"
     parameters = choose_parameters(

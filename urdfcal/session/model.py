@@ -425,6 +425,22 @@ class Session(Positions):
         """The same, of an arm that moved with its joint values read at the cameras' time offsets (C,) in s."""
         return self if self.trajectory is None else replace(self, q=self.trajectory.values(time_offsets))
 
+    def recorded(self, time_offsets: Floats) -> Session:
+        """The same, of an arm that moved without frames that its log does not cover with time offsets (C,) in s.
+
+        Frames are read before the offsets are known: with one of a second, some at the log's ends have no joint values.
+        """
+        if self.trajectory is None:
+            return self
+        covered = self.trajectory.log.covers(self.trajectory.robot_time(time_offsets))
+        if covered.all():
+            return self
+        warning = (
+            f"{np.count_nonzero(~covered)} of {len(covered)} frames have no joint readings at their time once the "
+            "cameras' clocks are set, and were left out"
+        )
+        return replace(self.at(np.flatnonzero(covered)), warnings=(*self.warnings, warning))
+
     def unmeasured(self) -> Positions:
         """The same without its sightings."""
         return Positions(**{f.name: getattr(self, f.name) for f in fields(Positions)})

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 # Keeps the motion's random numbers apart from the session's.
 _STREAM = 5
-# A quintic that starts and ends at rest has 15/8 of its mean speed in the middle.
-_PEAK = 1.875
+# From rest to full speed, and back: at 0.5 rad/s by up to 0.75 rad/s^2, half of what a UR's movej takes unasked. [s]
+_RAMP = 1.0
 # The joints' log begins this long before the arm moves and ends this long after; cameras film a little less. [s]
 _REST, _DARK = 0.5, 0.25
 # A path is checked for collisions this often. [rad or m]
@@ -56,9 +56,9 @@ class Motion:
 def set_in_motion(simulated: Simulated, motion: Motion) -> Simulated:
     """Move the robot of a simulated session through its poses, and film it.
 
-    From pose to pose joints move straight and smoothly (a quintic), resting for a moment at each; the order is that of
-    the shortest next way that is clear. Exposure takes no time, all rows of a picture are taken at once, and the arm
-    never hides an LED on the way.
+    From pose to pose joints move straight and smoothly, at full speed but for the ramps, resting for a moment at each;
+    the order is that of the shortest next way that is clear. Exposure takes no time, all rows of a picture are taken
+    at once, and the arm never hides an LED on the way.
 
     Args:
         simulated: a session of poses that stand still, and its truth.
@@ -124,8 +124,10 @@ class _Path:
 
     @classmethod
     def through(cls, places: Floats, speed: float) -> _Path:
-        longest = np.abs(np.diff(places, axis=0)).max(axis=1)
-        return cls(_REST + np.concatenate([[0.0], np.cumsum(_PEAK * longest / speed)]), places)
+        cruise = np.abs(np.diff(places, axis=0)).max(axis=1) / speed
+        # Of a leg too short for full speed the ramps are shorter, and no steeper.
+        ramp = np.minimum(_RAMP, np.sqrt(_RAMP * cruise))
+        return cls(_REST + np.concatenate([[0.0], np.cumsum(ramp + np.maximum(cruise, ramp))]), places)
 
     @property
     def end(self) -> float:
@@ -134,22 +136,34 @@ class _Path:
     def at(self, time: Floats) -> Floats:
         """Joint values (N, n) at times (N,)."""
         leg = np.clip(np.searchsorted(self.times, time, side="right") - 1, 0, len(self.times) - 2)
-        part = np.clip((time - self.times[leg]) / (self.times[leg + 1] - self.times[leg]), 0.0, 1.0)
-        way = part**3 * (10.0 - 15.0 * part + 6.0 * part**2)
+        duration = self.times[leg + 1] - self.times[leg]
+        since, ramp = np.clip(time - self.times[leg], 0.0, duration), np.minimum(_RAMP, duration / 2.0)
+        cruised = np.clip(since, ramp, duration - ramp) - ramp
+        ramped = ramp * (0.5 + _ramped(since / ramp) - _ramped((duration - since) / ramp))
+        way = (ramped + cruised) / (duration - ramp)
         result: Floats = self.places[leg] + way[:, None] * (self.places[leg + 1] - self.places[leg])
         return result
+
+
+def _ramped(part: Floats) -> Floats:
+    """How far one has come at a part (N,) of a ramp: speed rises as 3 part^2 - 2 part^3, with no jump in its slope."""
+    part = np.minimum(part, 1.0)
+    result: Floats = part**3 * (1.0 - part / 2.0)
+    return result
 
 
 def _tour(q: Floats, clearance: Clearance | None) -> Floats:
     """The places of ``q`` (N, n) on a walk through as many as have a clear way to each other.
 
-    The next is the nearest with a clear way; from where there is none, the arm goes back the way it came.
+    The next is the nearest with a clear way; from where there is none, the arm goes back the way it came. It begins
+    where most are reached, and of these where the way is shortest.
     """
     distance = np.abs(q[:, None] - q).max(axis=2)
     clear = np.eye(len(q), dtype=bool)
     for a, b in zip(*np.triu_indices(len(q), 1), strict=True):
         clear[a, b] = clear[b, a] = _clear(q[a], q[b], clearance)
-    walk = max((_walk(np.where(clear, distance, np.inf), first) for first in range(len(q))), key=lambda w: len(set(w)))
+    walks = [_walk(np.where(clear, distance, np.inf), first) for first in range(len(q))]
+    walk = max(walks, key=lambda walk: (len(set(walk)), -float(distance[walk[:-1], walk[1:]].sum())))
     if len(walk) < 2:
         raise SessionError(
             "between no two poses there is a straight way in joint space that is clear of the arm itself and the table",
