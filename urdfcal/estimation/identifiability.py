@@ -38,7 +38,7 @@ _NAMED_PART = 0.05
 _ORDER = ("d", "a", "theta", "alpha", "beta", "z", "x", "y", "rz", "rx", "ry")
 _BLOCK = 1024
 # Poses of each LED in each camera: more tell the same directions, only more surely, and cost a pass over all of them.
-_ENOUGH = 300
+_ENOUGH = 200
 
 
 @dataclass(frozen=True, eq=False)

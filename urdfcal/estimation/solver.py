@@ -34,7 +34,7 @@ _MAX_CUTS = 5
 _MANY, _SOME = 1000, 300
 # Within this distance (rad, m, focal lengths, s) derivatives are the same to one part in a few thousand: steps taken
 # with them shrink by as much each, and the estimate is off by less than that share of a standard deviation.
-_NEAR = 1e-4
+_NEAR = 2e-4
 # Within this distance the joint readings' noise changes by a percent at most.
 _SAME_NOISE = 1e-2
 _FIRST_DAMPING, _MOST_DAMPING = 1e-3, 1e16
@@ -165,18 +165,17 @@ def solve(
             robust = replace(problem, blocks=tuple(block.at(block.spread(_SOME)) for block in blocks))
         survey, ones = robust.survey(start), _ones(robust.blocks)
         descent = _descend(robust, survey, ones, _Huber(), _FIRST_DAMPING, robust.settled, progress)
-        history, at, survey = list(descent.history), descent.at, descent.survey
+        history, survey = list(descent.history), descent.survey
         if robust is not problem or descent.travelled > _SAME_NOISE:
             survey = problem.survey(descent.state)
-            at = problem.evaluate(survey, problem.whitening(survey.noise, _ones(problem.blocks)))
         for _ in range(_MAX_CUTS):
-            outlier = _outliers(problem.blocks, at)
+            outlier = _outliers(problem.blocks, survey.deviation)
             kept = [np.where(cut, _REJECTED, 1.0) for cut in outlier]
             damping = min(descent.damping, _FIRST_DAMPING)
             descent = _descend(problem, survey, kept, _same_weights, damping, _CONVERGED, progress)
-            survey, at = descent.survey, descent.at
+            survey = descent.survey
             history += descent.history
-            again = _outliers(problem.blocks, at)
+            again = _outliers(problem.blocks, survey.deviation)
             if all(np.array_equal(a, b) for a, b in zip(outlier, again, strict=True)):
                 break
     left = sum(block.dimension * int(np.sum(block.valid & ~cut)) for block, cut in zip(blocks, outlier, strict=True))
@@ -224,8 +223,7 @@ def deviations(
 ) -> Floats:
     """Whitened length (N, m) of every sighting's residual at a state: its noise and its joint readings' count."""
     problem = _Problem(table, (block,), parameters, joint_sigma)
-    survey = problem.survey(state)
-    return problem.evaluate(survey, problem.whitening(survey.noise, _ones((block,)))).deviation[0]
+    return problem.survey(state).deviation[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -268,6 +266,15 @@ class _Survey:
     J: tuple[Floats, ...]
     drift: float
     noise: tuple[_Noise, ...]
+
+    @property
+    def deviation(self) -> tuple[Floats, ...]:
+        """For each block (N, m): whitened length of every sighting's residual, on its own."""
+        deviations = []
+        for residual, noise in zip(self.residual, self.noise, strict=True):
+            own = (noise.marginal @ residual[..., None])[..., 0]
+            deviations.append(np.sqrt(np.einsum("nmd,nmd->nm", own, own)))
+        return tuple(deviations)
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,8 +320,7 @@ class _Problem:
         """Accumulate the normal equations over all poses, whole poses whitened (N, mD, mD)."""
         r, J = self.parameters.prior_residuals(survey.state)
         H, g, cost = J.T @ J, J.T @ r, float(r @ r)
-        deviations: list[Floats] = []
-        for residual, J, noise, W in zip(survey.residual, survey.J, survey.noise, whitening, strict=True):
+        for residual, J, W in zip(survey.residual, survey.J, whitening, strict=True):
             N, m, D = residual.shape
             for poses in _chunks(N):
                 r = (W[poses] @ residual[poses].reshape(-1, m * D, 1)).ravel()
@@ -322,9 +328,7 @@ class _Problem:
                 H += J_poses.T @ J_poses
                 g += J_poses.T @ r
                 cost += float(r @ r)
-            own = (noise.marginal @ residual[..., None])[..., 0]
-            deviations.append(np.sqrt(np.einsum("nmd,nmd->nm", own, own)))
-        return _Evaluation(H, g, cost, tuple(deviations))
+        return _Evaluation(H, g, cost, survey.deviation)
 
     def _linearise(self, state: State, noise: tuple[_Noise, ...] | None) -> _Survey:
         residuals: list[Floats] = []
@@ -496,10 +500,10 @@ class _Huber:
         return renewed
 
 
-def _outliers(blocks: Sequence[Observations], at: _Evaluation) -> list[Bools]:
+def _outliers(blocks: Sequence[Observations], deviations: Sequence[Floats]) -> list[Bools]:
     return [
         (deviation > _OUTLIER[block.dimension] * _scale(block, deviation)) & block.valid
-        for block, deviation in zip(blocks, at.deviation, strict=True)
+        for block, deviation in zip(blocks, deviations, strict=True)
     ]
 
 
