@@ -69,6 +69,8 @@ def test_the_file_has_it_all_and_reads_back(rig: str, calibrated: Callable, tmp_
     np.testing.assert_array_equal(loaded.placements, calibration.placements)
     np.testing.assert_array_equal(loaded.dh_offsets, calibration.estimate.offsets)
     document = json.loads((tmp_path / "calibration.json").read_text())
+    held = not len(data.session.frames.standing)
+    assert all((sigma is None) == held for sigma in document["T_world_base_sigma"])
     for name, mount in ((mount.camera, mount) for mount in data.session.mounts):
         camera = document["cameras"][name]
         assert camera["link"] == mount.link

@@ -172,6 +172,7 @@ class FittedCalibration(Calibration):
             "dh": self._rows(),
             "placements": self._placements(),
             "T_world_base": self.estimate.T_world_base.tolist(),
+            "T_world_base_sigma": _known(self._sigma[self.fit.parameters.base]),
             "leds": self._leds(),
             "cameras": {camera.name: self._camera(c) for c, camera in enumerate(self.estimate.cameras)},
             "fit": self.summary(),
@@ -374,7 +375,7 @@ class FittedCalibration(Calibration):
             result = {"intrinsics": lens[:4], "distortion": lens[4:]}
         if c in parameters.cameras:
             result[place] = self._sigma[parameters.camera(parameters.cameras.index(c))]
-        return {key: [float(s) if np.isfinite(s) else None for s in values] for key, values in result.items()}
+        return {key: _known(values) for key, values in result.items()}
 
     def _suspect(self, points: Observations) -> Bools:
         """Which triangulated points rest on a sighting that is an outlier."""
@@ -521,6 +522,11 @@ def _strange_mounts(session: Session, fit: Solution) -> list[str]:
                 f"{np.abs(motion / mount.sigma).max():.0f} times its sigma: check position, rpy (rad) and link"
             )
     return doubts
+
+
+def _known(sigmas: Floats) -> list[float | None]:
+    """Standard deviations, None where a value was held."""
+    return [float(s) if np.isfinite(s) else None for s in sigmas]
 
 
 def _rms(residual: Floats) -> float:

@@ -155,6 +155,7 @@ class CalibrationKeys(_Keys):
     dh: list[RowKeys]
     placements: dict[str, OriginKeys]
     T_world_base: Transform
+    T_world_base_sigma: list[float | None]  # of a small motion x y z rx ry rz after it; m, rad
     leds: dict[str, LedKeys]
     cameras: dict[str, CameraKeys]
     fit: Plain
