@@ -21,6 +21,11 @@ def frozen(values: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
     return array
 
 
+def evenly(values: Ints, most: int) -> Ints:
+    """At most so many of some values, spread evenly over their order."""
+    return values[np.unique(np.linspace(0, len(values) - 1, min(most, len(values))).astype(np.intp))]
+
+
 def inverse(T: Floats) -> Floats:
     """Invert rigid transforms, shape (..., 4, 4), without a general solve."""
     result = np.zeros_like(T)

@@ -55,7 +55,7 @@ def true_state(simulated: Simulated) -> State:
         T_world_base=truth.T_world_base,
         leds=truth.leds,
         cameras=session.rig.cameras,
-        T_cam_world=np.array(session.rig.T_cam_world),
+        T_cam_world=truth.T_cam_frame,
         time_offsets=truth.time_offsets,
     )
 

@@ -14,10 +14,11 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tests.benchmarks.accuracy import information_of
+from tests.benchmarks.accuracy import information_of, true_state
 from urdfcal.estimation.freedoms import Freedoms
 from urdfcal.estimation.identifiability import identify
 from urdfcal.estimation.observations import Observations, arrange, observe
@@ -25,19 +26,16 @@ from urdfcal.estimation.parameters import choose_parameters
 from urdfcal.estimation.residuals import view
 from urdfcal.estimation.solver import solve
 from urdfcal.estimation.start import first_state
-from urdfcal.estimation.state import State
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.session.files import read_rig
 from urdfcal.session.rigs import find_rig
 from urdfcal.session.simulate import Simulated, simulate
 
+if TYPE_CHECKING:
+    from urdfcal.estimation.state import State
+
 RIGS = ("tiago", "tiago_dual", "ur5_handeye")
 NEW_POSES = 200
-
-
-def true_state(simulated: Simulated) -> State:
-    truth = simulated.truth
-    return State(truth.offsets, truth.T_world_base, truth.leds, simulated.session.rig.cameras, truth.T_cam_frame)
 
 
 def everywhere(simulated: Simulated, seed: int) -> Observations:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from urdfcal.arrays import evenly
 from urdfcal.errors import CalibrationError
 from urdfcal.estimation.start import View, first_state
 from urdfcal.robot.kinematics import link_poses
@@ -52,7 +53,7 @@ def _search(session: Session, table: Geometry, offsets: Floats, camera: int) -> 
     mine = np.unique(session.detections.pose[session.detections.camera == camera])
     if len(mine) < 3:
         return 0.0
-    session = session.at(mine[np.unique(np.linspace(0, len(mine) - 1, _FRAMES).astype(np.intp))])
+    session = session.at(evenly(mine, _FRAMES))
     steps: Ints = np.arange(-round(_FARTHEST / _STEP), round(_FARTHEST / _STEP) + 1)
     tried = np.array(sorted(_STEP * steps, key=abs))
     misses = np.array([_miss(session, table, offsets, camera, offset) for offset in tried])

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import Bools, Floats, Ints, frozen
+from urdfcal.arrays import Bools, Floats, Ints, evenly, frozen
 
 if TYPE_CHECKING:
     from urdfcal.session.frames import Frames
@@ -52,8 +52,7 @@ class Observations:
         views = np.where(self.valid, (self.camera + 1) * (1 + self.led.max(initial=0)) + self.led, -1)
         chosen = []
         for one in np.unique(views[self.valid]):
-            poses = np.flatnonzero((views == one).any(axis=1))
-            chosen.append(poses[np.linspace(0, len(poses) - 1, min(most, len(poses))).astype(np.intp)])
+            chosen.append(evenly(np.flatnonzero((views == one).any(axis=1)), most))
         return np.unique(np.concatenate(chosen))
 
     def at(self, poses: slice | Bools | Ints) -> Observations:

@@ -35,8 +35,6 @@ _MANY, _SOME = 1000, 300
 # Within this distance (rad, m, focal lengths, s) derivatives are the same to one part in a few thousand: steps taken
 # with them shrink by as much each, and the estimate is off by less than that share of a standard deviation.
 _NEAR = 2e-4
-# Within this distance the joint readings' noise changes by a percent at most.
-_SAME_NOISE = 1e-2
 _FIRST_DAMPING, _MOST_DAMPING = 1e-3, 1e16
 # A step of this many standard deviations of the estimate is no step; the coarse one is for cross-validation.
 _CONVERGED, _CONVERGED_COARSE = 1e-6, 1e-2
@@ -163,10 +161,11 @@ def solve(
         robust = problem
         if max(len(block.pose) for block in blocks) > _MANY:
             robust = replace(problem, blocks=tuple(block.at(block.spread(_SOME)) for block in blocks))
-        survey, ones = robust.survey(start), _ones(robust.blocks)
-        descent = _descend(robust, survey, ones, _Huber(), _FIRST_DAMPING, robust.settled, progress)
+        first, ones = robust.survey(start), _ones(robust.blocks)
+        descent = _descend(robust, first, ones, _Huber(), _FIRST_DAMPING, robust.settled, progress)
         history, survey = list(descent.history), descent.survey
-        if robust is not problem or descent.travelled > _SAME_NOISE:
+        # Where the derivatives are no longer those of the start, the joint readings' noise may not be, either.
+        if robust is not problem or survey.J is not first.J:
             survey = problem.survey(descent.state)
         for _ in range(_MAX_CUTS):
             outlier = _outliers(problem.blocks, survey.deviation)
@@ -387,7 +386,6 @@ class _Descent:
         damping: Levenberg-Marquardt's lambda.
         history: accepted steps.
         converged: whether the last step was small.
-        travelled: upper bound of how far it went (rad, m, focal lengths, s).
     """
 
     survey: _Survey
@@ -395,7 +393,6 @@ class _Descent:
     damping: float
     history: tuple[Iteration, ...]
     converged: bool
-    travelled: float
 
     @property
     def state(self) -> State:
@@ -425,7 +422,7 @@ def _descend(
             "readings and the tip link.",
         )
     history: list[Iteration] = []
-    growth, length, ahead, fresh, travelled = 2.0, np.inf, np.inf, False, 0.0
+    growth, length, ahead, fresh = 2.0, np.inf, np.inf, False
     while damping < _MOST_DAMPING and len(history) < _MAX_ITERATIONS:
         if ahead < tolerance or not history:
             renewed = renew(problem.blocks, at, weights)
@@ -454,12 +451,11 @@ def _descend(
         fresh = fresh and ahead < tolerance
         gain = (at.cost - new.cost) / promised if promised > 0.0 else 1.0
         damping, growth = damping * max(0.1, 1.0 - (2.0 * gain - 1.0) ** 3), 2.0
-        travelled += candidate.drift if candidate.drift else np.inf
         survey, at = candidate, new
         history.append(Iteration(at.cost, damping, length, survey.state))
         if progress is not None:
             progress(len(history), at.cost)
-    return _Descent(survey, at, damping, tuple(history), ahead < tolerance, travelled)
+    return _Descent(survey, at, damping, tuple(history), ahead < tolerance)
 
 
 def _damped_step(at: _Evaluation, damping: float) -> Floats:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import Bools, Floats, Ints, inverse
+from urdfcal.arrays import Bools, Floats, Ints, evenly, inverse
 from urdfcal.errors import CalibrationError
 from urdfcal.estimation.observations import arrange
 from urdfcal.estimation.state import State
@@ -242,19 +242,16 @@ def _selection(session: Session) -> Ints:
     every = np.arange(len(session.poses))
     if len(every) <= _POSES:
         return every
-    chosen = [_spread(every)]
+    chosen = [evenly(every, _POSES)]
     if session.detections is not None:
         d = session.detections
         views = d.camera * len(session.leds) + d.led
-        chosen += [_spread(d.pose[views == view]) for view in np.unique(views)]
+        chosen += [evenly(d.pose[views == view], _POSES) for view in np.unique(views)]
     if session.points is not None:
-        chosen += [_spread(session.points.pose[session.points.led == led]) for led in np.unique(session.points.led)]
+        chosen += [
+            evenly(session.points.pose[session.points.led == led], _POSES) for led in np.unique(session.points.led)
+        ]
     return np.unique(np.concatenate(chosen))
-
-
-def _spread(poses: Ints) -> Ints:
-    """At most so many of them, evenly."""
-    return poses[np.unique(np.linspace(0, len(poses) - 1, min(_POSES, len(poses))).astype(np.intp))]
 
 
 def triangulated(session: Session) -> Observations | None:
