@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 import pytest
 
 from urdfcal.estimation.state import State
-from urdfcal.session.files import read_rig
-from urdfcal.session.rigs import find_rig
-from urdfcal.session.simulate import simulate
+from urdfcal.io.folder import read_rig
+from urdfcal.io.shipped_rigs import find_rig
+from urdfcal.simulation.simulate import simulate
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from urdfcal.session.simulate import Simulated
+    from urdfcal.simulation.simulate import Simulated
 
 
 @pytest.fixture(scope="session")

@@ -13,7 +13,7 @@ import numpy as np
 
 import urdfcal
 from urdfcal.cli import run
-from urdfcal.robot.urdf import find_urdf
+from urdfcal.robot.urdf.urdf import find_urdf
 
 if TYPE_CHECKING:
     import pytest

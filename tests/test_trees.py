@@ -10,22 +10,22 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from urdfcal.calibration import calibrate
 from urdfcal.errors import CalibrationError, RobotError
-from urdfcal.estimation.residuals import predict
-from urdfcal.result import Calibration
+from urdfcal.estimation.linearize import predict
+from urdfcal.pipeline import calibrate
+from urdfcal.result.calibration import Calibration
 from urdfcal.robot.kinematics import link_poses
 from urdfcal.robot.tree import Tree, read_mechanism
-from urdfcal.robot.urdf import Urdf
-from urdfcal.session.frames import CameraMount
+from urdfcal.robot.urdf.urdf import Urdf
+from urdfcal.session.attachments import CameraMount
 from urdfcal.session.model import Estimate, Led
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from urdfcal.calibration import FittedCalibration
-    from urdfcal.session.simulate import Simulated
+    from urdfcal.pipeline import FittedCalibration
+    from urdfcal.simulation.simulate import Simulated
 
 TREES = ["tiago", "tiago_dual", "ur5_handeye"]
 

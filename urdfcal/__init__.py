@@ -14,26 +14,26 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from urdfcal.calibration import FittedCalibration, calibrate
+    from urdfcal.cameras.camera import Camera
+    from urdfcal.cameras.rig import Rig
     from urdfcal.errors import UrdfcalError
-    from urdfcal.result import Calibration
+    from urdfcal.io.folder import read_rig, read_session, write_session
+    from urdfcal.io.recorder import Recorder
+    from urdfcal.pipeline import FittedCalibration, calibrate
+    from urdfcal.result.calibration import Calibration
     from urdfcal.robot.chain import Chain
     from urdfcal.robot.dh import DHTable
-    from urdfcal.robot.urdf import Urdf
-    from urdfcal.session.files import read_rig, read_session, write_session
+    from urdfcal.robot.urdf.urdf import Urdf
     from urdfcal.session.model import Detections, Estimate, Led, LedDistance, Noise, Points, Session, Setup, Tolerances
-    from urdfcal.session.recorder import Recorder
-    from urdfcal.vision.camera import Camera
-    from urdfcal.vision.rig import Rig
 
 _HOMES = {
-    "urdfcal.calibration": ("FittedCalibration", "calibrate"),
+    "urdfcal.pipeline": ("FittedCalibration", "calibrate"),
     "urdfcal.errors": ("UrdfcalError",),
-    "urdfcal.result": ("Calibration",),
+    "urdfcal.result.calibration": ("Calibration",),
     "urdfcal.robot.chain": ("Chain",),
     "urdfcal.robot.dh": ("DHTable",),
-    "urdfcal.robot.urdf": ("Urdf",),
-    "urdfcal.session.files": ("read_rig", "read_session", "write_session"),
+    "urdfcal.robot.urdf.urdf": ("Urdf",),
+    "urdfcal.io.folder": ("read_rig", "read_session", "write_session"),
     "urdfcal.session.model": (
         "Detections",
         "Estimate",
@@ -45,9 +45,9 @@ _HOMES = {
         "Setup",
         "Tolerances",
     ),
-    "urdfcal.session.recorder": ("Recorder",),
-    "urdfcal.vision.camera": ("Camera",),
-    "urdfcal.vision.rig": ("Rig",),
+    "urdfcal.io.recorder": ("Recorder",),
+    "urdfcal.cameras.camera": ("Camera",),
+    "urdfcal.cameras.rig": ("Rig",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 

@@ -26,22 +26,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from urdfcal.arrays import skew
-from urdfcal.calibration import calibrate
 from urdfcal.estimation.evaluation import compare
-from urdfcal.estimation.freedoms import Freedoms
 from urdfcal.estimation.identifiability import identify
+from urdfcal.estimation.linearize import Tangent
+from urdfcal.estimation.model_spec import Freedoms
 from urdfcal.estimation.observations import observe
 from urdfcal.estimation.parameters import choose_parameters
-from urdfcal.estimation.residuals import Tangent
 from urdfcal.estimation.state import State
+from urdfcal.io.folder import read_rig
+from urdfcal.io.shipped_rigs import find_rig
+from urdfcal.pipeline import calibrate
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.dh import DHTable
 from urdfcal.robot.kinematics import tip_motion
-from urdfcal.session.files import read_rig
-from urdfcal.session.manufacture import draw_offsets
 from urdfcal.session.model import Estimate
-from urdfcal.session.rigs import find_rig
-from urdfcal.session.simulate import Simulated, simulate
+from urdfcal.simulation.geometric_errors import draw_offsets
+from urdfcal.simulation.simulate import Simulated, simulate
 
 WORKSPACE = 500
 # Draws of a robot that give the spreads to 1 %.

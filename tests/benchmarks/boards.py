@@ -9,13 +9,13 @@ import sys
 
 import numpy as np
 
-from tests.vision.boards import CHARUCO, CHESSBOARD, as_views, errors, held
-from urdfcal.session.rigs import find_rig
-from urdfcal.vision.board_calibration import calibrate_cameras
-from urdfcal.vision.board_detection import detect_board
-from urdfcal.vision.board_render import BoardRenderer
-from urdfcal.vision.formats import read_kalibr
-from urdfcal.vision.images import in_parallel
+from tests.cameras.board.boards import CHARUCO, CHESSBOARD, as_views, errors, held
+from urdfcal.cameras.board.calibration import calibrate_cameras
+from urdfcal.cameras.board.detection import detect_board
+from urdfcal.cameras.io.formats import read_kalibr
+from urdfcal.images.files import in_parallel
+from urdfcal.io.shipped_rigs import find_rig
+from urdfcal.simulation.board_images import BoardRenderer
 
 
 def main(seeds: int, kind: str) -> None:

@@ -27,21 +27,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tests.vision.boards import CHARUCO, held
-from urdfcal.calibration import FittedCalibration, calibrate
+from tests.cameras.board.boards import CHARUCO, held
 from urdfcal.cli.cameras import command as cameras_command
 from urdfcal.cli.detect import run as detect
 from urdfcal.estimation.evaluation import compare
-from urdfcal.session.files import read_rig, read_session
+from urdfcal.images.files import in_parallel, write_image
+from urdfcal.io.folder import read_rig, read_session
+from urdfcal.io.shipped_rigs import find_rig
+from urdfcal.pipeline import FittedCalibration, calibrate
 from urdfcal.session.model import Estimate, Session
-from urdfcal.session.rigs import find_rig
-from urdfcal.session.simulate import Simulated, simulate
-from urdfcal.session.simulate_images import TRUTH, Exposure, write_simulated_images
-from urdfcal.vision.board_render import BoardRenderer
-from urdfcal.vision.images import in_parallel, write_image
+from urdfcal.simulation.board_images import BoardRenderer
+from urdfcal.simulation.images import TRUTH, Exposure, write_simulated_images
+from urdfcal.simulation.simulate import Simulated, simulate
 
 if TYPE_CHECKING:
-    from urdfcal.vision.rig import Rig
+    from urdfcal.cameras.rig import Rig
 
 BOARD = ("--board", "charuco", "10x7", "--square", "0.03", "--marker", "0.022", "--dictionary", "DICT_5X5_100")
 

@@ -13,11 +13,11 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from urdfcal.io.folder import read_rig
+from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.robot.compensation import compensate
 from urdfcal.robot.kinematics import tip_poses
-from urdfcal.session.files import read_rig
-from urdfcal.session.rigs import find_rig
-from urdfcal.session.simulate import simulate
+from urdfcal.simulation.simulate import simulate
 
 RIGS = ("ur5", "panda", "elbow3r", "so101", "stanford")
 POSES, REPEATS = 20_000, 3

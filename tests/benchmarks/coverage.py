@@ -14,19 +14,19 @@ from dataclasses import replace
 import numpy as np
 
 from urdfcal.estimation.evaluation import compare
-from urdfcal.estimation.freedoms import Freedoms, nominal
 from urdfcal.estimation.identifiability import identify
+from urdfcal.estimation.linearize import predict
+from urdfcal.estimation.model_spec import Freedoms, nominal
 from urdfcal.estimation.observations import observe
 from urdfcal.estimation.parameters import choose_parameters
-from urdfcal.estimation.residuals import predict
 from urdfcal.estimation.solver import solve
 from urdfcal.estimation.start import first_state
 from urdfcal.estimation.state import State
 from urdfcal.estimation.uncertainty import tip_covariance
+from urdfcal.io.folder import read_rig
+from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.robot.dh import PARAMETERS, DHTable
-from urdfcal.session.files import read_rig
-from urdfcal.session.rigs import find_rig
-from urdfcal.session.simulate import simulate
+from urdfcal.simulation.simulate import simulate
 
 
 def main() -> None:

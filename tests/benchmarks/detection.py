@@ -23,16 +23,16 @@ from pathlib import Path
 
 import numpy as np
 
-from urdfcal.calibration import calibrate
+from urdfcal.detection.detect import detect
+from urdfcal.detection.spots.centroid import HALF, Crops, fit_spots
 from urdfcal.estimation.evaluation import compare
+from urdfcal.io.folder import read_rig
+from urdfcal.io.shipped_rigs import find_rig
+from urdfcal.pipeline import calibrate
 from urdfcal.robot.chain import Chain
-from urdfcal.session.detect import detect
-from urdfcal.session.files import read_rig
-from urdfcal.session.rigs import find_rig
-from urdfcal.session.simulate import simulate
-from urdfcal.session.simulate_images import TRUTH, Exposure, write_simulated_images
-from urdfcal.vision.centroid import HALF, Crops, fit_spots
-from urdfcal.vision.render import Light, Scenery, Sensor, centroid_bound
+from urdfcal.simulation.images import TRUTH, Exposure, write_simulated_images
+from urdfcal.simulation.render import Light, Scenery, Sensor, centroid_bound
+from urdfcal.simulation.simulate import simulate
 
 SIDE = 2 * HALF + 1
 BACKGROUND = 15.0

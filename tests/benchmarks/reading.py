@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tests.session.making import write_valid
-from urdfcal.session.files import read_session
-from urdfcal.session.tables import read_detections
+from tests.io.making import write_valid
+from urdfcal.io.folder import read_session
+from urdfcal.io.tables import read_detections
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -17,12 +17,12 @@ import numpy as np
 import rerun as rr
 from rerun.chunk import RrdReader
 
-from urdfcal.calibration import calibrate
+from urdfcal.io.folder import read_rig
+from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.output.overview import Overview
 from urdfcal.output.recording import write_recording
-from urdfcal.session.files import read_rig
-from urdfcal.session.rigs import find_rig
-from urdfcal.session.simulate import simulate
+from urdfcal.pipeline import calibrate
+from urdfcal.simulation.simulate import simulate
 
 if TYPE_CHECKING:
     from collections.abc import Callable

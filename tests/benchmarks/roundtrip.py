@@ -20,9 +20,9 @@ from urdfcal.errors import RobotError
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.dh import PARAMETERS, DHTable
 from urdfcal.robot.kinematics import tip_poses
-from urdfcal.robot.origins import origins_of, rewrite_origins
-from urdfcal.robot.packages import package_roots
-from urdfcal.robot.urdf import Urdf
+from urdfcal.robot.urdf.origins import origins_of, rewrite_origins
+from urdfcal.robot.urdf.packages import package_roots
+from urdfcal.robot.urdf.urdf import Urdf
 
 
 def chains() -> list[tuple[Urdf, str, str]]:

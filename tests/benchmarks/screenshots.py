@@ -24,14 +24,14 @@ import numpy as np
 import rerun_cli
 from rerun.experimental import ViewerClient
 
-from urdfcal.calibration import FittedCalibration, calibrate
+from urdfcal.io.folder import read_rig, read_session
+from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.output import blueprint
 from urdfcal.output.overview import Overview
 from urdfcal.output.recording import write_recording
 from urdfcal.output.report import write_report
-from urdfcal.session.files import read_rig, read_session
-from urdfcal.session.rigs import find_rig
-from urdfcal.session.simulate import simulate
+from urdfcal.pipeline import FittedCalibration, calibrate
+from urdfcal.simulation.simulate import simulate
 
 if TYPE_CHECKING:
     from urdfcal.session.model import Session

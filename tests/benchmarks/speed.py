@@ -46,19 +46,19 @@ import pinocchio as pin
 from threadpoolctl import threadpool_limits
 
 from urdfcal.estimation.evaluation import compare
-from urdfcal.estimation.freedoms import Freedoms
 from urdfcal.estimation.identifiability import identify
+from urdfcal.estimation.linearize import predict
+from urdfcal.estimation.model_spec import Freedoms
 from urdfcal.estimation.observations import Observations, observe
 from urdfcal.estimation.parameters import Parameters, choose_parameters
-from urdfcal.estimation.residuals import predict
 from urdfcal.estimation.solver import solve
 from urdfcal.estimation.start import first_state, triangulated
 from urdfcal.estimation.state import State
+from urdfcal.io.folder import read_rig
+from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.robot.dh import DHTable
-from urdfcal.session.files import read_rig
 from urdfcal.session.model import Detections, Freedom, Points, Session
-from urdfcal.session.rigs import find_rig
-from urdfcal.session.simulate import Simulated, simulate
+from urdfcal.simulation.simulate import Simulated, simulate
 
 if TYPE_CHECKING:
     from collections.abc import Callable

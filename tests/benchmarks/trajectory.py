@@ -38,14 +38,14 @@ from dataclasses import replace
 import numpy as np
 
 from tests.benchmarks.accuracy import Knowledge
-from urdfcal.calibration import FittedCalibration, calibrate
 from urdfcal.estimation.evaluation import compare
+from urdfcal.io.folder import read_rig
+from urdfcal.io.shipped_rigs import find_rig
+from urdfcal.pipeline import FittedCalibration, calibrate
 from urdfcal.robot.chain import Chain
-from urdfcal.session.files import read_rig
 from urdfcal.session.model import Estimate
-from urdfcal.session.rigs import find_rig
-from urdfcal.session.simulate import Simulated, simulate
-from urdfcal.session.simulate_motion import Motion, set_in_motion
+from urdfcal.simulation.motion import Motion, set_in_motion
+from urdfcal.simulation.simulate import Simulated, simulate
 
 WORKSPACE = 500
 GEOMETRY_ALONE = Estimate("dh", "fixed", "fixed")

@@ -19,17 +19,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tests.benchmarks.accuracy import information_of, true_state
-from urdfcal.estimation.freedoms import Freedoms
 from urdfcal.estimation.identifiability import identify
+from urdfcal.estimation.linearize import view
+from urdfcal.estimation.model_spec import Freedoms
 from urdfcal.estimation.observations import Observations, arrange, observe
 from urdfcal.estimation.parameters import choose_parameters
-from urdfcal.estimation.residuals import view
 from urdfcal.estimation.solver import solve
 from urdfcal.estimation.start import first_state
+from urdfcal.io.folder import read_rig
+from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.robot.tree_dh import rows_of
-from urdfcal.session.files import read_rig
-from urdfcal.session.rigs import find_rig
-from urdfcal.session.simulate import Simulated, simulate
+from urdfcal.simulation.simulate import Simulated, simulate
 
 if TYPE_CHECKING:
     from urdfcal.estimation.state import State

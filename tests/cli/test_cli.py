@@ -12,12 +12,12 @@ import pinocchio as pin
 import pytest
 import yourdfpy
 
-from tests.session.broken import BROKEN, Broken
-from tests.session.making import write_valid
+from tests.io.broken import BROKEN, Broken
+from tests.io.making import write_valid
+from urdfcal.cameras.io.formats import read_kalibr, write_kalibr
+from urdfcal.cameras.rig import CameraSigma, Rig
 from urdfcal.cli import run
-from urdfcal.result import Calibration
-from urdfcal.vision.formats import read_kalibr, write_kalibr
-from urdfcal.vision.rig import CameraSigma, Rig
+from urdfcal.result.calibration import Calibration
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -11,8 +11,8 @@ import yaml
 import yourdfpy
 
 from urdfcal.cli import run
-from urdfcal.result import Calibration
-from urdfcal.robot.urdf import Urdf
+from urdfcal.result.calibration import Calibration
+from urdfcal.robot.urdf.urdf import Urdf
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 import yaml
 
-from tests.session.bags import KINDS, moving, recording
-from tests.session.making import URDF
+from tests.io.making import URDF
+from tests.rosbag.bags import KINDS, moving, recording
+from urdfcal.cameras.rig import Rig
 from urdfcal.cli import run
-from urdfcal.session.files import read_rig
-from urdfcal.session.rigs import find_rig
-from urdfcal.session.simulate import simulate
-from urdfcal.vision.rig import Rig
+from urdfcal.io.folder import read_rig
+from urdfcal.io.shipped_rigs import find_rig
+from urdfcal.simulation.simulate import simulate
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from urdfcal.session.truth import Simulated
+    from urdfcal.simulation.truth import Simulated
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ import yaml
 
 from urdfcal import Calibration
 from urdfcal.cli import run
-from urdfcal.session.files import read_session
+from urdfcal.io.folder import read_session
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -23,7 +23,7 @@ MOVING = ["--trajectory", "--time-offset", "0.02", "--time-offset", "-0.007"]
 
 def small_rig(folder: Path) -> str:
     """The elbow arm before cameras of half the resolution: pictures take a quarter of the time."""
-    from urdfcal.session.rigs import find_rig
+    from urdfcal.io.shipped_rigs import find_rig
 
     shutil.copytree(find_rig("elbow3r"), folder)
     cameras = yaml.safe_load((folder / "cameras.yaml").read_text())

@@ -14,10 +14,10 @@ import pytest
 
 from tests.browser import CHROMIUM, Browser
 from urdfcal.cli import run
+from urdfcal.io.folder import read_rig
+from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.output.palette import VERDICT_COLORS
-from urdfcal.session.files import read_rig
-from urdfcal.session.rigs import find_rig
-from urdfcal.session.simulate import simulate, write_simulated
+from urdfcal.simulation.simulate import simulate, write_simulated
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

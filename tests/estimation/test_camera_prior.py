@@ -6,21 +6,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from urdfcal.calibration import calibrate
+from urdfcal.cameras.rig import CameraSigma, Rig
 from urdfcal.errors import SessionError
 from urdfcal.estimation.camera_prior import FREE_LENS, REFINED_POSE, CameraPrior
-from urdfcal.estimation.freedoms import Freedoms, candidates
+from urdfcal.estimation.model_spec import Freedoms, candidates
 from urdfcal.estimation.parameters import choose_parameters
+from urdfcal.pipeline import calibrate
 from urdfcal.robot.dh import DHTable
 from urdfcal.session.model import Estimate
-from urdfcal.vision.rig import CameraSigma, Rig
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from urdfcal.estimation.parameters import Parameters
     from urdfcal.estimation.state import State
-    from urdfcal.session.simulate import Simulated
+    from urdfcal.simulation.simulate import Simulated
 
 # Two cameras with eight parameters each, and the second one's pose: all errors correlated.
 COUNT = 22

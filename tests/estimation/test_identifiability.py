@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from urdfcal.calibration import calibrate
-from urdfcal.estimation.freedoms import Freedoms
 from urdfcal.estimation.identifiability import identify
+from urdfcal.estimation.model_spec import Freedoms
 from urdfcal.estimation.observations import observe
 from urdfcal.estimation.parameters import choose_parameters
 from urdfcal.estimation.start import first_state
+from urdfcal.pipeline import calibrate
 from urdfcal.robot.dh import DHTable
 from urdfcal.session.model import Led
 

@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 
 from urdfcal.arrays import frozen
-from urdfcal.estimation.freedoms import Freedoms
+from urdfcal.cameras.camera import Camera
+from urdfcal.cameras.rig import Rig
 from urdfcal.estimation.identifiability import Identifiability, identify
+from urdfcal.estimation.linearize import predict
+from urdfcal.estimation.model_spec import Freedoms
 from urdfcal.estimation.observations import arrange
 from urdfcal.estimation.parameters import choose_parameters
-from urdfcal.estimation.residuals import predict
 from urdfcal.estimation.state import State
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.dh import DHTable, row_transform
 from urdfcal.robot.mechanism import Joint
-from urdfcal.session.frames import fasten
+from urdfcal.session.attachments import fasten
 from urdfcal.session.model import Detections, Led, Session
-from urdfcal.vision.camera import Camera
-from urdfcal.vision.rig import Rig
 
 H = np.pi / 2
 # (type, theta, d, a, alpha), from the makers' data sheets; see ../shared/data/dh_tables.json.

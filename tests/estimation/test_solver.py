@@ -6,17 +6,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from urdfcal.calibration import calibrate
+from urdfcal.cameras.rig import Rig
 from urdfcal.estimation.evaluation import compare
-from urdfcal.estimation.freedoms import Freedoms
+from urdfcal.estimation.linearize import predict, view
+from urdfcal.estimation.model_spec import Freedoms
 from urdfcal.estimation.observations import observe
 from urdfcal.estimation.parameters import choose_parameters
-from urdfcal.estimation.residuals import predict, view
 from urdfcal.estimation.solver import solve
 from urdfcal.estimation.start import kabsch
+from urdfcal.pipeline import calibrate
 from urdfcal.robot.dh import DHTable
 from urdfcal.session.model import Detections, Estimate, Led, LedDistance, Noise
-from urdfcal.vision.rig import Rig
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -5,12 +5,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.estimation.clocks import start_state
-from urdfcal.estimation.freedoms import Freedoms
+from urdfcal.estimation.model_spec import Freedoms
 from urdfcal.estimation.parameters import choose_parameters
+from urdfcal.estimation.time_offset import start_state
 from urdfcal.estimation.words import sentence
 from urdfcal.robot.dh import DHTable
-from urdfcal.session.simulate_motion import Motion, set_in_motion
+from urdfcal.simulation.motion import Motion, set_in_motion
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -5,7 +5,7 @@ import pytest
 
 from urdfcal.output.bodies import visible_bodies
 from urdfcal.robot.chain import Chain
-from urdfcal.robot.urdf import Urdf
+from urdfcal.robot.urdf.urdf import Urdf
 
 ROBOTS = "package://example-robot-data/robots"
 

@@ -3,13 +3,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from urdfcal.calibration import calibrate
+from urdfcal.io.folder import read_rig
+from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.output.chart import Lines, Scale
 from urdfcal.output.charts import all_charts, parameter_charts, residual_charts
 from urdfcal.output.overview import Overview
-from urdfcal.session.files import read_rig
-from urdfcal.session.rigs import find_rig
-from urdfcal.session.simulate import simulate
+from urdfcal.pipeline import calibrate
+from urdfcal.simulation.simulate import simulate
 
 
 @pytest.mark.parametrize(("low", "high"), [(0, 1), (-3.2, 7.9), (1e-9, 2e-9), (-5000, -4999.5), (0, 213)])

@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import pytest
 
+from urdfcal.io.folder import read_rig
+from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.output.fastening import fastening_sentences, listed
-from urdfcal.session.files import read_rig
-from urdfcal.session.rigs import find_rig
 
 
 @pytest.mark.parametrize("rig", ["ur5", "stanford"])

@@ -3,13 +3,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from urdfcal.calibration import calibrate
+from urdfcal.io.folder import read_rig
+from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.output.palette import CALIBRATED, NOMINAL
 from urdfcal.output.projection import arm_in_picture, draw_picture, skeleton
+from urdfcal.pipeline import calibrate
 from urdfcal.robot.kinematics import tip_poses
-from urdfcal.session.files import read_rig
-from urdfcal.session.rigs import find_rig
-from urdfcal.session.simulate import simulate
+from urdfcal.simulation.simulate import simulate
 
 
 @pytest.fixture(scope="module", params=["elbow3r", "stanford"])

@@ -10,9 +10,11 @@ import pytest
 from rerun.chunk import RrdReader
 
 from urdfcal.arrays import inverse
-from urdfcal.calibration import calibrate
+from urdfcal.cameras.rig import Rig
 from urdfcal.errors import OutputError
-from urdfcal.estimation.residuals import predict
+from urdfcal.estimation.linearize import predict
+from urdfcal.io.folder import read_rig
+from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.output import arms
 from urdfcal.output.live import LiveView
 from urdfcal.output.overlay import overlays
@@ -22,14 +24,12 @@ from urdfcal.output.projection import arm_in_picture
 from urdfcal.output.recording import log_calibration, write_recording
 from urdfcal.output.scene import lay_out
 from urdfcal.output.stream import CORNER
+from urdfcal.pipeline import calibrate
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.kinematics import tip_poses
-from urdfcal.robot.urdf import Urdf, find_urdf
-from urdfcal.session.files import read_rig
+from urdfcal.robot.urdf.urdf import Urdf, find_urdf
 from urdfcal.session.model import Estimate, Led, Points, Session
-from urdfcal.session.rigs import find_rig
-from urdfcal.session.simulate import simulate
-from urdfcal.vision.rig import Rig
+from urdfcal.simulation.simulate import simulate
 
 POSES = 20
 BLIND = 3

@@ -11,16 +11,16 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from urdfcal.calibration import calibrate
+from urdfcal.cameras.rig import Rig
+from urdfcal.io.folder import read_rig
+from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.output.findings import judge, look_up
 from urdfcal.output.overview import Overview
 from urdfcal.output.report import write_report
 from urdfcal.output.workspace import survey
-from urdfcal.session.files import read_rig
+from urdfcal.pipeline import calibrate
 from urdfcal.session.model import Estimate
-from urdfcal.session.rigs import find_rig
-from urdfcal.session.simulate import simulate
-from urdfcal.vision.rig import Rig
+from urdfcal.simulation.simulate import simulate
 
 CHROMIUM = shutil.which("chromium")
 

@@ -5,19 +5,19 @@ import pinocchio as pin
 import pytest
 
 from urdfcal.arrays import inverse
-from urdfcal.calibration import calibrate
 from urdfcal.estimation.state import State
+from urdfcal.io.folder import read_rig
+from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.output.blueprint import viewpoint
 from urdfcal.output.palette import by_sigma
 from urdfcal.output.placing import joint_frames, led_positions
 from urdfcal.output.rows import dh_frames
 from urdfcal.output.scene import exaggerated, lay_out, readable
 from urdfcal.output.stream import quaternions
+from urdfcal.pipeline import calibrate
 from urdfcal.robot.dh import PARAMETERS, DHTable
 from urdfcal.robot.kinematics import tip_poses
-from urdfcal.session.files import read_rig
-from urdfcal.session.rigs import find_rig
-from urdfcal.session.simulate import simulate
+from urdfcal.simulation.simulate import simulate
 
 
 def random_transforms(rng, count, angle=np.pi):

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from tests.session.making import ACTUATED, write_valid
+from tests.io.making import ACTUATED, write_valid
 from urdfcal.errors import SessionError
 from urdfcal.output.trajectory import Trajectory
 from urdfcal.robot.chain import Chain

@@ -10,8 +10,10 @@ import pytest
 
 from tests.output.test_recording import Recorded
 from urdfcal.arrays import inverse
-from urdfcal.calibration import calibrate
-from urdfcal.estimation.residuals import view
+from urdfcal.cameras.rig import Rig
+from urdfcal.estimation.linearize import view
+from urdfcal.io.folder import read_rig
+from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.output.overlay import overlays
 from urdfcal.output.overview import Overview
 from urdfcal.output.placing import Places
@@ -20,12 +22,10 @@ from urdfcal.output.recording import write_recording
 from urdfcal.output.report import write_report
 from urdfcal.output.scene import lay_out
 from urdfcal.output.stream import CORNER
+from urdfcal.pipeline import calibrate
 from urdfcal.robot.kinematics import link_poses
-from urdfcal.session.files import read_rig
-from urdfcal.session.frames import CameraMount
-from urdfcal.session.rigs import find_rig
-from urdfcal.session.simulate import simulate
-from urdfcal.vision.rig import Rig
+from urdfcal.session.attachments import CameraMount
+from urdfcal.simulation.simulate import simulate
 
 RIGS = ("tiago", "tiago_dual", "ur5_handeye")
 POSES = 20

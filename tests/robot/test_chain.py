@@ -6,8 +6,8 @@ import pytest
 
 from urdfcal.errors import RobotError
 from urdfcal.robot.chain import Chain
-from urdfcal.robot.packages import package_roots
-from urdfcal.robot.urdf import Urdf
+from urdfcal.robot.urdf.packages import package_roots
+from urdfcal.robot.urdf.urdf import Urdf
 
 ROBOTS = package_roots()[-1] / "example-robot-data" / "robots"
 UR5 = ROBOTS / "ur_description" / "urdf" / "ur5_robot.urdf"

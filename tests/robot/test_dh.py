@@ -14,8 +14,8 @@ from urdfcal.errors import RobotError
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.dh import PARAMETERS, DHTable, row_transform
 from urdfcal.robot.kinematics import tip_poses
-from urdfcal.robot.packages import package_roots
-from urdfcal.robot.urdf import Urdf
+from urdfcal.robot.urdf.packages import package_roots
+from urdfcal.robot.urdf.urdf import Urdf
 
 ROBOTS = package_roots()[-1] / "example-robot-data" / "robots"
 SHARED = Path(__file__).parents[3] / "shared" / "data"

@@ -5,7 +5,7 @@ import pinocchio as pin
 
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.kinematics import joint_axes, tip_motion, tip_poses
-from urdfcal.robot.packages import package_roots
+from urdfcal.robot.urdf.packages import package_roots
 
 ROBOTS = package_roots()[-1] / "example-robot-data" / "robots"
 

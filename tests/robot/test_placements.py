@@ -4,8 +4,8 @@ import numpy as np
 
 from urdfcal.arrays import inverse
 from urdfcal.robot.chain import Chain
-from urdfcal.robot.packages import package_roots
 from urdfcal.robot.placements import PlacementTable
+from urdfcal.robot.urdf.packages import package_roots
 
 UR5 = package_roots()[-1] / "example-robot-data" / "robots" / "ur_description" / "urdf" / "ur5_robot.urdf"
 

@@ -9,9 +9,9 @@ import pytest
 from urdfcal.errors import RobotError
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.kinematics import link_motions, link_poses
-from urdfcal.robot.packages import package_roots
 from urdfcal.robot.tree import Tree, read_mechanism
-from urdfcal.robot.urdf import Urdf
+from urdfcal.robot.urdf.packages import package_roots
+from urdfcal.robot.urdf.urdf import Urdf
 
 ROBOTS = package_roots()[-1] / "example-robot-data" / "robots"
 TIAGO = ROBOTS / "tiago_description" / "robots" / "tiago.urdf"

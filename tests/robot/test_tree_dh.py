@@ -9,7 +9,7 @@ from urdfcal.robot.kinematics import link_motions, link_poses
 from urdfcal.robot.placements import PlacementTable
 from urdfcal.robot.tree import Tree
 from urdfcal.robot.tree_dh import TreeTable
-from urdfcal.robot.urdf import Urdf
+from urdfcal.robot.urdf.urdf import Urdf
 
 
 @pytest.fixture(params=[*TREES, "shoulders"])

@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from tests.session.making import write_points, write_valid
+from tests.io.making import write_points, write_valid
 from urdfcal.errors import SessionError
-from urdfcal.session.files import read_rig, read_session
+from urdfcal.io.folder import read_rig, read_session
+from urdfcal.io.shipped_rigs import find_rig
+from urdfcal.io.writing import write_session
 from urdfcal.session.model import (
     Detections,
     Estimate,
@@ -23,8 +25,6 @@ from urdfcal.session.model import (
     Stand,
     Tolerances,
 )
-from urdfcal.session.rigs import find_rig
-from urdfcal.session.writing import write_session
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -41,9 +41,7 @@ def tracked(tmp_path_factory: pytest.TempPathFactory) -> Session:
 
 
 def test_importing_it_brings_no_parser() -> None:
-    code = (
-        "import sys, urdfcal.session.files; print({'pydantic', 'yaml', 'pyarrow', 'cv2', 'rerun'} & set(sys.modules))"
-    )
+    code = "import sys, urdfcal.io.folder; print({'pydantic', 'yaml', 'pyarrow', 'cv2', 'rerun'} & set(sys.modules))"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "set()"
 

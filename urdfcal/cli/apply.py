@@ -20,8 +20,8 @@ def command(result: Path, urdf: str, output: Path | None) -> None:
     that was calibrated is refused by name.
     """
     from urdfcal import files
-    from urdfcal.result import Calibration, corrected_name
-    from urdfcal.robot.urdf import Urdf, find_urdf
+    from urdfcal.result.calibration import Calibration, corrected_name
+    from urdfcal.robot.urdf.urdf import Urdf, find_urdf
 
     if output is None:
         if urdf.startswith("package://"):

@@ -18,8 +18,8 @@ from urdfcal.errors import CalibrationError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from urdfcal.calibration import FittedCalibration, Method
     from urdfcal.output.overview import Overview
+    from urdfcal.pipeline import FittedCalibration, Method
     from urdfcal.session.model import Session
 
 Report = Literal["text", "json", "nothing"]
@@ -60,7 +60,7 @@ def command(
     quiet: bool,
 ) -> None:
     """Calibrate the robot of SESSION and write URDF, calibration.json, report and recording."""
-    from urdfcal.session.files import lacks_detections, read_session
+    from urdfcal.io.folder import lacks_detections, read_session
 
     report: Report = "nothing" if quiet else "json" if as_json else "text"
     if lacks_detections(session):
@@ -93,10 +93,10 @@ def run(
     report: Report = "text",
 ) -> FittedCalibration:
     """Calibrate a session, write its results and print the summary."""
-    from urdfcal.calibration import calibrate
     from urdfcal.cli.console import status_line
     from urdfcal.output.overview import Overview
     from urdfcal.output.results import write_results
+    from urdfcal.pipeline import calibrate
 
     view = None
     if live:

@@ -11,10 +11,10 @@ import click
 from urdfcal.errors import CameraError
 
 if TYPE_CHECKING:
-    from urdfcal.vision.board import Board
-    from urdfcal.vision.board_calibration import BoardCalibration
-    from urdfcal.vision.formats import Format
-    from urdfcal.vision.rig import Rig
+    from urdfcal.cameras.board.board import Board
+    from urdfcal.cameras.board.calibration import BoardCalibration
+    from urdfcal.cameras.io.formats import Format
+    from urdfcal.cameras.rig import Rig
 
 _BOARD_FILE = "board.yaml"
 
@@ -84,10 +84,10 @@ def calibrate(
     Pictures of the same name were taken at the same time. The standard deviations are written beside the cameras, for
     `intrinsics: refine` and `extrinsics: refine` in session.yaml.
     """
+    from urdfcal.cameras.board.calibration import calibrate_cameras
+    from urdfcal.cameras.board.views import find_pictures, read_views
+    from urdfcal.cameras.io.formats import write_kalibr
     from urdfcal.cli.console import progress_bar
-    from urdfcal.vision.board_calibration import calibrate_cameras
-    from urdfcal.vision.board_views import find_pictures, read_views
-    from urdfcal.vision.formats import write_kalibr
 
     chosen = _board(folder, board, square, marker, dictionary)
     count = sum(len(views) for views in find_pictures(folder).values())
@@ -111,7 +111,7 @@ def convert(files: tuple[Path, ...], output: Path, format_: Format | None, size:
 
     The format of IN is told by its content. A pair in ROS's format is a folder with one file a camera.
     """
-    from urdfcal.vision.formats import read_cameras, write_cameras
+    from urdfcal.cameras.io.formats import read_cameras, write_cameras
 
     chosen = format_ or _format_by_name(output)
     rig = read_cameras(files, size)
@@ -143,7 +143,7 @@ def _board(
     marker: float | None,
     dictionary: str | None,
 ) -> Board:
-    from urdfcal.vision.board import Board, BoardKind, read_board
+    from urdfcal.cameras.board.board import Board, BoardKind, read_board
 
     if board is None:
         if any(option is not None for option in (square, marker, dictionary)):

@@ -12,7 +12,7 @@ from urdfcal.errors import OutputError
 if TYPE_CHECKING:
     from urdfcal.arrays import Floats
     from urdfcal.output.trajectory import Trajectory
-    from urdfcal.result import Calibration
+    from urdfcal.result.calibration import Calibration
     from urdfcal.robot.compensation import Compensation
 
 _BLOCK = 4096  # poses between two steps of the progress bar
@@ -33,7 +33,7 @@ def command(result: Path, trajectory: Path, output: Path) -> None:
     from urdfcal import files
     from urdfcal.cli.console import progress_bar
     from urdfcal.output.trajectory import Trajectory
-    from urdfcal.result import Calibration
+    from urdfcal.result.calibration import Calibration
 
     calibration = Calibration.load(result)
     given = Trajectory.read(trajectory, calibration.chain)

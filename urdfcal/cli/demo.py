@@ -25,12 +25,12 @@ def command(rig: str, output: Path | None, seed: int) -> None:
     from urdfcal.cli.calibrate import run
     from urdfcal.errors import OutputError
     from urdfcal.estimation.evaluation import Spread, compare
+    from urdfcal.io.folder import read_rig, read_session
+    from urdfcal.io.shipped_rigs import find_rig
     from urdfcal.robot.chain import Chain
     from urdfcal.robot.mechanism import BASE
-    from urdfcal.robot.urdf import find_urdf
-    from urdfcal.session.files import read_rig, read_session
-    from urdfcal.session.rigs import find_rig
-    from urdfcal.session.simulate import simulate, write_simulated
+    from urdfcal.robot.urdf.urdf import find_urdf
+    from urdfcal.simulation.simulate import simulate, write_simulated
 
     description = read_rig(find_rig(rig))
     folder = output or next(path for path in _candidates() if not path.exists())

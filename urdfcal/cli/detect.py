@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from urdfcal.vision.images import Colour
+    from urdfcal.images.files import Colour
 
-# As in urdfcal.vision.images, which takes long to import.
+# As in urdfcal.images.files, which takes long to import.
 _COLOURS = ("any", "red", "green", "blue")
 
 
@@ -34,7 +34,7 @@ def command(session: Path, colour: Colour, debug_images: Path | None) -> None:
 def run(session: Path, colour: Colour = "any", debug_images: Path | None = None) -> None:
     """Find the LEDs in a session's images, write the tables and print what came of it."""
     from urdfcal.cli.console import progress_bar
-    from urdfcal.session.detect import detect_in, open_album, write_debug_images, write_detected
+    from urdfcal.detection.detect import detect_in, open_album, write_debug_images, write_detected
 
     positions, album = open_album(session)
     with progress_bar("reading images", album.count) as advance:

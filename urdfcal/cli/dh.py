@@ -29,7 +29,7 @@ def command(urdf: str, tip: str, base: str | None, convention: Convention, as_js
     """Print the Denavit-Hartenberg rows of a robot's chain of joints."""
     from urdfcal.robot.chain import Chain
     from urdfcal.robot.dh import DHTable
-    from urdfcal.robot.urdf import Urdf, find_urdf
+    from urdfcal.robot.urdf.urdf import Urdf, find_urdf
 
     table = DHTable.from_chain(Chain.from_urdf(Urdf.read(find_urdf(urdf)), tip, base))
     if as_json:

@@ -72,7 +72,7 @@ def _robots(a: str, b: str, tip: str, base: str | None, poses: int, seed: int) -
 
     from urdfcal.estimation.evaluation import compare
     from urdfcal.robot.chain import Chain
-    from urdfcal.robot.urdf import Urdf, find_urdf
+    from urdfcal.robot.urdf.urdf import Urdf, find_urdf
 
     chain_a, chain_b = (Chain.from_urdf(Urdf.read(find_urdf(path)), tip, base) for path in (a, b))
     q = chain_a.random_values(poses, np.random.default_rng(seed))
@@ -93,9 +93,9 @@ def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
     import numpy as np
 
     from urdfcal.estimation.evaluation import explain
+    from urdfcal.io.folder import read_points, read_session
     from urdfcal.robot.tree import read_mechanism
-    from urdfcal.robot.urdf import Urdf, find_urdf
-    from urdfcal.session.files import read_points, read_session
+    from urdfcal.robot.urdf.urdf import Urdf, find_urdf
 
     session = read_session(folder)
     for warning in session.warnings:

@@ -60,7 +60,7 @@ def _files(
     result: Path, beside: Path, target: str, *, link_keys: bool, add_frames: bool, model: Path | None
 ) -> Mapping[str, str | bytes]:
     from urdfcal.output.exports.source import corrected_urdf
-    from urdfcal.result import Calibration
+    from urdfcal.result.calibration import Calibration
 
     calibration = Calibration.load(result)
     if target == "ros-kinematics":

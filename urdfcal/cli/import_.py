@@ -10,9 +10,9 @@ import click
 from urdfcal.cli.options import base_option
 
 if TYPE_CHECKING:
-    from urdfcal.session.bag_clock import Timeline
-    from urdfcal.session.bag_import import Imported
-    from urdfcal.session.bag_topics import Chosen
+    from urdfcal.rosbag.clock import Timeline
+    from urdfcal.rosbag.importing import Imported
+    from urdfcal.rosbag.topics import Chosen
 
 
 def _led(value: str | tuple[str, list[float] | None]) -> tuple[str, list[float] | None]:
@@ -84,15 +84,15 @@ def command(
     names = [name for name, *_ in named]
     if len(set(names)) < len(names):
         raise click.UsageError(f"two cameras have the same name: {', '.join(names)}")
+    from urdfcal.cameras.io.formats import read_cameras
     from urdfcal.cli.console import progress_bar
+    from urdfcal.names import check_names
     from urdfcal.robot.chain import Chain
-    from urdfcal.robot.urdf import Urdf, find_urdf
-    from urdfcal.session.bag import open_bag
-    from urdfcal.session.bag_import import Known, import_bag
-    from urdfcal.session.bag_topics import Wanted, choose_topics
+    from urdfcal.robot.urdf.urdf import Urdf, find_urdf
+    from urdfcal.rosbag.bag import open_bag
+    from urdfcal.rosbag.importing import Known, import_bag
+    from urdfcal.rosbag.topics import Wanted, choose_topics
     from urdfcal.session.model import Led
-    from urdfcal.session.names import check_names
-    from urdfcal.vision.formats import read_cameras
 
     check_names("LEDs", [led[0]])
     robot = Urdf.read(find_urdf(urdf))
@@ -115,7 +115,7 @@ def command(
 
 def _list(path: Path) -> None:
     from urdfcal.cli.console import output, sheet
-    from urdfcal.session.bag import open_bag
+    from urdfcal.rosbag.bag import open_bag
 
     with open_bag(path) as bag:
         table = sheet(f"{path}, {bag.duration:.3f} s", ["topic", "type", "messages", "Hz"], texts=2)

@@ -75,9 +75,9 @@ def command(
 ) -> None:
     """Simulate a session of RIG (a shipped rig's name or a folder), with the truth beside it."""
     from urdfcal.cli.console import progress_bar
-    from urdfcal.session.files import read_rig
-    from urdfcal.session.rigs import find_rig
-    from urdfcal.session.simulate import simulate, write_simulated
+    from urdfcal.io.folder import read_rig
+    from urdfcal.io.shipped_rigs import find_rig
+    from urdfcal.simulation.simulate import simulate, write_simulated
 
     filmed = images or video
     if distractors and not filmed:
@@ -102,11 +102,11 @@ def command(
             progress=advance,
         )
     if trajectory:
-        from urdfcal.session.simulate_motion import Motion, set_in_motion
+        from urdfcal.simulation.motion import Motion, set_in_motion
 
         simulated = set_in_motion(simulated, Motion(speed, frame_rate, joint_rate, time_offsets))
     if filmed:
-        from urdfcal.session.simulate_images import Exposure, write_simulated_images, write_simulated_videos
+        from urdfcal.simulation.images import Exposure, write_simulated_images, write_simulated_videos
 
         exposure = Exposure(peak=peak, distractors=distractors)
         with progress_bar("rendering", None) as advance:

@@ -12,9 +12,9 @@ from urdfcal.arrays import Bools, Floats, Ints, frozen
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from urdfcal.estimation.freedoms import Freedoms
+    from urdfcal.cameras.rig import Rig
+    from urdfcal.estimation.model_spec import Freedoms
     from urdfcal.session.model import Freedom, Session
-    from urdfcal.vision.rig import Rig
 
 FREE_LENS = (0.2, 0.3, 1.0, 0.1)
 """Standard deviations of a free lens: focal length (share of it), principal point (share of the longer image side),

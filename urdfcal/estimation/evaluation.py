@@ -9,13 +9,13 @@ import numpy as np
 
 from urdfcal.arrays import Floats, frozen
 from urdfcal.errors import RobotError
-from urdfcal.estimation.clocks import start_state
-from urdfcal.estimation.freedoms import nominal
+from urdfcal.estimation.linearize import predict
+from urdfcal.estimation.model_spec import nominal
 from urdfcal.estimation.observations import observe
 from urdfcal.estimation.parameters import choose_parameters
-from urdfcal.estimation.residuals import predict
 from urdfcal.estimation.solver import solve
 from urdfcal.estimation.start import kabsch
+from urdfcal.estimation.time_offset import start_state
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.robot.tree_dh import rows_of
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import threadpoolctl
 
-from urdfcal.estimation.residuals import Tangent
+from urdfcal.estimation.linearize import Tangent
 from urdfcal.estimation.words import sentence
 
 if TYPE_CHECKING:

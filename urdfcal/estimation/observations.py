@@ -10,7 +10,7 @@ import numpy as np
 from urdfcal.arrays import Bools, Floats, Ints, evenly, frozen
 
 if TYPE_CHECKING:
-    from urdfcal.session.frames import Frames
+    from urdfcal.session.attachments import Frames
     from urdfcal.session.model import Session
     from urdfcal.session.trajectory import Trajectory
 

@@ -16,7 +16,7 @@ from urdfcal.estimation.state import State
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from urdfcal.estimation.freedoms import Freedoms
+    from urdfcal.estimation.model_spec import Freedoms
     from urdfcal.robot.mechanism import Mechanism
     from urdfcal.session.model import Led, Session, Tolerances
 

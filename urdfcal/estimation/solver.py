@@ -13,15 +13,15 @@ import numpy as np
 import threadpoolctl
 
 from urdfcal.errors import CalibrationError, CameraError
-from urdfcal.estimation.residuals import Tangent, predict
+from urdfcal.estimation.linearize import Tangent, predict
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from urdfcal.arrays import Bools, Floats
+    from urdfcal.estimation.linearize import Linearisation
     from urdfcal.estimation.observations import Observations
     from urdfcal.estimation.parameters import Geometry, Parameters
-    from urdfcal.estimation.residuals import Linearisation
     from urdfcal.estimation.state import State
 
 # Poses evaluated at a time: large enough to hide Python's overhead, small enough that a block's Jacobian

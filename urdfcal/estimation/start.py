@@ -16,11 +16,11 @@ from urdfcal.robot.kinematics import link_poses
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from urdfcal.cameras.rig import Rig
     from urdfcal.estimation.observations import Observations
     from urdfcal.estimation.parameters import Geometry
-    from urdfcal.session.frames import Frames
+    from urdfcal.session.attachments import Frames
     from urdfcal.session.model import Detections, Session
-    from urdfcal.vision.rig import Rig
 
 # Alternations of base pose and LED places; the solver refines whatever is left.
 _ALTERNATIONS = 20
@@ -277,7 +277,7 @@ def triangulated(session: Session) -> Observations | None:
 
 def _standing(session: Session) -> Rig | None:
     """The cameras that stand still; the world is the first one's frame."""
-    from urdfcal.vision.rig import Rig
+    from urdfcal.cameras.rig import Rig
 
     frames, rig = session.frames, session.rig
     if rig is None or not len(frames.standing):

@@ -10,7 +10,7 @@ import numpy as np
 from urdfcal.arrays import Floats, frozen
 
 if TYPE_CHECKING:
-    from urdfcal.vision.camera import Camera
+    from urdfcal.cameras.camera import Camera
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.estimation.residuals import distances_per_unit, predict
+from urdfcal.estimation.linearize import distances_per_unit, predict
 from urdfcal.estimation.solver import deviations, refit
 
 if TYPE_CHECKING:

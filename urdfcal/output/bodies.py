@@ -11,8 +11,8 @@ import numpy as np
 
 from urdfcal.arrays import Floats, frozen
 from urdfcal.errors import RobotError
-from urdfcal.robot.rpy import rpy_to_matrix
-from urdfcal.robot.urdf import find_urdf
+from urdfcal.robot.urdf.rpy import rpy_to_matrix
+from urdfcal.robot.urdf.urdf import find_urdf
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
     from urdfcal.robot.mechanism import Mechanism
-    from urdfcal.robot.urdf import Urdf
+    from urdfcal.robot.urdf.urdf import Urdf
 
 Color: TypeAlias = tuple[float, float, float, float]
 MESH_FORMATS = {

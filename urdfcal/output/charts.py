@@ -14,10 +14,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from urdfcal.arrays import Floats, Ints
-    from urdfcal.calibration import FittedCalibration
     from urdfcal.output.overview import Overview
     from urdfcal.output.scene import Sightings
     from urdfcal.output.workspace import Workspace
+    from urdfcal.pipeline import FittedCalibration
 
 # Residuals in standard deviations beyond this are off the charts.
 _SIGMAS = 6.0

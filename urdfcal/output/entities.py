@@ -31,12 +31,12 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from urdfcal.arrays import Floats, Ints
-    from urdfcal.calibration import FittedCalibration
+    from urdfcal.cameras.camera import Camera
     from urdfcal.output.overview import Overview
     from urdfcal.output.scene import Scene, Sightings
     from urdfcal.output.stream import Layer
     from urdfcal.output.workspace import Workspace
-    from urdfcal.vision.camera import Camera
+    from urdfcal.pipeline import FittedCalibration
 
 # rerun takes negative radii as points on the screen instead of metres.
 _DOT, _SMALL_DOT, _THIN, _LINE, _ARROW = -4.0, -2.0, -0.8, -1.5, -3.0

@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from urdfcal.arrays import Floats
-    from urdfcal.calibration import FittedCalibration
     from urdfcal.output.scene import Scene, Sightings
     from urdfcal.output.workspace import Workspace
+    from urdfcal.pipeline import FittedCalibration
 
 # Darker than the recording's, on white paper.
 _NOMINAL, _CALIBRATED, _INK, _FAINT = "#3d63c4", "#12875a", "#333333", "#c9c9c9"

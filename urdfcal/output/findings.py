@@ -11,7 +11,7 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from urdfcal.calibration import FittedCalibration
+    from urdfcal.pipeline import FittedCalibration
 
 Level: TypeAlias = Literal["good", "doubtful", "bad"]
 Document: TypeAlias = "Mapping[str, Any]"

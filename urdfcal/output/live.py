@@ -10,8 +10,8 @@ from urdfcal.output.stream import ITERATION
 if TYPE_CHECKING:
     from rerun import RecordingStream
 
-    from urdfcal.calibration import FittedCalibration
     from urdfcal.output.overview import Overview
+    from urdfcal.pipeline import FittedCalibration
 
 
 class LiveView:

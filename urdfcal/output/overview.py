@@ -10,7 +10,7 @@ from urdfcal.output.scene import Scene, lay_out
 from urdfcal.output.workspace import Workspace, survey
 
 if TYPE_CHECKING:
-    from urdfcal.calibration import FittedCalibration
+    from urdfcal.pipeline import FittedCalibration
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from urdfcal.detection.image_index import read_album
 from urdfcal.errors import SessionError
-from urdfcal.session.album import read_album
-from urdfcal.vision.video import Video
+from urdfcal.images.video import Video
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -10,14 +10,14 @@ import pinocchio as pin
 
 from urdfcal.arrays import Floats, inverse
 from urdfcal.robot.mechanism import BASE, Tip
-from urdfcal.session.frames import WORLD
+from urdfcal.session.attachments import WORLD
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from urdfcal.calibration import FittedCalibration
     from urdfcal.estimation.parameters import Geometry
     from urdfcal.estimation.state import State
+    from urdfcal.pipeline import FittedCalibration
     from urdfcal.robot.mechanism import Mechanism
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import rerun as rr
 
-from urdfcal.estimation.residuals import predict
+from urdfcal.estimation.linearize import predict
 from urdfcal.output.charts import parameter_paths
 from urdfcal.output.palette import CALIBRATED, NOMINAL, PARAMETER_COLORS
 from urdfcal.output.scene import UNITS, rms_by_pose
@@ -15,9 +15,9 @@ from urdfcal.output.stream import ITERATION
 
 if TYPE_CHECKING:
     from urdfcal.arrays import Floats
-    from urdfcal.calibration import FittedCalibration
     from urdfcal.output.scene import Scene
     from urdfcal.output.stream import Layer
+    from urdfcal.pipeline import FittedCalibration
 
 
 def log_residuals(base: Layer, scene: Scene) -> None:

@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from urdfcal.arrays import Floats
-    from urdfcal.calibration import FittedCalibration
+    from urdfcal.cameras.camera import Camera
     from urdfcal.estimation.state import State
-    from urdfcal.vision.camera import Camera
+    from urdfcal.pipeline import FittedCalibration
 
 # A lens bends straight lines: each is projected at so many points.
 _POINTS = 5

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from rerun import RecordingStream
 
-    from urdfcal.calibration import FittedCalibration
+    from urdfcal.pipeline import FittedCalibration
 
 ROOT = "base"
 """Entity of the base link; all of a recording stands in its frame."""

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
     from markupsafe import Markup
 
-    from urdfcal.calibration import FittedCalibration
     from urdfcal.output.findings import Document
+    from urdfcal.pipeline import FittedCalibration
 
 _TEMPLATE = "report.html.jinja"
 _OUTLIERS_SHOWN = 25

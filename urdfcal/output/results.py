@@ -8,12 +8,12 @@ from urdfcal import files
 from urdfcal.output.overview import Overview
 from urdfcal.output.recording import write_recording
 from urdfcal.output.report import write_report
-from urdfcal.result import FILE_NAME
+from urdfcal.result.calibration import FILE_NAME
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from urdfcal.calibration import FittedCalibration
+    from urdfcal.pipeline import FittedCalibration
 
 REPORT, RECORDING = "report.html", "calibration.rrd"
 

@@ -12,8 +12,8 @@ from urdfcal.robot.tree_dh import Branch
 
 if TYPE_CHECKING:
     from urdfcal.arrays import Floats
-    from urdfcal.calibration import FittedCalibration
     from urdfcal.estimation.state import State
+    from urdfcal.pipeline import FittedCalibration
     from urdfcal.robot.tree_dh import TreeTable
 
 

@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.arrays import Floats, Ints, inverse, skew
-from urdfcal.estimation.residuals import predict
+from urdfcal.cameras.rig import Rig
+from urdfcal.estimation.linearize import predict
 from urdfcal.output.placing import Places
 from urdfcal.output.rows import dh_frames, row_corners, row_offsets
-from urdfcal.vision.rig import Rig
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from urdfcal.calibration import FittedCalibration
     from urdfcal.estimation.state import State
-    from urdfcal.session.frames import Frames
+    from urdfcal.pipeline import FittedCalibration
+    from urdfcal.session.attachments import Frames
 
     Bools = NDArray[np.bool_]
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from urdfcal.arrays import Floats, frozen
 from urdfcal.errors import SessionError
-from urdfcal.session.tables import Table
+from urdfcal.io.tables import Table
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -12,7 +12,7 @@ from urdfcal.estimation.start import kabsch
 from urdfcal.robot.kinematics import tip_poses
 
 if TYPE_CHECKING:
-    from urdfcal.calibration import FittedCalibration
+    from urdfcal.pipeline import FittedCalibration
 
 # Enough for a map of 20 x 20 cells; drawing more takes longer and shows the same.
 _SAMPLES = 1500

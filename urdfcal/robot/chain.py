@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     import pinocchio as pin
 
-    from urdfcal.robot.urdf import Urdf
+    from urdfcal.robot.urdf.urdf import Urdf
 
 
 @dataclass(frozen=True, eq=False)

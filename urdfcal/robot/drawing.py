@@ -10,7 +10,7 @@ import pinocchio as pin
 from urdfcal.arrays import Floats, frozen
 from urdfcal.errors import RobotError
 from urdfcal.robot.mechanism import BASE, Joint, Tip
-from urdfcal.robot.urdf import Urdf, UrdfJoint, alternatives
+from urdfcal.robot.urdf.urdf import Urdf, UrdfJoint, alternatives
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

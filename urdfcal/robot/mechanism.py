@@ -15,7 +15,7 @@ from urdfcal.errors import RobotError
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from urdfcal.robot.urdf import Mimic
+    from urdfcal.robot.urdf.urdf import Mimic
 
 JointType = Literal["revolute", "continuous", "prismatic"]
 

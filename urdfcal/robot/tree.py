@@ -14,7 +14,7 @@ from urdfcal.robot.mechanism import BASE, Joint, Mechanism, Tip
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from urdfcal.robot.urdf import Urdf
+    from urdfcal.robot.urdf.urdf import Urdf
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,1 +1,1 @@
-"""One measured data set: its model, its files, and simulated ones from a known truth."""
+"""One measured data set in memory: robot, LEDs, cameras and what was measured."""

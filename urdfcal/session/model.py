@@ -12,20 +12,20 @@ import numpy as np
 
 from urdfcal.arrays import Floats, Ints, frozen
 from urdfcal.errors import SessionError
+from urdfcal.names import check_names, suggest
 from urdfcal.robot.dh import PARAMETERS
 from urdfcal.robot.tree_dh import rows_of
-from urdfcal.session.frames import CameraMount, Frames, fasten
-from urdfcal.session.names import check_names, suggest
+from urdfcal.session.attachments import CameraMount, Frames, fasten
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import ArrayLike
 
+    from urdfcal.cameras.rig import Rig
     from urdfcal.robot.mechanism import Mechanism
-    from urdfcal.robot.urdf import Urdf
+    from urdfcal.robot.urdf.urdf import Urdf
     from urdfcal.session.trajectory import Trajectory
-    from urdfcal.vision.rig import Rig
 
 Geometry: TypeAlias = Literal["dh", "offsets", "full", "none"]
 Freedom: TypeAlias = Literal["fixed", "refine", "free"]

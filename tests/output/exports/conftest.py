@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING, NamedTuple
 import pytest
 
 import urdfcal
-from tests.session.making import write_valid
-from urdfcal.calibration import calibrate
+from tests.io.making import write_valid
+from urdfcal.io.folder import read_session
 from urdfcal.output.exports.source import corrected_urdf
-from urdfcal.session.files import read_session
+from urdfcal.pipeline import calibrate
 from urdfcal.session.model import Estimate
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from urdfcal.robot.urdf import Urdf
+    from urdfcal.robot.urdf.urdf import Urdf
 
 RIGS = ("ur5", "panda", "so101", "stanford", "elbow3r", "mimic")
 

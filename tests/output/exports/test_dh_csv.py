@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from urdfcal.calibration import calibrate
 from urdfcal.errors import OutputError
 from urdfcal.output.exports.dh_csv import dh_csv
+from urdfcal.pipeline import calibrate
 from urdfcal.robot.dh import DHTable, row_transform
 from urdfcal.robot.kinematics import tip_poses
-from urdfcal.robot.rpy import rpy_to_matrix
+from urdfcal.robot.urdf.rpy import rpy_to_matrix
 from urdfcal.session.model import Estimate
 
 if TYPE_CHECKING:

@@ -16,8 +16,8 @@ from urdfcal.output.exports.mjcf_text import Mjcf
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.robot.mechanism import BASE, Tip
 from urdfcal.robot.motion import joint_motion
-from urdfcal.robot.origins import origins_of, rewrite_origins
 from urdfcal.robot.tree import Tree
+from urdfcal.robot.urdf.origins import origins_of, rewrite_origins
 
 if TYPE_CHECKING:
     from collections.abc import Callable

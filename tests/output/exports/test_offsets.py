@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import urdfcal
-from urdfcal.calibration import calibrate
 from urdfcal.errors import OutputError
 from urdfcal.output.exports.offsets import joint_offsets
+from urdfcal.pipeline import calibrate
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.kinematics import tip_poses
-from urdfcal.robot.urdf import Urdf
+from urdfcal.robot.urdf.urdf import Urdf
 from urdfcal.session.model import Estimate
 
 if TYPE_CHECKING:

@@ -9,9 +9,9 @@ import yaml
 from urdfcal.output.exports.ros_kinematics import joint_keys, link_keys, ros_kinematics
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.kinematics import tip_poses
-from urdfcal.robot.origins import rewrite_origins
-from urdfcal.robot.rpy import rpy_to_matrix
-from urdfcal.robot.urdf import Urdf
+from urdfcal.robot.urdf.origins import rewrite_origins
+from urdfcal.robot.urdf.rpy import rpy_to_matrix
+from urdfcal.robot.urdf.urdf import Urdf
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -9,7 +9,7 @@ import xacro
 from urdfcal.output.exports.xacro_patch import xacro_patch
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.kinematics import tip_poses
-from urdfcal.robot.urdf import Urdf
+from urdfcal.robot.urdf.urdf import Urdf
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -11,12 +11,12 @@ import numpy as np
 from urdfcal.errors import OutputError
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.dh import PARAMETERS, DHTable
-from urdfcal.robot.rpy import matrix_to_rpy
+from urdfcal.robot.urdf.rpy import matrix_to_rpy
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from urdfcal.result import Calibration
+    from urdfcal.result.calibration import Calibration
 
 ROWS, FRAMES = "dh.csv", "dh_frames.csv"
 

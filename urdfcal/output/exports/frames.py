@@ -10,10 +10,10 @@ import numpy as np
 
 from urdfcal.arrays import Floats, frozen, inverse
 from urdfcal.errors import OutputError
-from urdfcal.session.frames import WORLD
+from urdfcal.session.attachments import WORLD
 
 if TYPE_CHECKING:
-    from urdfcal.result import Calibration
+    from urdfcal.result.calibration import Calibration
 
 # What tf2, URDF and a launch file's arguments all take.
 _NAME = re.compile(r"\w[\w.-]*", re.ASCII)

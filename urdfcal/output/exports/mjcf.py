@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from urdfcal.output.exports.mjcf_bodies import Match
-    from urdfcal.result import Calibration
-    from urdfcal.robot.urdf import Urdf
+    from urdfcal.result.calibration import Calibration
+    from urdfcal.robot.urdf.urdf import Urdf
 
 # MuJoCo's kinematics and ours round differently. [m, entries of the rotation]
 _AGREEMENT = 1e-9

@@ -17,13 +17,13 @@ from urdfcal.arrays import Floats, frozen, inverse
 from urdfcal.errors import RobotError
 from urdfcal.robot.mechanism import BASE
 from urdfcal.robot.motion import joint_motion
-from urdfcal.robot.urdf import alternatives
+from urdfcal.robot.urdf.urdf import alternatives
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from urdfcal.robot.mechanism import Joint, Mechanism
-    from urdfcal.robot.urdf import Urdf
+    from urdfcal.robot.urdf.urdf import Urdf
 
 # Two drawings through different roundings: MuJoCo writes six digits, which sum to some 1e-5 over seven joints.
 # [m, entries of a direction]

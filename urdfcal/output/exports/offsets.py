@@ -11,13 +11,13 @@ import numpy as np
 from urdfcal.errors import OutputError
 from urdfcal.robot.dh import PARAMETERS
 from urdfcal.robot.motion import joint_motion
-from urdfcal.robot.origins import rewrite_origins
 from urdfcal.robot.tree_dh import rows_of
+from urdfcal.robot.urdf.origins import rewrite_origins
 
 if TYPE_CHECKING:
     from urdfcal.arrays import Floats
-    from urdfcal.result import Calibration
-    from urdfcal.robot.urdf import Urdf
+    from urdfcal.result.calibration import Calibration
+    from urdfcal.robot.urdf.urdf import Urdf
 
 FILE = "joint_offsets.csv"
 

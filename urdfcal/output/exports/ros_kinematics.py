@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from urdfcal.result import Calibration
-    from urdfcal.robot.urdf import Urdf
+    from urdfcal.result.calibration import Calibration
+    from urdfcal.robot.urdf.urdf import Urdf
 
 FILE = "kinematics.yaml"
 

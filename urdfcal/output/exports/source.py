@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.errors import OutputError
-from urdfcal.result import Calibration, corrected_name
+from urdfcal.result.calibration import Calibration, corrected_name
 from urdfcal.robot.tree import read_mechanism
-from urdfcal.robot.urdf import Urdf
+from urdfcal.robot.urdf.urdf import Urdf
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -9,9 +9,9 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from urdfcal.errors import OutputError
-from urdfcal.robot.rpy import matrix_to_rpy
-from urdfcal.robot.tags import Edit, apply_edits
-from urdfcal.robot.urdf import Urdf
+from urdfcal.robot.urdf.rpy import matrix_to_rpy
+from urdfcal.robot.urdf.tags import Edit, apply_edits
+from urdfcal.robot.urdf.urdf import Urdf
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

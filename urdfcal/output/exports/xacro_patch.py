@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from urdfcal.result import Calibration
+    from urdfcal.result.calibration import Calibration
 
 FILE = "origins.yaml"
 

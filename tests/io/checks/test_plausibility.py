@@ -1,0 +1,206 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from tests.io import making
+from tests.io.broken import cells, put, renamed_cameras, swap
+from tests.io.making import write_cameras, write_points, write_valid
+from urdfcal.errors import SessionError
+from urdfcal.io.folder import read_session
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+YAML, JOINTS, PIXELS, POINTS = "session.yaml", "joints.csv", "detections.csv", "points.csv"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return write_valid(tmp_path / "session")
+
+
+@pytest.fixture
+def tracked(tmp_path: Path) -> Path:
+    return write_points(tmp_path / "tracked")
+
+
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("poses", [3, 40])
+def test_honest_sessions_raise_no_alarm(tmp_path: Path, seed: int, poses: int) -> None:
+    assert read_session(write_valid(tmp_path / "cameras", poses, seed)).warnings == ()
+    assert read_session(write_points(tmp_path / "tracker", poses, seed)).warnings == ()
+
+
+def test_a_wrist_without_limits_may_be_wound_up(folder: Path) -> None:
+    put(JOINTS, 2, roll="-12.5")(folder)
+    assert read_session(folder).readings[2, 3] == -12.5
+
+
+def test_a_joint_may_overrun_its_limit_by_less_than_a_controller_allows(folder: Path) -> None:
+    put(JOINTS, 2, shoulder="1.8005")(folder)
+    assert read_session(folder).readings[2, 1] == 1.8005
+
+
+def test_one_reading_in_degrees_is_a_reading_outside_limits(folder: Path) -> None:
+    put(JOINTS, 2, waist="57.3")(folder)
+    with pytest.raises(SessionError, match=r"joints.csv:4:3: waist = 57.3 rad is outside the joint's limits"):
+        read_session(folder)
+
+
+def test_one_joint_in_degrees_is_named_alone(folder: Path) -> None:
+    cells(JOINTS, lambda _, row: {**row, "roll": str(np.degrees(float(row["roll"])))})(folder)
+    with pytest.raises(SessionError, match="the readings of roll look like degrees"):
+        read_session(folder)
+
+
+def test_an_led_on_a_long_tool_is_no_wrong_unit(folder: Path) -> None:
+    swap(YAML, "[0.05, 0.02, 0.03]", "[0.3, 0.2, 0.9]")(folder)
+    assert read_session(folder).warnings == ()
+
+
+def test_an_led_in_the_world_may_be_as_far_as_a_camera(folder: Path) -> None:
+    reach, given = read_session(folder).chain.reach, "position: [0.05, 0.02, 0.03]"
+    near, far = (f"link: world, position: [0, 0, {share * reach}]" for share in (10.0, 30.0))
+    swap(YAML, given, near)(folder)
+    assert read_session(folder).leds[0].link == "world"
+    swap(YAML, near, far)(folder)
+    with pytest.raises(SessionError, match="m from the world's origin looks like millimetres"):
+        read_session(folder)
+
+
+def test_a_tracker_may_stand_far_away(tracked: Path) -> None:
+    cells(POINTS, lambda _, row: {**row, "x": str(float(row["x"]) + 25.0)})(tracked)
+    assert read_session(tracked).warnings == ()
+
+
+def test_a_joint_that_never_moves_is_named(folder: Path) -> None:
+    cells(JOINTS, lambda i, row: {**row, "waist": "0.5", "slide": str(0.1 + 1e-5 * i)})(folder)
+    waist, slide = read_session(folder).warnings
+    assert waist.endswith("joint 'waist' never moves: its parameters cannot be told")
+    assert slide.endswith("joint 'slide' moves by only 7e-05 m: its parameters cannot be told")
+
+
+def test_the_same_readings_under_two_labels_are_named(folder: Path) -> None:
+    rows = (folder / JOINTS).read_text().split()
+    rows[7] = rows[4].replace("3,", "6,", 1)
+    (folder / JOINTS).write_text("\n".join(rows))
+    (warning,) = read_session(folder).warnings
+    assert warning.endswith("joints.csv:8:1: pose '6' has exactly the joint readings of pose '3'")
+
+
+def test_the_same_pose_may_show_the_same_twice(folder: Path) -> None:
+    rows = (folder / JOINTS).read_text().split()
+    rows[4] = rows[3].replace("2,", "3,", 1)
+    (folder / JOINTS).write_text("\n".join(rows))
+    rows = (folder / PIXELS).read_text().split()
+    rows[13:17] = [row.replace("2,", "3,", 1) for row in rows[9:13]]
+    (folder / PIXELS).write_text("\n".join(rows))
+    assert len(read_session(folder).warnings) == 1
+
+
+def test_whole_pixels_may_repeat_by_chance_and_fractions_may_not(folder: Path) -> None:
+    def one_sighting(pixel: str) -> None:
+        write_valid(folder)
+        cells(PIXELS, lambda i, row: row if int(row["pose"]) > 1 or i % 4 == 0 else None)(folder)
+        put(PIXELS, 0, u=pixel, v="600")(folder)
+        put(PIXELS, 1, u=pixel, v="600")(folder)
+
+    one_sighting("700.5")
+    assert read_session(folder).warnings == ()
+    one_sighting("700.25")
+    with pytest.raises(SessionError, match="pose '1' shows exactly what pose '0' shows"):
+        read_session(folder)
+
+
+def test_a_frozen_tracker_is_found(tracked: Path) -> None:
+    rows = (tracked / POINTS).read_text().split()
+    rows[11:13] = [row.replace("4,", "5,", 1) for row in rows[9:11]]
+    (tracked / POINTS).write_text("\n".join(rows))
+    with pytest.raises(SessionError, match=r"points.csv:12:1: pose '5' shows exactly what pose '4' shows \(line 10\)"):
+        read_session(tracked)
+
+
+def test_poses_leds_and_cameras_never_seen_are_named(folder: Path) -> None:
+    cells(PIXELS, lambda _, row: row if row["led"] == "red" and row["camera"] == "left" else None)(folder)
+    cells(PIXELS, lambda _, row: row if row["pose"] not in "36" else None)(folder)
+    poses, leds, cameras = read_session(folder).warnings
+    assert poses.endswith("joints.csv: 2 of 8 poses have no sighting and do not count: 3, 6")
+    assert leds.endswith("session.yaml:5:1, key 'leds': never seen: blue")
+    assert cameras.endswith("session.yaml:8:1, key 'cameras': these cameras see nothing: right")
+
+
+def test_cameras_beside_points_are_not_used(tracked: Path) -> None:
+    write_cameras(tracked / "cameras.yaml")
+    swap(YAML, "joints:", "cameras: cameras.yaml\njoints:")(tracked)
+    (warning,) = read_session(tracked).warnings
+    assert "there are no detections: the cameras are not used" in warning
+
+
+class TestImagesOfTheWrongShape:
+    """The image is turned on its side: width and height, or u and v, are exchanged. Which, only the rays can tell."""
+
+    @pytest.fixture
+    def turned(self, folder: Path) -> Path:
+        for name in ("cameras.yaml",):
+            swap(name, "[1280, 1024]", "[700, 1100]")(folder)
+            swap(name, "[1280, 1024]", "[700, 1100]")(folder)
+        cells(PIXELS, lambda _, row: row if float(row["v"]) < 690 else None)(folder)
+        return folder
+
+    def test_the_rays_meet_so_the_resolution_is_wrong(self, turned: Path) -> None:
+        with pytest.raises(SessionError, match=r"the rays meet, so the pixels are right.*\[1100, 700\]"):
+            read_session(turned)
+
+    def test_they_meet_once_u_and_v_are_exchanged(self, turned: Path) -> None:
+        swap("cameras.yaml", "[700, 1100]", "[1100, 700]")(turned)
+        swap("cameras.yaml", "[700, 1100]", "[1100, 700]")(turned)
+        cells(PIXELS, lambda _, row: {**row, "u": row["v"], "v": row["u"]})(turned)
+        with pytest.raises(SessionError, match="u and v look exchanged"):
+            read_session(turned)
+
+    def test_without_the_cameras_places_it_cannot_be_told_and_is_said(self, turned: Path) -> None:
+        text = (turned / "cameras.yaml").read_text()
+        (turned / "cameras.yaml").write_text(text[: text.index("  T_cn_cnm1")])
+        warning, *_ = read_session(turned).warnings
+        assert "lies outside the 700 x 1100 image of camera 'left'" in warning
+        assert "either they are exchanged, or in cameras.yaml width and height are" in warning
+
+
+def test_cameras_a_little_off_are_a_warning(folder: Path) -> None:
+    T = making.T_RIGHT_LEFT.copy()
+    T[1, 3] += 0.01
+    swap("cameras.yaml", str(making.T_RIGHT_LEFT.tolist()), str(T.tolist()))(folder)
+    (warning,) = read_session(folder).warnings
+    assert "the rays miss each other by" in warning
+    assert "are the cameras where the camera file says?" in warning
+
+
+def test_much_noise_declared_does_not_hide_an_exchange(folder: Path) -> None:
+    swap(YAML, "pixel: 0.1", "pixel: 10")(folder)
+    assert read_session(folder).warnings == ()
+    cells(PIXELS, renamed_cameras)(folder)
+    with pytest.raises(SessionError, match="cameras 'left' and 'right' look exchanged"):
+        read_session(folder)
+
+
+def test_exchanged_names_are_found_among_three_cameras(folder: Path) -> None:
+    """The third camera is right; only the pair that is exchanged is named."""
+    third = making.looking([2.3, 0.0, 1.6], making.TARGET)
+    step = third @ np.linalg.inv(making.T_RIGHT_BASE)
+    block = (folder / "cameras.yaml").read_text().split("right:\n")[1].split("  T_cn_cnm1")[0]
+    with (folder / "cameras.yaml").open("a") as file:
+        file.write(f"top:\n{block}  T_cn_cnm1: {step.tolist()}\n")
+    chain, q = read_session(folder).chain, read_session(folder).q
+    with (folder / PIXELS).open("a") as file:
+        for i, T in enumerate(making.tip_poses(chain, q)):
+            point = third @ T @ [*making.LEDS[0], 1.0]
+            u, v = 1400.0 * point[:2] / point[2] + [640.0, 512.0]
+            file.write(f"{i},top,red,{u:.3f},{v:.3f}\n")
+    assert read_session(folder).warnings == ()
+    other = {"left": "left", "right": "top", "top": "right"}
+    cells(PIXELS, lambda _, row: {**row, "camera": other[row["camera"]]})(folder)
+    with pytest.raises(SessionError, match="cameras 'right' and 'top' look exchanged"):
+        read_session(folder)

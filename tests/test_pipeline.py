@@ -1,0 +1,199 @@
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+import urdfcal
+from urdfcal.errors import CalibrationError, OutputError, SessionError
+from urdfcal.estimation.evaluation import compare, explain
+from urdfcal.io.folder import read_points, read_session
+from urdfcal.pipeline import calibrate
+from urdfcal.robot.chain import Chain
+from urdfcal.robot.kinematics import tip_poses
+from urdfcal.robot.urdf.urdf import Urdf
+from urdfcal.session.model import Estimate, Led, Points
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+RIGS = ["elbow3r", "ur5", "panda", "so101", "stanford"]
+
+
+def error(calibration: urdfcal.Calibration, simulated: object, placements: np.ndarray) -> float:
+    """Rms distance of a robot's tip from the true one's over the workspace. [m]"""
+    chain = calibration.chain
+    q = chain.random_values(300, np.random.default_rng(0))
+    true, other = (replace(chain, placements=p) for p in (simulated.truth.placements, placements))
+    return float(np.sqrt(np.mean(compare(true, other, q).position ** 2)))
+
+
+@pytest.mark.parametrize("rig", RIGS)
+def test_the_calibrated_arm_is_far_nearer_to_the_true_one(rig: str, simulated: Callable) -> None:
+    data = simulated(rig, poses=50)
+    calibration = calibrate(data.session)
+    assert error(calibration, data, calibration.placements) < 0.25 * error(
+        calibration, data, calibration.chain.placements
+    )
+
+
+@pytest.mark.parametrize("rig", RIGS)
+def test_the_corrected_urdf_is_the_drawn_one_but_for_origins(rig: str, simulated: Callable) -> None:
+    data = simulated(rig)
+    calibration = calibrate(data.session)
+    drawn, built = data.session.urdf.data, calibration.calibrated_urdf()
+    masked = [re.sub(rb"<origin[^>]*>", lambda tag: re.sub(rb'"[^"]*"', b"", tag[0]), text) for text in (drawn, built)]
+    assert masked[0] == masked[1]
+    chain = Chain.from_urdf(Urdf.parse(built), calibration.chain.tip_link, calibration.chain.base_link)
+    q = chain.random_values(50, np.random.default_rng(1))
+    expected = tip_poses(calibration.chain, q, calibration.placements)
+    np.testing.assert_allclose(tip_poses(chain, q), expected, atol=1e-12)
+
+
+def test_a_session_without_urdf_still_has_a_model(simulated: Callable) -> None:
+    session = simulated("elbow3r").session
+    calibration = calibrate(replace(session, urdf=None))
+    with pytest.raises(OutputError, match="without a URDF"):
+        calibration.calibrated_urdf()
+    assert calibration.apply(calibration.chain.build_model()).njoints == 4
+
+
+def test_the_result_does_not_depend_on_where_the_base_link_is(simulated: Callable) -> None:
+    # The same measurements with the chain rooted at UR's own `base` frame, half a turn from base_link.
+    session = simulated("ur5").session
+    other = replace(session, chain=Chain.from_urdf(session.urdf, "tool0", "base"))
+    a, b = calibrate(session), calibrate(other)
+    np.testing.assert_allclose(a.placements[1:], b.placements[1:], atol=1e-9)
+
+
+def test_json_says_what_was_estimated_and_why_not(simulated: Callable) -> None:
+    data = simulated("ur5")
+    calibration = calibrate(data.session, seed=7)
+    result = json.loads(json.dumps(calibration.to_dict(), allow_nan=False))
+    assert result["format"] == "urdfcal/1"
+    assert result["provenance"]["seed"] == 7
+    assert set(result["placements"]) == set(calibration.chain.names)
+    assert len(result["dh"]) == 5 * 6
+    for row in result["dh"]:
+        assert row["unit"] == ("m" if row["parameter"] in ("d", "a") else "rad")
+        if row["status"] == "estimated":
+            assert row["sigma"] > 0.0
+        else:
+            assert row["status"] == "fixed"
+            assert row["reason"]
+            assert row["offset"] == 0.0
+    assert sum(row["status"] == "estimated" for row in result["dh"]) == 18
+    assert result["fit"]["parameters"] == result["fit"]["rank"] == 27
+    assert result["fit"]["rms_px"] < 0.2 < result["fit"]["rms_nominal_px"]
+    assert 0.5 < result["fit"]["reduced_chi2"] < 1.6
+
+
+def test_tolerances_of_zero_hold_a_parameter(simulated: Callable) -> None:
+    session = simulated("ur5").session
+    held = replace(session, tolerances=replace(session.tolerances, joints={"elbow_joint": {"alpha": 0.0}}))
+    row = next(
+        row for row in calibrate(held).to_dict()["dh"] if row["joint"] == "elbow_joint" and row["parameter"] == "alpha"
+    )
+    assert (row["status"], row["offset"]) == ("fixed", 0.0)
+    assert "tolerances" in row["reason"]
+
+
+def test_cameras_of_unknown_place_are_placed(simulated: Callable) -> None:
+    data = simulated("ur5", poses=50)
+    rig = data.session.rig
+    unknown = replace(data.session, rig=replace(rig, T_cam_world=(rig.T_cam_world[0], None)))
+    calibration = calibrate(unknown)
+    np.testing.assert_allclose(calibration.estimate.T_cam_world[1], rig.T_cam_world[1], atol=5e-3)
+    # Without a baseline nothing but the links' lengths tells the scale: no rank for it, and it is said.
+    assert calibration.identifiability.rank == 27 + 6 - 1
+    assert any("tolerances share it out" in lost for lost in calibration.identifiability.lost)
+    assert error(calibration, data, calibration.placements) < 0.6 * error(
+        calibration, data, calibration.chain.placements
+    )
+
+
+def test_the_measured_irb120_comes_out_as_published(shared: Path) -> None:
+    fit = calibrate(read_session(shared / "irb120_liaowu")).summary()
+    assert fit["rms_nominal_mm"] == pytest.approx(5.31, abs=0.01)  # 5.33 with the one outlier
+    assert fit["rms_mm"] <= 0.25
+
+
+def test_every_exported_name_is_there() -> None:
+    for name in urdfcal.__all__:
+        assert getattr(urdfcal, name) is not None
+    with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
+        urdfcal.nonsense  # noqa: B018
+
+
+def test_triangulated_points_do_nearly_as_well_as_pixels(simulated: Callable) -> None:
+    data = simulated("ur5", poses=50)
+    session = replace(data.session, estimate=Estimate("dh", "fixed", "fixed"))
+    pixels, points = (calibrate(session, method=method) for method in ("pixels", "points"))
+    assert points.estimate.cameras == ()
+    assert points.summary()["rms_mm"] < 2.0
+    assert error(points, data, points.placements) < 1.5 * error(pixels, data, pixels.placements)
+
+
+def test_a_wrong_tip_link_is_refused(simulated: Callable) -> None:
+    session = simulated("ur5").session
+    wrong = replace(session, chain=Chain.from_urdf(session.urdf, "wrist_2_link", "base_link"), q=session.q[:, :5])
+    with pytest.raises(CalibrationError, match="times the declared noise"):
+        calibrate(wrong)
+    assert calibrate(wrong, force=True).failures
+
+
+def test_refuted_lenses_are_refused(shared: Path) -> None:
+    session = replace(read_session(shared / "motoman_right"), estimate=Estimate("dh", "fixed", "free"))
+    with pytest.raises(CalibrationError, match="intrinsics as given are refuted"):
+        calibrate(session)
+
+
+def test_the_measured_motoman_finds_its_lenses(shared: Path) -> None:
+    calibration = calibrate(read_session(shared / "motoman_right"))
+    assert str(calibration.comparison.chosen.freedoms) == "DH rows, free intrinsics, free camera poses"
+    assert calibration.summary()["rms_px"] <= 1.02
+    points, leds = read_points(shared / "motoman_right" / "check_points.csv", calibration.session)
+    tracker = replace(calibration.session, detections=None, points=points, leds=leds)
+    residual = explain(replace(calibration.chain, placements=calibration.placements), tracker).residuals[0]
+    assert 1e3 * np.sqrt(np.mean(np.sum(residual**2, axis=1))) <= 0.17
+
+
+def test_predicted_tip_errors_are_true(simulated: Callable) -> None:
+    # Squared tip error over predicted variance, averaged over the workspace and a few robots.
+    ratios = []
+    for seed in range(8):
+        data = simulated("elbow3r", poses=20, seed=seed)
+        session = replace(data.session, estimate=Estimate("dh", "fixed", "fixed"), leds=(Led("led"),))
+        calibration = calibrate(session, priors=False)
+        q = session.chain.random_values(300, np.random.default_rng(0))
+        predicted = np.mean(calibration.tip_sigma(q) ** 2)
+        ratios.append(error(calibration, data, calibration.placements) ** 2 / predicted)
+    assert 0.5 < np.mean(ratios) < 1.8
+
+
+def test_a_urdf_that_moves_differently_is_never_handed_out(
+    simulated: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calibration = calibrate(replace(simulated("elbow3r").session, estimate=Estimate("dh", "fixed", "fixed")))
+    monkeypatch.setattr("urdfcal.robot.apply.rewrite_origins", lambda urdf, origins: urdf.data)
+    with pytest.raises(OutputError, match="moves differently when read by"):
+        calibration.calibrated_urdf()
+
+
+def test_lenses_that_are_right_stay_as_given(simulated: Callable) -> None:
+    for seed in (0, 1):
+        chosen = calibrate(simulated("ur5", poses=50, seed=seed).session).comparison.chosen.freedoms
+        assert chosen.intrinsics == ("fixed", "fixed")
+        assert chosen.geometry == "dh"
+
+
+def test_detections_and_a_trackers_points_together_are_refused(simulated: Callable) -> None:
+    session = simulated("elbow3r").session
+    points = Points(np.arange(30), np.zeros(30, int), np.random.default_rng(0).normal(size=(30, 3)), np.full(30, 1e-4))
+    with pytest.raises(SessionError, match="detections and points are both named"):
+        calibrate(replace(session, points=points))

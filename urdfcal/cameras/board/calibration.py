@@ -1,0 +1,401 @@
+"""Cameras from pictures of a board: which pictures are used, how well the cameras are known, and when not at all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from urdfcal.arrays import Bools, Floats, Ints, frozen
+from urdfcal.cameras.board.bundle import Adjusted, Bundle, adjust
+from urdfcal.cameras.board.start import board_poses, first_guesses, place
+from urdfcal.cameras.board.views import Rejection
+from urdfcal.cameras.rig import CameraSigma, Rig
+from urdfcal.errors import CameraError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from urdfcal.cameras.board.board import Board
+    from urdfcal.cameras.board.views import BoardViews
+    from urdfcal.cameras.camera import Camera
+
+# A view adds 6 unknowns of its own; with fewer corners, or all in two rows, it says nothing about the lens.
+_FEWEST_CORNERS, _FEWEST_ROWS = 8, 2
+_FEWEST_VIEWS = 5
+# Focus and exposure vary the blur of good pictures by a quarter; a picture this much softer was moved.
+_BLURRED, _LEAST_BLUR = 2.0, 1.5
+# The rms of 54 corners varies by 7 % between views, with distance and light by a factor of two.
+_FAR_ABOVE = 3.0
+_MOST_LEFT_OUT = 0.2
+# At 0.05 px of noise, 20 views within 8° of the image plane tell f to 0.6 to 1 %, within 45° to 0.05 %; and a sheet
+# of paper that is not quite flat then looks like another focal length.
+_LEAST_TILT = 10.0
+# A focal length off by 0.5 % puts an LED 1.5 m away off by 7 mm: more than the arm's own errors.
+_WORST_FOCAL = 0.005
+# k3 is used where it is this many of its standard deviations from zero.
+_SIGNIFICANT = 3.0
+# A start that ends here has found the camera; others end at tens of px or leave corners out.
+_GOOD_SIGMA, _GOOD_SHARE = 0.5, 0.02
+_GRID = (8, 6)
+# Half of the image without a corner leaves the distortion there to extrapolation.
+_LEAST_COVERAGE = 0.5
+_TILT_THE_BOARD = "Add pictures with the board turned by 20° to 45° to either side, and up and down."
+_AT_THE_SAME_TIME = (
+    "Pictures of one name must be taken at the same time, or with the board held still; check the names."
+)
+# Corners of rendered pictures without noise fit to a few thousandths of a pixel, and then anything is far above.
+_LEAST_NOISE = 0.01
+_POSE_AXES = ("x", "y", "z", "rx", "ry", "rz")
+
+
+@dataclass(frozen=True, eq=False)
+class CameraQuality:
+    """How well one camera was seen to.
+
+    Attributes:
+        name: the camera's.
+        views: names of the views used.
+        rms: of each view's residuals (both coordinates of all corners used), px.
+        tilts: of each view's board against the image plane, degrees.
+        sigma: standard deviation of a corner's coordinate, px.
+        corners: number of corners used.
+        outliers: number of corners left out.
+        covered: (6, 8) which cells of the image hold a corner.
+    """
+
+    name: str
+    views: tuple[str, ...]
+    rms: Floats
+    tilts: Floats
+    sigma: float
+    corners: int
+    outliers: int
+    covered: Bools
+
+    @property
+    def coverage(self) -> float:
+        """Share of the image's cells that hold a corner."""
+        return float(self.covered.mean())
+
+
+@dataclass(frozen=True, eq=False)
+class BoardCalibration:
+    """Calibrated cameras.
+
+    Attributes:
+        board: what the pictures show.
+        rig: the cameras with their places, standard deviations and correlations.
+        covariance: (P, P) of all cameras' parameters.
+        names: of these parameters, camera by camera: the lens, then the place of those that have one but the first
+            (m and rad, a small motion in the camera's frame after T_cam_world).
+        qualities: of each camera.
+        rejected: pictures not used.
+        warnings: what to mind.
+    """
+
+    board: Board
+    rig: Rig
+    covariance: Floats
+    names: tuple[str, ...]
+    qualities: tuple[CameraQuality, ...]
+    rejected: tuple[Rejection, ...]
+    warnings: tuple[str, ...]
+
+
+def calibrate_cameras(views: BoardViews, board: Board, model: str = "radtan") -> BoardCalibration:
+    """Estimate lenses and places of all cameras, with their covariance.
+
+    Every camera is calibrated alone first; those that views in common link to the first one then all together in one
+    least squares.
+
+    Args:
+        views: what the cameras saw.
+        board: of what.
+        model: "radtan" (k3 only where the corners ask for it), "equidistant" or "none".
+
+    Raises:
+        CameraError: too few or too parallel views, or corners that fit no camera; says what pictures to add.
+    """
+    uv, rejected = _usable(views, board)
+    alone: list[Camera] = []
+    noise: list[float] = []
+    for c, name in enumerate(views.cameras):
+        _check_views(views, c, uv, rejected)
+        camera = _alone(name, views.resolutions[c], model, board, uv[c])
+        dropped, fitted = _without_bad_views(board, (camera,), uv[c : c + 1], views, (c,))
+        rejected += dropped
+        for rejection in dropped:
+            uv[c, views.views.index(rejection.view)] = np.nan
+        _check_views(views, c, uv, rejected)
+        _check_focal(fitted, name)
+        alone.append(fitted.bundle.cameras[0])
+        noise.append(float(fitted.sigma[0]))
+
+    placed, _, _ = place(alone, board, uv)
+    together = tuple(c for c, T in enumerate(placed) if T is not None)
+    groups = [together, *((c,) for c in range(len(alone)) if c not in together)]
+    fits: dict[int, tuple[Adjusted, int]] = {}
+    for group in groups:
+        dropped, fitted = _without_bad_views(board, [alone[c] for c in group], uv[list(group)], views, group)
+        rejected += dropped
+        _check_together(fitted, [noise[c] for c in group])
+        fits.update({c: (fitted, i) for i, c in enumerate(group)})
+    return _result(views, board, fits, rejected)
+
+
+def _usable(views: BoardViews, board: Board) -> tuple[Floats, list[Rejection]]:
+    """The corners without views that show too little or are blurred."""
+    uv, rejected = np.array(views.uv), list(views.rejected)
+    across = board.shape[0]
+    usual = [np.nanmedian(blur) if np.isfinite(blur).any() else np.nan for blur in views.blur]
+    for c, v in np.argwhere(np.isfinite(uv[..., 0]).any(axis=2)):
+        seen = np.flatnonzero(np.isfinite(uv[c, v, :, 0]))
+        rows, columns = len(np.unique(seen // across)), len(np.unique(seen % across))
+        if len(seen) < _FEWEST_CORNERS or min(rows, columns) <= _FEWEST_ROWS:
+            reason = f"only {len(seen)} of {uv.shape[2]} corners are found, in {rows} rows and {columns} columns"
+        elif views.blur[c, v] > max(_BLURRED * usual[c], _LEAST_BLUR):
+            reason = f"it is blurred: {views.blur[c, v]:.1f} px, the others {usual[c]:.1f} px"
+        else:
+            continue
+        uv[c, v] = np.nan
+        rejected.append(Rejection(views.cameras[c], views.views[v], reason))
+    return uv, rejected
+
+
+def _check_views(views: BoardViews, c: int, uv: Floats, rejected: Sequence[Rejection]) -> None:
+    count = int(np.isfinite(uv[c, ..., 0]).any(axis=1).sum())
+    if count >= _FEWEST_VIEWS:
+        return
+    mine = [f"{r.view}: {r.reason}" for r in rejected if r.camera == views.cameras[c]]
+    because = f" ({'; '.join(mine[:3])}{'; ...' if len(mine) > 3 else ''})" if mine else ""
+    raise CameraError(
+        f"only {count} of its pictures can be used{because}, at least {_FEWEST_VIEWS} are needed and 15 to 30 are good",
+        where=f"camera '{views.cameras[c]}'",
+        remedy="Add sharp pictures of the board in all parts of the image, and check the board's kind and its counts.",
+    )
+
+
+def _check_focal(fitted: Adjusted, name: str) -> None:
+    """Refuse views that leave the focal length open."""
+    camera = fitted.bundle.cameras[0]
+    seen = np.isfinite(fitted.residuals[0, ..., 0]).any(axis=1)
+    tilts = _tilts(fitted.bundle, 0)[seen]
+    if tilts.max() < _LEAST_TILT:
+        raise CameraError(
+            f"the board faces the camera in all pictures (tilted by at most {tilts.max():.0f}°): a longer lens further "
+            "away would see the same",
+            where=f"camera '{name}'",
+            remedy=_TILT_THE_BOARD,
+        )
+    relative = float((np.sqrt(np.diag(fitted.covariance)[:2]) / camera.intrinsics[:2]).max())
+    if not relative < _WORST_FOCAL:
+        raise CameraError(
+            f"these pictures tell the focal length only to {100 * relative:.2g} % (standard deviation)",
+            where=f"camera '{name}'",
+            remedy=f"{100 * _WORST_FOCAL:g} % is needed. {_TILT_THE_BOARD}",
+        )
+
+
+def _check_together(fitted: Adjusted, noise: Sequence[float]) -> None:
+    """Refuse cameras that each agree with themselves but not with each other."""
+    for camera, sigma, before in zip(fitted.bundle.cameras, fitted.sigma, noise, strict=True):
+        if sigma > _FAR_ABOVE * max(before, _LEAST_NOISE):
+            raise CameraError(
+                f"its corners fit to {before:.2g} px alone, but to {sigma:.2g} px together with the other cameras",
+                where=f"camera '{camera.name}'",
+                remedy=_AT_THE_SAME_TIME,
+            )
+
+
+def _alone(name: str, resolution: tuple[int, int], model: str, board: Board, uv: Floats) -> Camera:
+    """One camera from all its views, from the start that explains them best."""
+    uv = uv[np.isfinite(uv[..., 0]).any(axis=1)]
+    best: Adjusted | None = None
+    failure: CameraError | None = None
+    for guess in first_guesses(name, resolution, model, board, uv):
+        try:
+            fitted = adjust(Bundle(board, (guess,), np.eye(4)[None], board_poses(guess, board, uv)), uv[None])
+        except CameraError as error:
+            failure = failure or error
+            continue
+        if best is None or _merit(fitted) < _merit(best):
+            best = fitted
+        if best.sigma[0] < _GOOD_SIGMA and _left_out(best) < _GOOD_SHARE:
+            break
+    if best is None:
+        raise CameraError(failure.what if failure else "", where=f"camera '{name}'", remedy=_TILT_THE_BOARD)
+    camera = best.bundle.cameras[0]
+    if model != "radtan":
+        return camera
+    longer = replace(camera, distortion=np.append(camera.distortion, 0.0))
+    try:
+        fitted = adjust(replace(best.bundle, cameras=(longer,)), uv[None])
+    except CameraError:
+        return camera
+    k3 = fitted.bundle.cameras[0].distortion[-1]
+    return fitted.bundle.cameras[0] if abs(k3) > _SIGNIFICANT * np.sqrt(fitted.covariance[-1, -1]) else camera
+
+
+def _left_out(fitted: Adjusted) -> float:
+    return float(fitted.outliers.sum() / np.isfinite(fitted.residuals[..., 0]).sum())
+
+
+def _merit(fitted: Adjusted) -> float:
+    """Median residual, which no left-out corner flatters."""
+    return float(np.nanmedian(np.linalg.norm(fitted.residuals, axis=-1)))
+
+
+def _without_bad_views(
+    board: Board, cameras: Sequence[Camera], uv: Floats, views: BoardViews, group: Sequence[int]
+) -> tuple[list[Rejection], Adjusted]:
+    """Fit, leave out the picture that fits worst if it fits far worse than the others, and fit again."""
+    uv = np.array(uv)
+    rejected: list[Rejection] = []
+    while True:
+        T_cam_world, T_world_board, uv = place(cameras, board, uv)
+        unseen = ~np.isfinite(T_world_board[:, 0, 0])
+        T_world_board[unseen] = np.eye(4)
+        placed = [T for T in T_cam_world if T is not None]
+        if len(placed) < len(cameras):
+            lost = next(camera for camera, T in zip(cameras, T_cam_world, strict=True) if T is None)
+            raise CameraError(
+                "no picture it shares with another camera agrees with the rest",
+                where=f"camera '{lost.name}'",
+                remedy=_AT_THE_SAME_TIME,
+            )
+        fitted = adjust(Bundle(board, tuple(cameras), np.stack(placed), T_world_board), uv)
+        kept = np.where(fitted.outliers[..., None], np.nan, fitted.residuals)
+        # A few corners left out are a reflection or a finger; many are a bad view, judged by all its corners.
+        few = fitted.outliers.sum(axis=2) <= _MOST_LEFT_OUT * np.isfinite(uv[..., 0]).sum(axis=2)
+        rms = _rms(np.where(few[..., None, None], kept, fitted.residuals))
+        usual = np.nanmedian(rms, axis=1)
+        ratio = np.nan_to_num(rms / np.maximum(usual, 1e-3)[:, None])
+        c, v = (int(i) for i in np.unravel_index(ratio.argmax(), ratio.shape))
+        if ratio[c, v] < _FAR_ABOVE:
+            return rejected, fitted
+        uv[c, v] = np.nan
+        # Between several cameras the odd view is one where the board or the exposure moved.
+        cause = "was the board bent or read wrongly?" if len(group) == 1 else "did the board move between the cameras?"
+        rejected.append(
+            Rejection(
+                views.cameras[group[c]],
+                views.views[v],
+                f"its residual {rms[c, v]:.2f} px is {ratio[c, v]:.0f} x that of the others: {cause}",
+            )
+        )
+
+
+def _rms(residuals: Floats) -> Floats:
+    """(C, V) px, NaN where there is no corner."""
+    seen = np.isfinite(residuals[..., 0])
+    squared = np.where(seen[..., None], residuals, 0.0) ** 2
+    with np.errstate(invalid="ignore"):
+        rms: Floats = np.sqrt(squared.sum(axis=(2, 3)) / (2.0 * seen.sum(axis=2)))
+    return rms
+
+
+def _tilts(bundle: Bundle, c: int) -> Floats:
+    """(V,) angle between board and image plane, degrees."""
+    z = (bundle.T_cam_world[c] @ bundle.T_world_board)[:, 2, 2]
+    tilts: Floats = np.degrees(np.arccos(np.clip(np.abs(z), 0.0, 1.0)))
+    return tilts
+
+
+def _quality(views: BoardViews, c: int, fitted: Adjusted, i: int) -> CameraQuality:
+    residuals = fitted.residuals[i]
+    used = np.isfinite(residuals[..., 0]).any(axis=1)
+    kept = np.isfinite(residuals[..., 0]) & ~np.asarray(fitted.outliers[i], dtype=bool)
+    uv = views.uv[c][kept]
+    cells = np.floor((uv + 0.5) / np.array(views.resolutions[c]) * _GRID).astype(int)
+    covered = np.zeros(_GRID[::-1], dtype=bool)
+    covered[tuple(np.clip(cells, 0, np.array(_GRID) - 1).T[::-1])] = True
+    return CameraQuality(
+        name=views.cameras[c],
+        views=tuple(name for name, ok in zip(views.views, used, strict=True) if ok),
+        rms=frozen(_rms(np.where(kept[..., None], residuals, np.nan)[None])[0, used]),
+        tilts=frozen(_tilts(fitted.bundle, i)[used]),
+        sigma=float(fitted.sigma[i]),
+        corners=int(kept.sum()),
+        outliers=int(fitted.outliers[i].sum()),
+        covered=frozen(covered, bool),
+    )
+
+
+def _result(
+    views: BoardViews, board: Board, fits: dict[int, tuple[Adjusted, int]], rejected: Sequence[Rejection]
+) -> BoardCalibration:
+    first = fits[0][0]
+    names: list[str] = []
+    blocks: list[tuple[Adjusted, Ints]] = []
+    for c in range(len(views.cameras)):
+        fitted, i = fits[c]
+        camera, lens, pose = fitted.bundle.cameras[i], fitted.bundle.lens_slices[i], fitted.bundle.pose_slices[i]
+        own = [*range(lens.start, lens.stop), *(range(pose.start, pose.stop) if pose else ())]
+        blocks.append((fitted, np.array(own, dtype=np.intp)))
+        names += [f"{camera.name}.{name}" for name in (*camera.parameter_names, *(_POSE_AXES if pose else ()))]
+    # Cameras that were not fitted together know nothing of each other.
+    covariance = np.block(
+        [
+            [fit.covariance[np.ix_(a, b)] if fit is other else np.zeros((len(a), len(b))) for other, b in blocks]
+            for fit, a in blocks
+        ]
+    )
+    sigma = np.sqrt(np.diag(covariance))
+    correlation = np.clip(covariance / np.outer(sigma, sigma), -1.0, 1.0)
+    correlation = 0.5 * (correlation + correlation.T)
+
+    cameras, places, sigmas, qualities, warnings, end = [], [], [], [], [], 0
+    for c in range(len(views.cameras)):
+        fitted, i = fits[c]
+        camera = fitted.bundle.cameras[i]
+        start, lens_end, end = end, end + len(camera.parameters), end + len(blocks[c][1])
+        pose_sigma = sigma[lens_end:end] if end > lens_end else None
+        cameras.append(camera)
+        places.append(_orthonormal(fitted.bundle.T_cam_world[i]) if fitted is first else None)
+        sigmas.append(CameraSigma(sigma[start:lens_end], pose_sigma, correlation[start:end, :end]))
+        qualities.append(_quality(views, c, fitted, i))
+        warnings += _remarks(camera, qualities[-1], placed=fitted is first)
+    return BoardCalibration(
+        board=board,
+        rig=Rig(tuple(cameras), tuple(places), tuple(sigmas)),
+        covariance=frozen(covariance),
+        names=tuple(names),
+        qualities=tuple(qualities),
+        rejected=tuple(rejected),
+        warnings=tuple(warnings),
+    )
+
+
+def _remarks(camera: Camera, quality: CameraQuality, *, placed: bool) -> list[str]:
+    remarks = []
+    if quality.coverage < _LEAST_COVERAGE:
+        remarks.append(
+            f"camera '{camera.name}': corners lie in {100 * quality.coverage:.0f} % of the image only; the distortion "
+            f"of the rest is a guess. Add pictures with the board {_empty_side(quality.covered)}"
+        )
+    if not placed:
+        remarks.append(
+            f"camera '{camera.name}' has no view in common with the cameras before it: its place is not known. "
+            "Pictures of the same name must be taken at the same time"
+        )
+    return remarks
+
+
+def _empty_side(covered: Bools) -> str:
+    """Where most is missing, in words."""
+    rows, columns = covered.shape
+    thirds = {
+        "at the left": covered[:, : columns // 3], "at the right": covered[:, -(columns // 3) :],
+        "at the top": covered[: rows // 3], "at the bottom": covered[-(rows // 3) :],
+    }  # fmt: skip
+    return min(thirds, key=lambda side: float(thirds[side].mean()))
+
+
+def _orthonormal(T: Floats) -> Floats:
+    """The nearest rigid transform: many small steps leave some 1e-15."""
+    U, _, Vt = np.linalg.svd(T[:3, :3])
+    result = np.array(T)
+    result[:3, :3] = U @ Vt
+    return result

@@ -1,0 +1,155 @@
+"""A folder of board pictures, and the corners found in them."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from urdfcal.arrays import Floats, frozen
+from urdfcal.cameras.board.detection import detect_board
+from urdfcal.errors import CameraError
+from urdfcal.images.files import SUFFIXES, in_parallel, read_image
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from urdfcal.cameras.board.board import Board
+    from urdfcal.cameras.board.corners import Corners
+
+
+@dataclass(frozen=True)
+class Rejection:
+    """A picture that was not used.
+
+    Attributes:
+        camera: its name.
+        view: the picture's name without suffix.
+        reason: in words.
+    """
+
+    camera: str
+    view: str
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class BoardViews:
+    """What C cameras saw of a board in V views.
+
+    Attributes:
+        cameras: their names; the first one's frame is the world.
+        resolutions: (width, height) of each camera, px.
+        views: their names; pictures of the same name were taken at the same time.
+        uv: (C, V, N, 2) px, NaN where a corner was not found.
+        blur: (C, V) median standard deviation of the edges' blur, px; NaN where there is nothing.
+        rejected: pictures with nothing of use.
+    """
+
+    cameras: tuple[str, ...]
+    resolutions: tuple[tuple[int, int], ...]
+    views: tuple[str, ...]
+    uv: Floats
+    blur: Floats
+    rejected: tuple[Rejection, ...]
+
+
+def read_views(folder: Path, board: Board, progress: Callable[[int], None] | None = None) -> BoardViews:
+    """Find ``board`` in the pictures ``folder``/<camera>/<view>.png; a folder of pictures is one camera, cam0.
+
+    Args:
+        folder: cameras are in the order of their names, numbers in them counted as numbers.
+        board: what to look for.
+        progress: called with 1 after every picture.
+
+    Raises:
+        CameraError: there are no pictures.
+    """
+    pictures = find_pictures(folder)
+    paths = [(camera, path) for camera, found in pictures.items() for path in found.values()]
+    results = []
+    for result in in_parallel(lambda item: _look(item[1], board), paths):
+        results.append(result)
+        if progress is not None:
+            progress(1)
+
+    cameras = tuple(pictures)
+    views = tuple(sorted({view for found in pictures.values() for view in found}, key=_natural))
+    uv = np.full((len(cameras), len(views), len(board.corners), 2), np.nan)
+    blur = np.full((len(cameras), len(views)), np.nan)
+    rejected, resolutions = [], []
+    for c, camera in enumerate(cameras):
+        mine = [(path, *result) for (name, path), result in zip(paths, results, strict=True) if name == camera]
+        sizes = Counter(size for _, size, _ in mine if all(size))
+        if not sizes:
+            raise CameraError("none of its files is a picture", where=str(folder / camera))
+        usual = sizes.most_common(1)[0][0]
+        resolutions.append(usual)
+        for path, size, found in mine:
+            v = views.index(path.stem)
+            if all(size) and size != usual:
+                reason = f"it has {size[0]} x {size[1]} pixels, the others {usual[0]} x {usual[1]}"
+            elif isinstance(found, str):
+                reason = found
+            else:
+                uv[c, v], blur[c, v] = found.uv, np.nanmedian(found.blur)
+                continue
+            rejected.append(Rejection(camera, path.stem, reason))
+    return BoardViews(cameras, tuple(resolutions), views, frozen(uv), frozen(blur), tuple(rejected))
+
+
+def find_pictures(folder: Path) -> dict[str, dict[str, Path]]:
+    """Camera name -> view name -> picture, both in natural order.
+
+    Raises:
+        CameraError: there are none, or two of the same name.
+    """
+    if not folder.is_dir():
+        raise CameraError("there is no such folder", where=str(folder))
+    inside = [path for path in folder.iterdir() if path.is_dir() and not path.name.startswith(".")]
+    found = {path.name: _pictures(path) for path in sorted(inside, key=lambda path: _natural(path.name))}
+    found = {camera: views for camera, views in found.items() if views}
+    if not found and (alone := _pictures(folder)):
+        found = {"cam0": alone}
+    if not found:
+        raise CameraError(
+            f"there are no pictures ({', '.join(SUFFIXES)}) here",
+            where=str(folder),
+            remedy="Put them into one folder a camera: <camera>/<view>.png.",
+        )
+    return found
+
+
+def _pictures(folder: Path) -> dict[str, Path]:
+    pictures: dict[str, Path] = {}
+    for path in sorted(folder.iterdir(), key=lambda p: _natural(p.name)):
+        if path.suffix.lower() in SUFFIXES and not path.name.startswith("."):
+            if path.stem in pictures:
+                raise CameraError(
+                    f"{path.name} and {pictures[path.stem].name} are both called '{path.stem}'", where=str(folder)
+                )
+            pictures[path.stem] = path
+    return pictures
+
+
+def _look(path: Path, board: Board) -> tuple[tuple[int, int], Corners | str]:
+    """The picture's (width, height) and its corners, or why there are none."""
+    try:
+        image = read_image(path)
+    except CameraError as error:
+        return (0, 0), error.what
+    size = image.shape[1], image.shape[0]
+    corners = detect_board(image, board)
+    if corners is None or not corners.found.any():
+        part = "; a chessboard must be wholly in view" if board.kind == "chessboard" else ""
+        return size, f"no board is found in it{part}"
+    return size, corners
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    """Sorts cam2 before cam10."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]

@@ -1,0 +1,1 @@
+"""Camera files: Kalibr, ROS and OpenCV, read and written."""

@@ -1,0 +1,1 @@
+"""Detect LEDs in a session's images."""

@@ -1,0 +1,334 @@
+"""From a session's images to its sightings: a sighting that is sure, or none."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from urdfcal.detection.association import Candidate, agree
+from urdfcal.detection.debug_images import draw_spots
+from urdfcal.detection.image_index import Album, read_album
+from urdfcal.detection.prediction import Lights, foresee
+from urdfcal.detection.spots.detector import find_spots
+from urdfcal.errors import OutputError, SessionError
+from urdfcal.files import staged
+from urdfcal.images.files import in_parallel, workers, write_image
+from urdfcal.images.video import Video
+from urdfcal.io.folder import IMAGES, detections_path, read_positions
+from urdfcal.io.writing import write_detections, write_table
+from urdfcal.robot.kinematics import tip_poses
+from urdfcal.session.model import Detections
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from urdfcal.arrays import Floats, Ints
+    from urdfcal.cameras.camera import Camera
+    from urdfcal.cameras.rig import Rig
+    from urdfcal.detection.image_index import Shot
+    from urdfcal.detection.spots.detector import Spots
+    from urdfcal.images.files import Colour
+    from urdfcal.images.sequence import Pictures, Shown
+    from urdfcal.session.model import Positions
+
+REJECTED = "detections_rejected.csv"
+
+# The arm is in the same place again where its LED comes back to within this. [m]
+_SAME = 5e-3
+# What MPEG-4 does to a spot 3.5 px wide in the 2 kB that OpenCV's encoder spends on a frame: 0.06 px a coordinate, of
+# which its pictures, smoothed as they are, show nothing. [px]
+_COMPRESSED = 0.06
+# What calibration is told of the best sightings: dust and uneven pixels are not in a picture's own noise. [px]
+_LEAST_SIGMA = 2e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Detected:
+    """What was found in a session's images.
+
+    Attributes:
+        positions: the session without its sightings.
+        album: the pictures.
+        spots: the small lights of each camera; the good ones are the sightings.
+        warnings: what could not be used to decide, and what is left over.
+    """
+
+    positions: Positions
+    album: Album
+    spots: tuple[Spots, ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def detections(self) -> Detections:
+        """The sightings.
+
+        Raises:
+            SessionError: there is none.
+        """
+        rows = [(shot, c, i) for c, shot, i in self._sightings()]
+        if not rows:
+            raise SessionError(
+                f"no LED was found in {self.album.count} pictures", remedy=f"What was seen instead: {self.summary()}."
+            )
+        fits = [self.spots[c].fits for _, c, _ in rows]
+        return Detections(
+            pose=np.array([shot.pose for shot, _, _ in rows]),
+            camera=np.array([c for _, c, _ in rows]),
+            led=np.array([shot.led for shot, _, _ in rows]),
+            uv=np.array([of.uv[i] for of, (_, _, i) in zip(fits, rows, strict=True)]),
+            sigma=np.array([self._sigma(c, float(self.spots[c].fits.sigma[i])) for _, c, i in rows]),
+        )
+
+    def _sigma(self, camera: int, sigma: float) -> float:
+        """Of a sighting, from that of its spot in the picture. [px]."""
+        compressed = isinstance(self.album.pictures[camera], Video)
+        return float(np.hypot(sigma, _COMPRESSED)) if compressed else max(_LEAST_SIGMA, sigma)
+
+    @property
+    def found(self) -> int:
+        """Number of sightings."""
+        return sum(1 for _ in self._sightings())
+
+    def rejected(self) -> Iterator[tuple[str, str, str, int | None, str]]:
+        """Pose, camera, LED, row of its camera's spots (None: no light) and reason of every light rejected."""
+        for name, shots, spots in self._by_camera():
+            rows = defaultdict(list)
+            for i, picture in enumerate(spots.picture):
+                rows[int(picture)].append(i)
+            for k, shot in enumerate(shots):
+                labels = self.positions.label(shot.pose), name, self.positions.led_names[shot.led]
+                for i in rows[k]:
+                    if spots.reasons[i]:
+                        yield (*labels, i, spots.reasons[i])
+                if not rows[k]:
+                    yield (*labels, None, "no light at all")
+
+    def summary(self) -> str:
+        """How often which reason was given, most frequent first."""
+        # "12.3 px from where ..." and the like are one reason.
+        counts = Counter(" ".join(w for w in reason.split() if not w[0].isdigit()) for *_, reason in self.rejected())
+        return ", ".join(f"{reason} ({count})" for reason, count in counts.most_common())
+
+    def _by_camera(self) -> Iterator[tuple[str, tuple[Shot, ...], Spots]]:
+        names = self.positions.rig.names if self.positions.rig is not None else ()
+        return zip(names, self.album.shots, self.spots, strict=True)
+
+    def _sightings(self) -> Iterator[tuple[int, Shot, int]]:
+        for camera, (_, shots, spots) in enumerate(self._by_camera()):
+            for i in np.flatnonzero(spots.good):
+                yield camera, shots[spots.picture[i]], int(i)
+
+
+def detect(
+    folder: str | Path,
+    colour: Colour = "any",
+    progress: Callable[[int], object] | None = None,
+    threads: int | None = None,
+) -> Detected:
+    """Look for the LEDs in all images of a session.
+
+    Args:
+        folder: the session's, or its YAML file.
+        colour: of the LEDs; "any" if it is not known, or the images are grey.
+        progress: called with the number of pictures read since the last call.
+        threads: that read images, one a core by default.
+
+    Raises:
+        SessionError: the session is malformed, or has no images.
+        CameraError: an image cannot be read, or has another size than its camera.
+    """
+    return detect_in(*open_album(folder), colour, progress, threads)
+
+
+def open_album(path: str | Path) -> tuple[Positions, Album]:
+    """Read a session without its sightings, and which pictures there are.
+
+    Args:
+        path: the session's folder, or its YAML file.
+
+    Raises:
+        SessionError: the session is malformed, or has no images.
+    """
+    positions = read_positions(path)
+    folder = Path(path) if Path(path).is_dir() else Path(path).parent
+    return positions, read_album(folder / IMAGES, positions)
+
+
+def detect_in(
+    positions: Positions,
+    album: Album,
+    colour: Colour = "any",
+    progress: Callable[[int], object] | None = None,
+    threads: int | None = None,
+) -> Detected:
+    """Look for the LEDs in an album; see :func:`detect`."""
+    rig = positions.rig
+    if rig is None:
+        raise SessionError("no cameras are named", remedy="Images need a camera file.")
+    T_base_tip = tip_poses(positions.chain, positions.q)
+    threads = threads or workers()
+
+    def look(task: tuple[Camera, tuple[Shot, ...], Pictures]) -> Spots:
+        camera, shots, pictures = task
+        pose, led = _indices(shots)
+        place = _places(positions, T_base_tip[pose], led)
+        share = max(1, threads // len(album.shots))
+        return find_spots(pictures, camera.resolution, colour, place, progress, share)
+
+    # A thread a camera: a video is decoded from its beginning to its end by one.
+    tasks = zip(rig.cameras, album.shots, album.pictures, strict=True)
+    found = list(in_parallel(look, tasks, min(threads, len(album.shots))))
+    spots, warnings = [], []
+    for camera, shots, seen in zip(rig.cameras, album.shots, found, strict=True):
+        pose, led = _indices(shots)
+        spots.append(seen)
+        if len(seen.still):
+            listing = ", ".join(f"({u}, {v})" for u, v in seen.still)
+            warnings.append(f"camera {camera.name!r}: small lights stand still and were left out: {listing}")
+        if not shots:
+            continue
+        good = np.flatnonzero(seen.good)
+        lights = Lights(seen.picture, seen.fits.uv, _flux(seen))
+        some = Lights(lights.picture[good], lights.uv[good], lights.flux[good])
+        foresight = foresee(camera, positions.leds, T_base_tip[pose], led, some)
+        if foresight is None:
+            warnings.append(
+                f"camera {camera.name!r}: the arm did not help to tell the LED from other lights: "
+                "too few pictures show it, or they disagree with the arm"
+            )
+        else:
+            misses = foresight.misses(lights)
+            far = np.flatnonzero(misses > foresight.gate)
+            spots[-1] = seen.with_reasons({int(i): _far(float(misses[i])) for i in far})
+    spots, more = _agreeing(rig, album, spots)
+    return Detected(positions, album, tuple(spots), (*positions.warnings, *album.warnings, *warnings, *more))
+
+
+def _indices(shots: Sequence[Shot]) -> tuple[Ints, Ints]:
+    """(P,) and (P,) the poses and the LEDs of some shots."""
+    pose, led = ([getattr(shot, name) for shot in shots] for name in ("pose", "led"))
+    return np.array(pose, dtype=np.intp), np.array(led, dtype=np.intp)
+
+
+def write_detected(path: str | Path, detected: Detected) -> list[Path]:
+    """Write detections.csv and detections_rejected.csv into a session's folder; both or none.
+
+    Args:
+        path: the session's folder, or its YAML file.
+        detected: what was found.
+
+    Returns:
+        The files.
+
+    Raises:
+        OutputError: there are detections that do not come from here, or the folder cannot be written.
+        SessionError: no LED was found.
+    """
+    table = detections_path(path)
+    if table.exists() and not table.with_name(REJECTED).exists():
+        raise OutputError(
+            "there are detections already, and not by urdfcal detect", where=str(table), remedy="Move them away first."
+        )
+    detections = detected.detections
+    with staged(table.parent) as stage:
+        write_detections(stage / table.name, detected.positions, detections)
+        header = ["pose", "camera", "led", "u", "v", "sigma", "peak", "width", "reason"]
+        write_table(stage / REJECTED, header, zip(*_rejected_rows(detected), strict=True))
+    return [table, table.with_name(REJECTED)]
+
+
+def write_debug_images(
+    folder: Path, detected: Detected, colour: Colour = "any", progress: Callable[[int], object] | None = None
+) -> None:
+    """Draw what was found in each picture: ``folder``/<camera>/<picture>.png.
+
+    Args:
+        folder: where to; made if need be, in a folder that exists.
+        detected: what was found.
+        colour: that was looked for.
+        progress: called with the number of drawings made since the last call.
+
+    Raises:
+        OutputError: the folder cannot be written.
+    """
+    positions, rig = detected.positions, detected.positions.rig
+    if rig is None:
+        return
+
+    def draw(task: tuple[Camera, int, Shot, Shown, Spots]) -> None:
+        camera, number, shot, picture, spots = task
+        rows = np.flatnonzero(spots.picture == number)
+        label, led = positions.label(shot.pose), positions.led_names[shot.led]
+        title = f"{camera.name}  pose {label}  LED {led}"
+        reasons = [spots.reasons[i] for i in rows]
+        image = picture.lit(camera.resolution)
+        drawing = draw_spots(image, colour, spots.fits.uv[rows], spots.fits.sigma[rows], reasons, title)
+        write_image(
+            stage / camera.name / (f"{label}.{led}.png" if len(positions.leds) > 1 else f"{label}.png"), drawing
+        )
+
+    def tasks() -> Iterator[tuple[Camera, int, Shot, Shown, Spots]]:
+        album, pictures = detected.album, detected.album.pictures
+        for camera, shots, of_camera, spots in zip(rig.cameras, album.shots, pictures, detected.spots, strict=True):
+            shown: Pictures = of_camera
+            for number, (shot, picture) in enumerate(zip(shots, shown, strict=True)):
+                yield camera, number, shot, picture, spots
+
+    with staged(folder) as stage:
+        for name in rig.names:
+            (stage / name).mkdir()
+        for _ in in_parallel(draw, tasks()):
+            if progress:
+                progress(1)
+
+
+def _rejected_rows(detected: Detected) -> Iterator[tuple[str, ...]]:
+    names = detected.positions.rig.names if detected.positions.rig is not None else ()
+    for pose, camera, led, row, reason in detected.rejected():
+        numbers = [""] * 5
+        if row is not None:
+            fits = detected.spots[names.index(camera)].fits
+            values = (*fits.uv[row], fits.sigma[row], fits.peak[row], fits.width[row])
+            numbers = [f"{value:.4g}" if abs(value) < 1e3 else f"{value:.1f}" for value in values]
+        yield (pose, camera, led, *(number.replace("nan", "") for number in numbers), reason)
+
+
+def _places(positions: Positions, T_base_tip: Floats, led: Ints) -> Ints:
+    """(P,) a number for each picture that is the same where the LED should be in the same place."""
+    # An LED of unknown place is somewhere off the tip: turning the tip moves it.
+    assumed = [np.full(3, 0.05) if one.position is None else one.position for one in positions.leds]
+    R, p = T_base_tip[:, :3, :3], T_base_tip[:, :3, 3]
+    points = p + (R @ np.array(assumed)[led][..., None])[..., 0]
+    unknown = np.array([one.position is None for one in positions.leds])[led]
+    rounded = np.column_stack([np.round(points / _SAME), np.where(unknown, led, -1)])
+    return np.asarray(np.unique(rounded, axis=0, return_inverse=True)[1].ravel())
+
+
+def _far(miss: float) -> str:
+    if not np.isfinite(miss):
+        return "the arm holds the LED out of this camera's sight"
+    return f"{miss:.0f} px from where the arm holds the LED"
+
+
+def _flux(spots: Spots) -> Floats:
+    """(n,) brightness of spots: the volume under them."""
+    return np.asarray(2.0 * np.pi * spots.fits.peak * (spots.fits.width**2 + 1.0 / 12.0))
+
+
+def _agreeing(rig: Rig, album: Album, spots: list[Spots]) -> tuple[list[Spots], list[str]]:
+    """Reject what the other cameras' rays do not meet, and all but one light a picture."""
+    groups: defaultdict[tuple[int, int], list[Candidate]] = defaultdict(list)
+    for camera, (shots, seen) in enumerate(zip(album.shots, spots, strict=True)):
+        flux = _flux(seen)
+        for i in np.flatnonzero(seen.good):
+            shot = shots[seen.picture[i]]
+            groups[shot.pose, shot.led].append(Candidate(camera, int(i), seen.fits.uv[i], float(flux[i])))
+    verdict, warnings = agree(rig, list(groups.values()))
+    by_camera: list[dict[int, str]] = [{} for _ in spots]
+    for (camera, row), reason in verdict.items():
+        by_camera[camera][row] = reason
+    return [seen.with_reasons(reasons) for seen, reasons in zip(spots, by_camera, strict=True)], warnings

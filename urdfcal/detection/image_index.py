@@ -1,0 +1,202 @@
+"""Which picture shows which LED at which pose: the names of the files in a session's images folder."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeVar
+
+from urdfcal.detection.spots.detector import Picture
+from urdfcal.errors import SessionError
+from urdfcal.images.files import SUFFIXES
+from urdfcal.images.video import SUFFIXES as VIDEO_SUFFIXES
+from urdfcal.images.video import Video
+from urdfcal.names import listed, suggest
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from urdfcal.session.model import Positions
+    from urdfcal.session.trajectory import Trajectory
+
+_DARK = "off"
+
+_K = TypeVar("_K")
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A picture of one LED at one pose.
+
+    Attributes:
+        pose: index of the pose.
+        led: index of the LED that is lit.
+    """
+
+    pose: int
+    led: int
+
+
+@dataclass(frozen=True)
+class Album:
+    """All pictures of a session.
+
+    Attributes:
+        shots: of each camera, by pose and LED.
+        pictures: of each camera, one a shot.
+        warnings: files and cameras that are left over.
+    """
+
+    shots: tuple[tuple[Shot, ...], ...]
+    pictures: tuple[tuple[Picture, ...] | Video, ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def count(self) -> int:
+        """Number of pictures to look for an LED in."""
+        return sum(map(len, self.shots))
+
+
+def read_album(folder: Path, positions: Positions) -> Album:
+    """Sort the files of ``folder``/<camera>/: <pose>.png, <pose>.<led>.png or <pose>.off.png (dark, subtracted).
+
+    Of an arm that moved a pose is a frame, and ``folder``/<camera>.mp4 may hold all frames of a camera in their order.
+
+    Args:
+        folder: of the images.
+        positions: whose poses, LEDs and cameras the names refer to.
+
+    Raises:
+        SessionError: there is no picture, two files say the same, a name does not say which LED is lit, or there is a
+            video of an arm that stood still or with several LEDs.
+    """
+    cameras = positions.rig.names if positions.rig is not None else ()
+    if not folder.is_dir():
+        raise SessionError(
+            "there is no such folder",
+            where=str(folder),
+            remedy=f"Put the pictures into {folder.name}/<camera>/<pose>.png.",
+        )
+    if _DARK in positions.led_names:
+        raise SessionError(
+            f"an LED is named {_DARK!r}, as are the pictures with the LED dark", where="leds", remedy="Rename it."
+        )
+    warnings = [
+        f"{path}: no camera is called {path.name!r}. {suggest(path.name, cameras, 'cameras')}"
+        for path in sorted(folder.iterdir())
+        if path.is_dir() and path.name not in cameras
+    ]
+    videos = _videos(folder, cameras)
+    warnings += [f"{path}: no camera is called {path.stem!r}" for path in videos.pop("", [])]
+    shots: list[tuple[Shot, ...]] = []
+    pictures: list[tuple[Picture, ...] | Video] = []
+    for c, camera in enumerate(cameras):
+        if camera in videos:
+            found, video = _frames(videos[camera], c, folder / camera, positions)
+            shots.append(found)
+            pictures.append(video)
+            continue
+        stills, strangers = _sort(folder / camera, c, positions)
+        shots.append(tuple(shot for shot, _ in stills))
+        pictures.append(tuple(picture for _, picture in stills))
+        if not stills:
+            warnings.append(f"{folder / camera}: there are no pictures of this camera")
+        elif strangers:
+            warnings.append(f"{folder / camera}: {len(strangers)} files belong to no pose: {listed(strangers)}")
+    album = Album(tuple(shots), tuple(pictures), tuple(warnings))
+    if not album.count:
+        raise SessionError(
+            "there is no picture of any pose and camera",
+            where=str(folder),
+            remedy=f"They are to be called <camera>/<pose>{SUFFIXES[0]}; {listed(cameras)} are the cameras, "
+            f"{listed(positions.poses[:3])} the first poses.",
+        )
+    return album
+
+
+def _videos(folder: Path, cameras: Sequence[str]) -> dict[str, list[Path]]:
+    """The video files by camera; those of none by the empty name."""
+    found: dict[str, list[Path]] = {}
+    for path in sorted(folder.iterdir()):
+        if path.suffix.lower() in VIDEO_SUFFIXES and path.is_file():
+            found.setdefault(path.stem if path.stem in cameras else "", []).append(path)
+    return found
+
+
+def _frames(paths: Sequence[Path], camera: int, folder: Path, positions: Positions) -> tuple[tuple[Shot, ...], Video]:
+    """The shots in a camera's video: its n-th picture is the n-th of the camera's frames."""
+    path, *others = paths
+    if others or folder.is_dir():
+        other = others[0] if others else folder
+        raise SessionError(
+            f"there is {other.name} as well", where=str(path), remedy="One video, or one folder, a camera: keep one."
+        )
+    if positions.trajectory is None:
+        raise SessionError(
+            "this is a video, and the session names no frames",
+            where=str(path),
+            remedy="frames: frames.csv in session.yaml lists them: camera,frame,time.",
+        )
+    if len(positions.leds) > 1:
+        raise SessionError(
+            f"there are {len(positions.leds)} LEDs, and a video does not say which is lit",
+            where=str(path),
+            remedy="Write its frames as pictures <frame>.<led>.png, or leave one LED on.",
+        )
+    poses = _poses_of(positions.trajectory, camera)
+    rows = tuple(int(positions.trajectory.row[pose]) for pose in poses.values())
+    shots = tuple(Shot(pose, 0) for pose in poses.values())
+    return shots, Video(path, rows, len(positions.trajectory.frames[camera]))
+
+
+def _poses_of(trajectory: Trajectory, camera: int) -> dict[str, int]:
+    """The pose by frame label, of the frames of one camera that are used, in order."""
+    mine = sorted((k for k, c in enumerate(trajectory.camera) if c == camera), key=lambda k: int(trajectory.row[k]))
+    return {trajectory.label(k): k for k in mine}
+
+
+def _sort(folder: Path, camera: int, positions: Positions) -> tuple[list[tuple[Shot, Picture]], list[str]]:
+    """The shots in one camera's folder, and the names of image files that say nothing."""
+    if positions.trajectory is None:
+        poses = {name: i for i, name in enumerate(positions.poses)}
+        known = set(poses)
+    else:
+        poses, known = _poses_of(positions.trajectory, camera), set(positions.trajectory.frames[camera])
+    lit: dict[tuple[int, int], Path] = {}
+    dark: dict[int, Path] = {}
+    strangers = []
+    files = sorted(folder.iterdir()) if folder.is_dir() else []
+    for path in files:
+        if path.suffix.lower() not in SUFFIXES:
+            continue
+        # A pose's label may hold dots itself: the whole name first.
+        label, _, last = (path.stem, "", "") if path.stem in known else path.stem.rpartition(".")
+        pose = poses.get(label)
+        if pose is None and label in known:
+            continue  # a frame that is not used, as the session's warnings say
+        if pose is None or (last and last != _DARK and last not in positions.led_names):
+            strangers.append(path.name)
+        elif last == _DARK:
+            _enter(dark, pose, path)
+        else:
+            _enter(lit, (pose, _led(last, path, positions.led_names)), path)
+    shots = [(Shot(pose, led), Picture(path, dark.get(pose))) for (pose, led), path in sorted(lit.items())]
+    return shots, strangers
+
+
+def _led(name: str, path: Path, leds: Sequence[str]) -> int:
+    if name:
+        return leds.index(name)
+    if len(leds) > 1:
+        raise SessionError(
+            f"there are {len(leds)} LEDs, and the name does not say which is lit",
+            where=str(path),
+            remedy=f"Call it {path.stem}.{leds[0]}{path.suffix} or the like, one picture an LED.",
+        )
+    return 0
+
+
+def _enter(table: dict[_K, Path], key: _K, path: Path) -> None:
+    if key in table:
+        raise SessionError(f"this is the same picture as {table[key].name}", where=str(path), remedy="Keep one.")
+    table[key] = path

@@ -1,0 +1,187 @@
+"""LEDs in the pictures of one camera: every small light there is, and whether it looks like an LED.
+
+Nothing here knows the robot: which of several lights is the LED is decided where the arm is known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import chain, islice
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from urdfcal.detection.spots.candidates import HOT, LARGE
+from urdfcal.detection.spots.centroid import Crops, Fits, fit_spots
+from urdfcal.detection.spots.preprocessing import Look, look, read_backdrop
+from urdfcal.images.files import in_parallel
+from urdfcal.images.sequence import Picture
+
+__all__ = ["Picture", "Spots", "find_spots"]
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+
+    from urdfcal.arrays import Bools, Ints
+    from urdfcal.images.files import Colour
+    from urdfcal.images.sequence import Pictures
+
+# Pictures whose crops are fitted together: with a dozen lights each, their crops take as much as six pictures.
+_TOGETHER = 64
+
+# An LED cannot be measured below this; of noise alone nothing comes so far. [deviations of the peak]
+_FAINTEST = 5.0
+# The lens blurs every light a little: by less than 0.4 px on no camera whose LED could be measured to a tenth.
+_SMALLEST, _LARGEST = 0.4, 6.0
+# A lens's coma reaches 1.3 in the corners. A streak 4 widths long has 1.5: its centre is off by the unevenness of
+# the motion, a fraction of a width.
+_ELONGATED = 1.5
+# What a spot leaves unexplained of its core. An evenly lit disc (an LED out of focus, 2 to 6 px in radius) has 5 to
+# 9 %, and is found to 0.01 px all the same; two lights that the fit took for one 16 % and more.
+_MISFIT = 0.12
+# A second light in the same window, three widths away: 15 % as high it moves the centre by 0.04 px, 30 % by 0.1 px.
+_LOBE = 0.15
+# Share of the light in the named colour: 1/3 is white, a red LED has above 0.6 on any Bayer sensor.
+_PURITY = 0.45
+
+# Lights this near to each other in different pictures are one that stands still. [px]
+_SAME_PLACE = 2.0
+# In so many pictures with the LED elsewhere: chance brings a moving LED back to within two pixels in one in 10,000.
+_STILL_COUNT, _STILL_SHARE = 3, 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Spots:
+    """Small lights in the pictures of one camera.
+
+    Attributes:
+        picture: (n,) index of the picture.
+        fits: where they are and what they look like.
+        reasons: n texts why a light is not taken for an LED; empty where it may be one.
+        still: (k, 2) where small lights stand still, which were taken off the pictures. [px]
+    """
+
+    picture: Ints
+    fits: Fits
+    reasons: tuple[str, ...]
+    still: Ints = field(default_factory=lambda: np.zeros((0, 2), dtype=np.intp))
+
+    @staticmethod
+    def join(parts: Iterable[Spots], still: Ints | None = None) -> Spots:
+        """All spots of several, in order."""
+        parts = list(parts)
+        return Spots(
+            np.concatenate([np.zeros(0, dtype=np.intp), *(part.picture for part in parts)]),
+            Fits.join(part.fits for part in parts),
+            tuple(chain.from_iterable(part.reasons for part in parts)),
+            np.zeros((0, 2), dtype=np.intp) if still is None else still,
+        )
+
+    @property
+    def good(self) -> Bools:
+        """(n,) which may be LEDs."""
+        return np.array([not reason for reason in self.reasons], dtype=bool)
+
+    def rejected(self, which: Bools, reason: str) -> Spots:
+        """The same lights, ``which`` (n,) of those that were good rejected with ``reason``."""
+        return self.with_reasons(dict.fromkeys(np.flatnonzero(which).tolist(), reason))
+
+    def with_reasons(self, reasons: Mapping[int, str]) -> Spots:
+        """The same lights, those that were good rejected with ``reasons`` by their rows."""
+        return replace(self, reasons=tuple(old or reasons.get(i, "") for i, old in enumerate(self.reasons)))
+
+
+def find_spots(
+    pictures: Pictures,
+    resolution: tuple[int, int],
+    colour: Colour = "any",
+    place: Ints | None = None,
+    progress: Callable[[int], object] | None = None,
+    threads: int | None = None,
+) -> Spots:
+    """Find and measure every small light in the pictures of one camera.
+
+    Args:
+        pictures: of the same camera.
+        resolution: (width, height) that they must have. [px]
+        colour: of the LED: lights of other colours are rejected, and the others' pixels not used.
+        place: (P,) of every picture a number that is the same where the LED should be at the same place; without,
+            it is elsewhere in each.
+        progress: called with the number of pictures read since the last call.
+        threads: that read, one a core by default.
+
+    Raises:
+        CameraError: a picture cannot be read, or has another size.
+    """
+    place = np.arange(len(pictures)) if place is None else place
+    backdrop = read_backdrop(pictures, place, resolution, colour, threads)
+    looks = in_parallel(partial(look, resolution=resolution, colour=colour, backdrop=backdrop), pictures, threads)
+    batches = []
+    for first in range(0, len(pictures), _TOGETHER):
+        batch = []
+        for seen in islice(looks, _TOGETHER):
+            batch.append(seen)
+            if progress:
+                progress(1)
+        batches.append(_measured(batch, first, resolution, colour))
+    spots = Spots.join(batches, backdrop.lights if backdrop else None)
+    return spots.rejected(_stands_still(spots, place), "it stands still")
+
+
+def _stands_still(spots: Spots, place: Ints) -> Bools:
+    """Which spots (n,) are where a light also is in pictures with the LED elsewhere."""
+    from scipy.spatial import cKDTree
+
+    if not len(spots.fits):
+        return np.zeros(0, dtype=bool)
+    tree = cKDTree(spots.fits.uv)
+    of = place[spots.picture]
+    counts = np.array([np.unique(of[near]).size for near in tree.query_ball_point(spots.fits.uv, _SAME_PLACE)])
+    return np.asarray(counts >= max(_STILL_COUNT, _STILL_SHARE * np.unique(place).size))
+
+
+def _measured(looks: Sequence[Look], first: int, resolution: tuple[int, int], colour: Colour) -> Spots:
+    """Fit and judge the lights of some pictures, the ``first`` and following."""
+    numbers = first + np.arange(len(looks))
+    crops = Crops.join(seen.crops for seen in looks)
+    fits = fit_spots(crops)
+    spots = Spots(np.repeat(numbers, [len(seen.crops) for seen in looks]), fits, ("",) * len(fits))
+    if colour != "any":
+        spots = spots.rejected(np.concatenate([seen.purity for seen in looks]) < _PURITY, f"not {colour}")
+    others = Spots(
+        np.repeat(numbers, [len(seen.others) for seen in looks]),
+        Fits.unknown(np.concatenate([seen.others for seen in looks])),
+        tuple(chain.from_iterable(seen.reasons for seen in looks)),
+    )
+    joined = Spots.join([_once(_judged(spots, resolution)), others])
+    order = np.argsort(joined.picture, kind="stable")
+    return Spots(joined.picture[order], joined.fits[order], tuple(joined.reasons[i] for i in order))
+
+
+def _judged(spots: Spots, resolution: tuple[int, int]) -> Spots:
+    """Reject what does not look like an LED, each with the first reason that holds."""
+    fits = spots.fits
+    # In widths as they appear, the pixel's own included.
+    apparent = np.sqrt(fits.width**2 + 1.0 / 12.0)
+    distance = np.minimum(fits.uv + 0.5, np.array(resolution) - 0.5 - fits.uv).min(axis=1)
+    ratio = fits.ratio - 2.0 * fits.ratio_sigma
+    spots = spots.rejected(distance < 2.0 * apparent, "cut by the border")
+    spots = spots.rejected(fits.width < _SMALLEST, HOT)
+    spots = spots.rejected(fits.significance < _FAINTEST, "too faint")
+    spots = spots.rejected(fits.width > _LARGEST, LARGE)
+    spots = spots.rejected(ratio > _ELONGATED, "elongated: a streak or a reflection on an edge")
+    spots = spots.rejected(fits.lobe > _LOBE, "another light beside it")
+    spots = spots.rejected(fits.misfit > _MISFIT, "not a round spot")
+    return spots.rejected(~fits.found | ~np.isfinite(fits.sigma), "no spot")
+
+
+def _once(spots: Spots) -> Spots:
+    """Without fits that met in the same place as one before them in the same picture."""
+    kept = np.ones(len(spots.fits), dtype=bool)
+    for picture in np.unique(spots.picture):
+        rows = np.flatnonzero(spots.picture == picture)
+        apart = np.linalg.norm(spots.fits.uv[rows, None] - spots.fits.uv[rows], axis=2) >= _SAME_PLACE
+        kept[rows] = (apart | ~np.tri(len(rows), k=-1, dtype=bool)).all(axis=1)
+    rows = np.flatnonzero(kept)
+    return Spots(spots.picture[rows], spots.fits[rows], tuple(spots.reasons[i] for i in rows))

@@ -1,0 +1,143 @@
+"""One picture: read, freed of what stands still, and cut into crops around its small lights."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from urdfcal.detection.spots.background import SAMPLE, Backdrop
+from urdfcal.detection.spots.candidates import find_candidates
+from urdfcal.detection.spots.centroid import HALF, Crops
+from urdfcal.images.files import channel, in_parallel, saturation
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from urdfcal.arrays import Bools, Floats, Ints
+    from urdfcal.images.files import Colour, Image
+    from urdfcal.images.sequence import Pictures, Shown
+
+# With fewer places of the LED, it may be in the same one in half of the sample.
+_FEWEST = SAMPLE + 1
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """One picture.
+
+    Attributes:
+        crops: around its n small lights.
+        purity: (n,) share of the named colour in each.
+        others: (m, 2) pixels of what is no LED at sight.
+        reasons: m texts why.
+    """
+
+    crops: Crops
+    purity: Floats
+    others: Ints
+    reasons: tuple[str, ...]
+
+
+def look(picture: Shown, resolution: tuple[int, int], colour: Colour, backdrop: Backdrop | None) -> Look:
+    """Read one picture and cut out its lights.
+
+    Raises:
+        CameraError: it cannot be read, or has another size than ``resolution`` (width, height).
+    """
+    image = picture.lit(resolution)
+    values = channel(image, colour)
+    search = _searched(image, values, colour)
+    blind, still = None, None
+    if (dark := picture.unlit(resolution)) is not None:
+        without = channel(dark, colour)
+        search = search - _searched(dark, without, colour)
+        values = values - without
+        blind = _clippable(dark, colour) >= saturation(dark)
+        backdrop = None
+    elif backdrop is not None:
+        blind, still = backdrop.blind, backdrop.still
+    found = find_candidates(search, still)
+    index, usable = _around(found.places, values.shape)
+    if blind is not None:
+        usable &= ~blind[index]
+    cut = values[index] if backdrop is None else backdrop.off(values[index], index)
+    clipped = saturation(image)
+    crops = Crops(found.places, cut, usable, _clippable(image, colour)[index] >= clipped)
+    return Look(crops, _purity(image, found.places, colour, clipped), found.others, found.reasons)
+
+
+def read_backdrop(
+    pictures: Pictures, place: Ints, resolution: tuple[int, int], colour: Colour, threads: int | None = None
+) -> Backdrop | None:
+    """Read some pictures with the LED in different places, for what stands still in them.
+
+    Args:
+        pictures: of one camera.
+        place: (P,) of every picture a number that is the same where the LED should be at the same place.
+        resolution: (width, height) that they must have. [px]
+        colour: of the LED.
+        threads: that read.
+
+    Returns:
+        None where the pictures are too few, or have dark ones to be subtracted.
+    """
+    _, first = np.unique(place, return_index=True)
+    if len(first) < _FEWEST:
+        return None
+    sample = np.sort(first)[np.linspace(0, len(first) - 1, SAMPLE).astype(np.intp)]
+    read = list(in_parallel(lambda i: _both(pictures[int(i)], resolution), sample, threads))
+    if any(dark is not None for _, dark in read):
+        return None
+    images = [image for image, _ in read]
+    values = [channel(image, colour) for image in images]
+    searched = None
+    if colour != "any" and images[0].ndim == 3:
+        searched = [_searched(*both, colour) for both in zip(images, values, strict=True)]
+    return Backdrop.of(values, max(map(saturation, images)), searched)
+
+
+def _both(picture: Shown, resolution: tuple[int, int]) -> tuple[Image, Image | None]:
+    return picture.lit(resolution), picture.unlit(resolution)
+
+
+def _searched(image: Image, values: NDArray[np.float32], colour: Colour) -> NDArray[np.float32]:
+    """The image in which an LED of ``colour`` stands out: where its channel exceeds the mean, white lights shrink."""
+    if colour == "any" or image.ndim == 2:
+        return values
+    return 1.5 * values - 0.5 * channel(image, "any")
+
+
+def _around(centre: Ints, shape: tuple[int, ...]) -> tuple[tuple[Ints, Ints], Bools]:
+    """Index of crops around pixels ``centre`` (n, 2), and (n, s, s) what of them lies inside the image."""
+    height, width = shape
+    reach = np.arange(-HALF, HALF + 1)
+    v, u = centre[:, 1, None] + reach, centre[:, 0, None] + reach
+    inside = ((v >= 0) & (v < height))[:, :, None] & ((u >= 0) & (u < width))[:, None, :]
+    return (np.clip(v, 0, height - 1)[:, :, None], np.clip(u, 0, width - 1)[:, None, :]), inside
+
+
+def _clippable(image: Image, colour: Colour) -> Image:
+    """Of an image the channel (h, w) that may be clipped: the named one, the largest, or the only one there is."""
+    if image.ndim == 2:
+        return image
+    if colour == "any":
+        return np.asarray(np.maximum.reduce([image[..., 0], image[..., 1], image[..., 2]]))
+    return image[..., ("red", "green", "blue").index(colour)]
+
+
+def _purity(image: Image, centre: Ints, colour: Colour, clipped: float) -> Floats:
+    """Share (n,) of the light around each candidate that is of the named colour; 1 in a grey image."""
+    purity = np.ones(len(centre))
+    if colour == "any" or image.ndim == 2:
+        return purity
+    for i, (u, v) in enumerate(centre):
+        patch = image[max(0, v - 8) : v + 9, max(0, u - 8) : u + 9].reshape(-1, 3).astype(np.float64)
+        light = patch - np.median(patch, axis=0)
+        # Where one channel is clipped, the colour is lost: the rim tells it.
+        light = np.maximum(light[(patch < clipped).all(axis=1)], 0.0)
+        bright = light.sum(axis=1)
+        total = light[bright > 0.3 * bright.max(initial=0.0)].sum(axis=0)
+        purity[i] = total[("red", "green", "blue").index(colour)] / max(float(total.sum()), 1e-9)
+    return purity

@@ -1,0 +1,1 @@
+"""Image files, image sequences and videos as arrays."""

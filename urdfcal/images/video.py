@@ -1,0 +1,160 @@
+"""Videos: decoded from the first frame to the last, one at a time."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from urdfcal.errors import CameraError
+from urdfcal.files import replacing
+from urdfcal.images.sequence import sized
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+    from pathlib import Path
+
+    from urdfcal.images.files import Image
+
+SUFFIXES = (".mp4", ".avi", ".mkv")
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A picture of a video, decoded.
+
+    Attributes:
+        image: (h, w, 3) red first, 8 bit.
+        where: the video, and which of its pictures.
+    """
+
+    image: Image
+    where: str
+
+    def lit(self, resolution: tuple[int, int]) -> Image:
+        """The picture.
+
+        Raises:
+            CameraError: it has another size than ``resolution`` (width, height).
+        """
+        return sized(self.image, resolution, self.where)
+
+    def unlit(self, resolution: tuple[int, int]) -> None:
+        """A video has no dark pictures."""
+        del resolution
+
+
+@dataclass(frozen=True)
+class Video:
+    """Some pictures of a video file.
+
+    Attributes:
+        path: the file.
+        rows: the pictures, from 0, in ascending order.
+        count: how many pictures the file must have in all.
+    """
+
+    path: Path
+    rows: tuple[int, ...]
+    count: int
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Decode from the first to the last; the others are passed over.
+
+        Raises:
+            CameraError: the file cannot be read, or has another number of pictures.
+        """
+        wanted = set(self.rows)
+        with _opened(self.path) as video:
+            for row in range(self.count):
+                if not video.grab():
+                    raise self._miscounted(row)
+                if row in wanted:
+                    yield self._retrieved(video, row)
+            more = 0
+            while video.grab():
+                more += 1
+            if more:
+                raise self._miscounted(self.count + more)
+
+    def __getitem__(self, index: int) -> Frame:
+        """Decode one; where the file has no index it may be a neighbour.
+
+        Raises:
+            CameraError: the file cannot be read, or has fewer pictures.
+        """
+        import cv2
+
+        with _opened(self.path) as video:
+            video.set(cv2.CAP_PROP_POS_FRAMES, self.rows[index])
+            if video.grab():
+                return self._retrieved(video, self.rows[index])
+        raise self._miscounted(_counted(self.path))
+
+    def _retrieved(self, video: Any, row: int) -> Frame:
+        done, image = video.retrieve()
+        if not done:
+            raise CameraError("a picture is damaged", where=f"{self.path}, picture {row + 1}")
+        return Frame(np.ascontiguousarray(image[..., ::-1]), f"{self.path}, picture {row + 1}")
+
+    def _miscounted(self, found: int) -> CameraError:
+        return CameraError(
+            f"the video has {found} pictures, and the table of frames {self.count} of this camera",
+            where=str(self.path),
+            remedy="Every picture has its row, in the same order; none may be lost or added in encoding.",
+        )
+
+
+def write_video(path: Path, images: Iterable[Image], resolution: tuple[int, int], rate: float) -> None:
+    """Write 8-bit images, (h, w) or red first (h, w, 3), as MPEG-4.
+
+    Args:
+        path: the file, .mp4.
+        images: one after the other.
+        resolution: (width, height) of them. [px]
+        rate: frames per second, for players.
+
+    Raises:
+        CameraError: this OpenCV cannot encode it.
+        OutputError: the folder cannot be written.
+    """
+    import cv2
+
+    with replacing(path) as temporary:
+        writer = cv2.VideoWriter(str(temporary), cv2.VideoWriter.fourcc(*"mp4v"), rate, resolution)
+        if not writer.isOpened():
+            raise CameraError("this installation of OpenCV writes no MPEG-4", where=str(path))
+        try:
+            for image in images:
+                colours = np.repeat(image[..., None], 3, axis=2) if image.ndim == 2 else image[..., ::-1]
+                writer.write(np.ascontiguousarray(colours))
+        finally:
+            writer.release()
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    import cv2
+
+    video = cv2.VideoCapture(str(path))
+    try:
+        if not video.isOpened():
+            raise CameraError("this is no video, or one that OpenCV cannot decode", where=str(path))
+        # A camera file knows nothing of how a phone was held.
+        video.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
+        yield video
+    finally:
+        video.release()
+
+
+def _counted(path: Path) -> int:
+    with _opened(path) as video:
+        count = 0
+        while video.grab():
+            count += 1
+        return count

@@ -1,0 +1,1 @@
+"""Check a session for wrong units, swapped names and stuck sensors."""

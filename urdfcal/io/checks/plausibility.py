@@ -1,0 +1,415 @@
+"""Is this session what it says? Wrong units, exchanged names and stuck sensors, each told from honest data.
+
+Every rule is one function; the numbers that decide are at the top, each with its reason.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from urdfcal.errors import SessionError
+from urdfcal.io.checks.swaps import Rays, check_names_by_rays
+from urdfcal.io.tables import JointTable
+from urdfcal.names import listed
+from urdfcal.session.attachments import WORLD
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+    from urdfcal.arrays import Floats
+    from urdfcal.cameras.rig import Rig
+    from urdfcal.io.frame_tables import LogTable
+    from urdfcal.io.schema import Document
+    from urdfcal.io.tables import SightingTable
+    from urdfcal.robot.mechanism import Joint, Mechanism
+    from urdfcal.session.model import Led, Noise
+
+# Encoders are read to 1e-4 rad or m, and controllers let joints overrun their limits by less than this.
+OVERRUN = 1e-3
+# A wrist that turns without limits may have been wound up twice; in degrees it goes to hundreds.
+_WOUND_UP = 4.0 * np.pi
+# One bad row is a typing error; a wrong unit shows in most poses.
+_MOST = 0.5
+# The wrist's joints alone may span next to nothing, and still carry a hand-long tool.
+_SMALLEST_ARM = 0.1
+# An LED held five arm lengths from the tip, or seen moving twenty, is in millimetres.
+_TOO_FAR, _TOO_WIDE = 5.0, 20.0
+# 5 % of the image: an LED found no better than this is not found.
+_BLIND = 0.05
+# Five degrees of reading noise: the unit is wrong.
+_UNREAD = 0.1
+# Encoders repeat what hardly changes: one frame in a hundred of a slow arm at 2 kB a frame.
+_REPEATED = 0.05
+# A joint that moves less than this moves the tip by less than the drawing is wrong.
+_STILL = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Taken:
+    """The moments at which something was measured: poses, or frames of a moving arm.
+
+    Attributes:
+        path: the table that lists them.
+        labels: N of them.
+        readings: (N, k) of the actuated joints. [rad or m]
+        still: readings that differ by no more are the same place. [rad or m]
+    """
+
+    path: Path
+    labels: tuple[str, ...]
+    readings: Floats
+    still: float
+
+
+@dataclass(frozen=True, eq=False)
+class Inputs:
+    """All that was read, with the places it was read from.
+
+    Attributes:
+        document: session.yaml.
+        chain: the robot's.
+        leds: as declared.
+        rig: the cameras, if any.
+        noise: as declared.
+        joints: the joint readings.
+        taken: when or where LEDs were looked at.
+        detections: the pixels, if any.
+        points: the measured points, if any.
+    """
+
+    document: Document
+    chain: Mechanism
+    leds: tuple[Led, ...]
+    rig: Rig | None
+    noise: Noise
+    joints: JointTable | LogTable
+    taken: Taken
+    detections: SightingTable | None
+    points: SightingTable | None
+
+    @property
+    def scale(self) -> float:
+        """Size of the arm in m, for comparison with lengths that should be of its order."""
+        return max(self.chain.reach, _SMALLEST_ARM)
+
+    @property
+    def cameras_file(self) -> str:
+        """The camera file's name, as the session gives it."""
+        named = self.document.data["cameras"]
+        return str(named if isinstance(named, str) else named["file"])
+
+    @property
+    def sightings(self) -> Iterator[SightingTable]:
+        """The tables of sightings that there are."""
+        return (table for table in (self.detections, self.points) if table is not None)
+
+
+def check_positions(inputs: Inputs) -> tuple[str, ...]:
+    """Look for what can go wrong before anything is seen: in the readings, and in what is declared.
+
+    Returns:
+        What looks odd but may be right.
+
+    Raises:
+        SessionError: what cannot be right, with file, line and column.
+    """
+    _check_reading_units(inputs)
+    _check_limits(inputs)
+    _check_led_units(inputs)
+    _check_mount_units(inputs)
+    _check_noise_units(inputs)
+    return (*_still_joints(inputs), *_same_readings(inputs.joints))
+
+
+def check(inputs: Inputs) -> tuple[str, ...]:
+    """Look for what can go wrong between the robot and the files.
+
+    Returns:
+        What looks odd but may be right.
+
+    Raises:
+        SessionError: what cannot be right, with file, line and column.
+    """
+    warnings = list(check_positions(inputs))
+    _check_point_units(inputs)
+    for table in inputs.sightings:
+        warnings += _frozen(inputs, table)
+    if inputs.detections is not None and inputs.rig is not None:
+        rays, odd = check_names_by_rays(inputs.rig, inputs.detections)
+        warnings += [*odd, *_check_images(inputs, inputs.rig, inputs.detections, rays)]
+    elif inputs.rig is not None:
+        warnings.append(f"{inputs.document.place('cameras')}: there are no detections: the cameras are not used")
+    return (*warnings, *_never_seen(inputs))
+
+
+def _actuated(inputs: Inputs) -> list[Joint]:
+    return [joint for joint in inputs.chain.joints if joint.mimic is None]
+
+
+def _check_reading_units(inputs: Inputs) -> None:
+    """Degrees and millimetres: in most poses far outside the limits, and inside once converted."""
+    joints, readings = _actuated(inputs), inputs.joints.readings
+    lower, upper = np.array([(j.lower, j.upper) for j in joints]).T
+    prismatic = np.array([j.prismatic for j in joints])
+    boundless = np.where(prismatic, _TOO_WIDE * inputs.scale, _WOUND_UP)
+    lower, upper = np.maximum(lower, -boundless) - OVERRUN, np.minimum(upper, boundless) + OVERRUN
+    factor = np.where(prismatic, 1e-3, np.pi / 180.0)
+    outside = (readings < lower) | (readings > upper)
+    # No radian reading is beyond a whole turn by mistake; most readings in degrees are.
+    outside &= prismatic | (np.abs(readings) > 2.0 * np.pi)
+    fits = ((readings * factor >= lower) & (readings * factor <= upper)).all(axis=0)
+    for unit, meant, kind in (("degrees", "radians", ~prismatic), ("millimetres", "metres", prismatic)):
+        suspects = np.flatnonzero(outside.any(axis=0) & kind)
+        if not suspects.size or not fits[suspects].all():
+            continue
+        if outside[:, suspects].any(axis=1).mean() < _MOST:
+            continue
+        row, column = (int(i) for i in np.argwhere(outside & kind)[0])
+        raise SessionError(
+            f"the readings of {listed([joints[i].name for i in suspects])} look like {unit}: "
+            f"{joints[column].name} is {readings[row, column]:g}",
+            where=inputs.joints.table.place(row, joints[column].name),
+            remedy=f"Write {meant}.",
+        )
+
+
+def _check_limits(inputs: Inputs) -> None:
+    joints, readings = _actuated(inputs), inputs.joints.readings
+    lower, upper = np.array([(j.lower, j.upper) for j in joints]).T
+    outside = np.argwhere((readings < lower - OVERRUN) | (readings > upper + OVERRUN))
+    if not outside.size:
+        return
+    row, column = (int(i) for i in outside[0])
+    joint, value = joints[column], readings[row, column]
+    unit = "m" if joint.prismatic else "rad"
+    more = f" (and {len(outside) - 1} more readings)" if len(outside) > 1 else ""
+    raise SessionError(
+        f"{joint.name} = {value:g} {unit} is outside the joint's limits [{joint.lower:g}, {joint.upper:g}]{more}",
+        where=inputs.joints.table.place(row, joint.name),
+        remedy="Correct the reading, or the limits in the URDF.",
+    )
+
+
+def _check_led_units(inputs: Inputs) -> None:
+    for led in inputs.leds:
+        # A camera, from which places in the world are counted, may stand farther away than an arm carries anything.
+        farthest, origin = (_TOO_WIDE, "world's origin") if led.link == WORLD else (_TOO_FAR, led.link or "tip")
+        if led.position is not None and np.linalg.norm(led.position) > farthest * inputs.scale:
+            raise SessionError(
+                f"{np.linalg.norm(led.position):g} m from the {origin} looks like millimetres: "
+                f"the arm reaches {inputs.chain.reach:.3g} m",
+                where=inputs.document.place("leds", led.name, "position"),
+                remedy="Write metres.",
+            )
+        if led.sigma is not None and led.sigma > inputs.scale:
+            raise SessionError(
+                f"a sigma of {led.sigma:g} m looks like millimetres: the arm reaches {inputs.chain.reach:.3g} m",
+                where=inputs.document.place("leds", led.name, "sigma"),
+                remedy="Write metres.",
+            )
+
+
+def _check_mount_units(inputs: Inputs) -> None:
+    named = inputs.document.data.get("cameras")
+    for camera, keys in named.items() if isinstance(named, dict) else ():
+        if not isinstance(keys, dict) or "position" not in keys:
+            continue
+        if np.linalg.norm(keys["position"]) > _TOO_FAR * inputs.scale:
+            raise SessionError(
+                f"{np.linalg.norm(keys['position']):g} m from its link looks like millimetres: "
+                f"the arm reaches {inputs.chain.reach:.3g} m",
+                where=inputs.document.place("cameras", camera, "position"),
+                remedy="Write metres.",
+            )
+        if np.abs(keys["rpy"]).max() > 2.0 * np.pi:
+            raise SessionError(
+                f"{np.abs(keys['rpy']).max():g} rad is more than a turn: these look like degrees",
+                where=inputs.document.place("cameras", camera, "rpy"),
+                remedy="Write radians.",
+            )
+
+
+def _check_noise_units(inputs: Inputs) -> None:
+    if inputs.noise.joint > _UNREAD:
+        raise SessionError(
+            f"a joint noise of {inputs.noise.joint:g} rad is no reading noise",
+            where=inputs.document.place("noise", "joint"),
+            remedy="Write radians, and metres for prismatic joints.",
+        )
+    if inputs.detections is not None and inputs.rig is not None:
+        sides = np.array([max(camera.resolution) for camera in inputs.rig.cameras])
+        largest = _BLIND * sides[inputs.detections.index["camera"]]
+        _check_sigma(inputs, inputs.detections, largest, "pixel", "px", "of the size of the image")
+    if inputs.points is not None:
+        reach = np.full(len(inputs.points.sigma), inputs.scale)
+        _check_sigma(inputs, inputs.points, reach, "point", "m", "of the size of the arm")
+
+
+def _check_sigma(inputs: Inputs, table: SightingTable, largest: Floats, noise: str, unit: str, verdict: str) -> None:
+    absurd = np.flatnonzero(table.sigma > largest)
+    if not absurd.size:
+        return
+    first = int(absurd[np.argmin(table.rows[absurd])])
+    own = "sigma" in table.table.columns
+    raise SessionError(
+        f"a sigma of {table.sigma[first]:g} {unit} is {verdict}",
+        where=table.place(first, "sigma") if own else inputs.document.place("noise", noise),
+        remedy=f"Write one standard deviation in {unit}.",
+    )
+
+
+def _check_point_units(inputs: Inputs) -> None:
+    table = inputs.points
+    if table is None:
+        return
+    reach = f"the arm reaches {inputs.chain.reach:.3g} m"
+    distance = np.linalg.norm(table.values - np.median(table.values, axis=0), axis=1)
+    if np.median(distance) > _TOO_FAR * inputs.scale:
+        raise SessionError(
+            f"the points spread over {np.ptp(table.values, axis=0).max():.3g} m, which looks like millimetres: {reach}",
+            where=str(table.table.path),
+            remedy="Write metres.",
+        )
+    far = np.flatnonzero(distance > _TOO_WIDE * inputs.scale)
+    if far.size:
+        first = int(far[np.argmin(table.rows[far])])
+        raise SessionError(
+            f"the point lies {distance[first]:.3g} m from the others: {reach}",
+            where=table.place(first, "x"),
+            remedy="Correct it, or leave it out.",
+        )
+
+
+def _still_joints(inputs: Inputs) -> Iterator[str]:
+    for joint, moved in zip(_actuated(inputs), np.ptp(inputs.joints.readings, axis=0), strict=True):
+        if moved < _STILL:
+            unit = "m" if joint.prismatic else "rad"
+            yield (
+                f"{inputs.joints.table.path}: joint {joint.name!r} "
+                + (f"moves by only {moved:.2g} {unit}" if moved else "never moves")
+                + ": its parameters cannot be told"
+            )
+
+
+def _same_readings(joints: JointTable | LogTable) -> Iterator[str]:
+    if not isinstance(joints, JointTable):  # an arm that moves may come back, or wait
+        return
+    # Adding zero makes -0.0 the same bytes as 0.0.
+    first: dict[bytes, int] = {}
+    pairs = [
+        (first[key], row)
+        for row, key in enumerate(reading.tobytes() for reading in joints.readings + 0.0)
+        if first.setdefault(key, row) != row
+    ]
+    if pairs:
+        a, b = (joints.poses[row] for row in pairs[0])
+        more = f", as have {len(pairs) - 1} more pairs" if len(pairs) > 1 else ""
+        place = joints.table.place(pairs[0][1], "pose")
+        yield f"{place}: pose {b!r} has exactly the joint readings of pose {a!r}{more}"
+
+
+def _frozen(inputs: Inputs, table: SightingTable) -> Iterator[str]:
+    """Two poses that differ, and nothing in the pictures does: they are one picture.
+
+    A video may repeat a picture; in a session of poses each is meant to be another.
+    """
+    repeated = 0
+    pose = table.index["pose"]
+    what = np.column_stack([*(table.index[key] for key in table.index if key != "pose"), table.values + 0.0])
+    starts: list[int] = np.flatnonzero(np.diff(pose, prepend=-1)).tolist()
+    first: dict[bytes, int] = {}
+    for start, stop in zip(starts, [*starts[1:], len(pose)], strict=True):
+        # A single pixel pair may repeat by chance if it is not found to a fraction of a pixel.
+        if table.values[start:stop].size < 3 and not np.any(table.values[start:stop] % 0.5):
+            continue
+        other = first.setdefault(what[start:stop].tobytes(), start)
+        readings = inputs.taken.readings[[pose[other], pose[start]]]
+        if other != start and np.abs(readings[1] - readings[0]).max() > inputs.taken.still:
+            if not isinstance(inputs.joints, JointTable):
+                repeated += 1
+                continue
+            names = [inputs.taken.labels[pose[i]] for i in (other, start)]
+            line = table.rows[other] + 2
+            raise SessionError(
+                f"pose {names[1]!r} shows exactly what pose {names[0]!r} shows (line {line}), "
+                "but the joints have moved: the recording has frozen",
+                where=table.place(start, "pose"),
+                remedy="Leave out the poses whose sightings were not taken anew.",
+            )
+    if repeated > _REPEATED * len(starts):
+        yield (
+            f"{table.table.path}: {repeated} of {len(starts)} frames show exactly what another one shows, but the "
+            "joints have moved: did the recording freeze?"
+        )
+
+
+def _check_images(inputs: Inputs, rig: Rig, table: SightingTable, rays: Rays) -> Iterator[str]:
+    """Pixels outside their image; and why, where it can be told."""
+    camera_of = table.index["camera"]
+    inside, turned = np.empty(len(camera_of), bool), np.empty(len(camera_of), bool)
+    for i, camera in enumerate(rig.cameras):
+        seen = camera_of == i
+        inside[seen] = camera.in_image(table.values[seen])
+        turned[seen] = camera.in_image(table.values[seen][:, ::-1])
+    outside = np.flatnonzero(~inside)
+    if not outside.size:
+        return
+    first = int(outside[np.argmin(table.rows[outside])])
+    camera = rig.cameras[camera_of[first]]
+    (u, v), (width, height) = table.values[first], camera.resolution
+    what = f"({u:g}, {v:g}) lies outside the {width} x {height} image of camera {camera.name!r}"
+    if len(outside) > 1:
+        what += f", as do {len(outside) - 1} more of {len(camera_of)} sightings"
+    where = table.place(first, "u")
+    if turned.all() and rays is Rays.UNKNOWN:
+        # Nothing here depends on the resolution, and without the cameras' places both explanations stand.
+        yield (
+            f"{where}: {what}. With u and v exchanged all would fit: either they are exchanged, or in "
+            f"{inputs.cameras_file} width and height are, and with them perhaps the intrinsics"
+        )
+        return
+    if turned.all() and rays is Rays.MEET:
+        where = f"{inputs.document.source.path.parent / inputs.cameras_file}, camera {camera.name!r}"
+        what += "; the rays meet, so the pixels are right"
+        remedy = f"Write the resolution as [width, height]: [{height}, {width}]?"
+    elif turned.all():
+        remedy = "All would fit with u and v exchanged: are they?"
+    elif len(outside) < 0.05 * len(camera_of):
+        remedy = "Correct the sighting, or leave it out."
+    else:
+        reach = table.values[camera_of == camera_of[first]].max(axis=0)
+        remedy = (
+            f"Were the images taken at the resolution of {inputs.cameras_file}? "
+            f"They reach to ({reach[0]:g}, {reach[1]:g})."
+        )
+    raise SessionError(what, where=where, remedy=remedy)
+
+
+def _never_seen(inputs: Inputs) -> Iterator[str]:
+    tables = list(inputs.sightings)
+    seen = np.zeros(len(inputs.taken.labels), bool)
+    for table in tables:
+        seen[table.index["pose"]] = True
+    blind = [pose for pose, found in zip(inputs.taken.labels, seen, strict=True) if not found]
+    # An arm on its way from pose to pose passes out of view.
+    if len(blind) > (0 if isinstance(inputs.joints, JointTable) else _MOST * len(seen)):
+        yield (
+            f"{inputs.taken.path}: {len(blind)} of {len(seen)} poses have no sighting and do not count: {listed(blind)}"
+        )
+    leds = set(np.concatenate([table.index["led"] for table in tables]).tolist())
+    dark = [led.name for i, led in enumerate(inputs.leds) if i not in leds]
+    if dark:
+        yield f"{inputs.document.place('leds')}: never seen: {listed(dark)}"
+    if inputs.detections is not None and inputs.rig is not None:
+        yield from _idle_cameras(inputs, inputs.rig.names, inputs.detections)
+
+
+def _idle_cameras(inputs: Inputs, names: Sequence[str], table: SightingTable) -> Iterator[str]:
+    used = set(table.index["camera"].tolist())
+    idle = [name for i, name in enumerate(names) if i not in used]
+    if idle:
+        yield f"{inputs.document.place('cameras')}: these cameras see nothing: {listed(idle)}"

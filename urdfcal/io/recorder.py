@@ -1,0 +1,223 @@
+"""A session measured while the program runs: poses and sightings one by one, each checked when it comes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from urdfcal.arrays import Floats, frozen
+from urdfcal.errors import SessionError
+from urdfcal.io.checks.plausibility import OVERRUN
+from urdfcal.names import flaw, suggest
+from urdfcal.session.model import Detections, Points, Positions, Session, Setup
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
+
+    from numpy.typing import ArrayLike
+
+
+class Recorder:
+    """Gathers poses and what was seen of them, and makes a session of it.
+
+        recorder = Recorder(Setup(chain=chain, leds=(Led("led"),), rig=rig))
+        for q in poses:
+            ...  # move there, and wait until the arm is still
+            pose = recorder.pose(q)
+            recorder.sighting(pose, "left", "led", uv)
+        session = recorder.session()
+
+    A pose, sighting or point that makes no sense is refused when it is added, and leaves what is there as it is. One
+    thread at a time; the sessions it gives are immutable.
+    """
+
+    def __init__(self, setup: Setup) -> None:
+        """Start with no pose.
+
+        Args:
+            setup: the robot, its LEDs and its cameras; a session's or a rig's, too.
+        """
+        self._setup = setup
+        self._readings: dict[str, Floats] = {}
+        self._times: list[float] = []
+        self._sightings: dict[tuple[int, ...], tuple[Floats, float]] = {}  # by pose, camera, LED
+        self._points: dict[tuple[int, ...], tuple[Floats, float]] = {}  # by pose, LED
+
+    def __len__(self) -> int:
+        """Return the number of poses."""
+        return len(self._readings)
+
+    def pose(
+        self, joints: Mapping[str, float] | ArrayLike, *, label: str | None = None, time: float | None = None
+    ) -> str:
+        """Add a pose in which the arm stands still.
+
+        Args:
+            joints: a reading [rad or m] of every actuated joint, by name, or (k,) in the order of ``chain.actuated``.
+                Joints of the robot that are not actuated joints of the chain are left out.
+            label: what to call the pose; counted from 0 by default.
+            time: when it was. [s]
+
+        Returns:
+            The label, by which sightings refer to the pose.
+
+        Raises:
+            SessionError: a joint is missing or unknown, a reading is no finite number or beyond its limits, the label
+                is taken, or some poses have a time and others have not.
+        """
+        name = str(len(self)) if label is None else str(label)
+        where = f"pose {name!r}"
+        if problem := flaw(name):
+            raise SessionError(problem, where="label")
+        if name in self._readings:
+            raise SessionError("there is a pose of this label", where=where, remedy="Give every pose its own.")
+        by_order = self._by_order(joints, where) if isinstance(joints, Mapping) else joints
+        readings = _numbers(by_order, len(self._setup.chain.actuated), "joints", where)
+        self._check_limits(readings, where)
+        if len(self) and (time is None) != (not self._times):
+            raise SessionError(
+                "it has no time, and others have" if time is None else "it has a time, and others have none",
+                where=where,
+                remedy="Give all poses a time, or none.",
+            )
+        if time is not None:
+            self._times.append(float(_numbers([time], 1, "time", where)[0]))
+        self._readings[name] = readings
+        return name
+
+    def sighting(self, pose: str, camera: str, led: str, uv: ArrayLike, *, sigma: float | None = None) -> None:
+        """Add where a camera saw an LED.
+
+        Args:
+            pose: as ``pose`` returned it.
+            camera: its name in the rig.
+            led: its name.
+            uv: (2,) where. [px]
+            sigma: standard deviation of u and of v; the setup's by default. [px]
+
+        Raises:
+            SessionError: a name is unknown, the place is outside the image, sigma is not positive, or it was seen
+                there already.
+        """
+        where = f"pose {pose!r}, camera {camera!r}, LED {led!r}"
+        rig = self._setup.rig
+        if rig is None:
+            raise SessionError("the setup has no cameras", where=where, remedy="Give it a rig, or add points.")
+        key = (
+            self._index(pose, tuple(self._readings), "poses"),
+            self._index(camera, rig.names, "cameras"),
+            self._index(led, self._setup.led_names, "LEDs"),
+        )
+        place = _numbers(uv, 2, "uv", where)
+        if not rig.cameras[key[1]].in_image(place):
+            width, height = rig.cameras[key[1]].resolution
+            raise SessionError(f"({place[0]:g}, {place[1]:g}) is outside the {width} x {height} image", where=where)
+        if key in self._sightings:
+            raise SessionError("it was seen there already", where=where, remedy="Keep one sighting.")
+        self._sightings[key] = place, _positive(self._setup.noise.pixel if sigma is None else sigma, where)
+
+    def point(self, pose: str, led: str, xyz: ArrayLike, *, sigma: float | None = None) -> None:
+        """Add where a tracker measured an LED.
+
+        Args:
+            pose: as ``pose`` returned it.
+            led: its name.
+            xyz: (3,) in the tracker's frame. [m]
+            sigma: standard deviation of each coordinate; the setup's by default. [m]
+
+        Raises:
+            SessionError: a name is unknown, a number is not finite, sigma is not positive, or it was measured already.
+        """
+        where = f"pose {pose!r}, LED {led!r}"
+        key = (
+            self._index(pose, tuple(self._readings), "poses"),
+            self._index(led, self._setup.led_names, "LEDs"),
+        )
+        place = _numbers(xyz, 3, "xyz", where)
+        if key in self._points:
+            raise SessionError("it was measured already", where=where, remedy="Keep one point.")
+        self._points[key] = place, _positive(self._setup.noise.point if sigma is None else sigma, where)
+
+    def session(self) -> Session:
+        """What was recorded so far, validated; recording may go on.
+
+        Raises:
+            SessionError: there are too few poses, or nothing was seen.
+        """
+        setup = {entry.name: getattr(self._setup, entry.name) for entry in fields(Setup)}
+        if isinstance(self._setup, Positions):
+            # Files and pictures of what was measured then are not what is measured now.
+            setup |= {"sha256": {}, "folder": None}
+        return Session(
+            **setup,
+            poses=tuple(self._readings),
+            q=self._setup.chain.joint_values(np.array(list(self._readings.values())).reshape(len(self), -1)),
+            time=np.array(self._times) if self._times else None,
+            detections=Detections(**_columns(self._sightings, ("pose", "camera", "led"), "uv"))
+            if self._sightings
+            else None,
+            points=Points(**_columns(self._points, ("pose", "led"), "xyz")) if self._points else None,
+        )
+
+    def _by_order(self, joints: Mapping[str, float], where: str) -> list[float]:
+        """The chain's readings out of those of a whole robot."""
+        chain, urdf = self._setup.chain, self._setup.urdf
+        known = {*chain.names, *(urdf.joints if urdf else ())}
+        for name in joints:
+            if name not in known:
+                raise SessionError(
+                    f"there is no joint {name!r}", where=where, remedy=suggest(name, chain.actuated, "joints")
+                )
+        missing = [name for name in chain.actuated if name not in joints]
+        if missing:
+            raise SessionError(f"there is no reading of {', '.join(missing)}", where=where)
+        return [joints[name] for name in chain.actuated]
+
+    def _check_limits(self, readings: Floats, where: str) -> None:
+        joints = [joint for joint in self._setup.chain.joints if joint.mimic is None]
+        for joint, value in zip(joints, readings, strict=True):
+            if not joint.lower - OVERRUN <= value <= joint.upper + OVERRUN:
+                raise SessionError(
+                    f"{joint.name} = {value:g} {'m' if joint.prismatic else 'rad'} is outside the joint's limits "
+                    f"[{joint.lower:g}, {joint.upper:g}]",
+                    where=where,
+                    remedy="Readings are in radians and metres.",
+                )
+
+    def _index(self, name: str, known: Sequence[str], kind: str) -> int:
+        if name not in known:
+            raise SessionError(f"{name!r} is none of the {kind}", remedy=suggest(str(name), known, kind))
+        return known.index(name)
+
+
+def _numbers(values: ArrayLike, count: int, what: str, where: str) -> Floats:
+    try:
+        array = frozen(values)
+    except (TypeError, ValueError) as error:
+        raise SessionError(f"{what} is not made of numbers", where=where) from error
+    if array.shape != (count,):
+        raise SessionError(f"{what} has shape {array.shape}, not ({count},)", where=where)
+    if not np.isfinite(array).all():
+        raise SessionError(f"{what} has values that are not finite", where=where)
+    return array
+
+
+def _positive(sigma: float, where: str) -> float:
+    value = float(_numbers([sigma], 1, "sigma", where)[0])
+    if value <= 0.0:
+        raise SessionError(f"sigma is {value:g}; it must be positive", where=where)
+    return value
+
+
+def _columns(
+    table: Mapping[tuple[int, ...], tuple[Floats, float]], keys: Collection[str], values: str
+) -> dict[str, np.ndarray]:
+    indices = np.array(list(table), dtype=np.intp)
+    return {
+        **{key: indices[:, i] for i, key in enumerate(keys)},
+        values: np.array([place for place, _ in table.values()]),
+        "sigma": np.array([sigma for _, sigma in table.values()]),
+    }

@@ -1,0 +1,1 @@
+"""The calibrated robot: loaded, applied, saved."""

@@ -1,0 +1,1 @@
+"""The URDF file: found, read, and rewritten in place with nothing but ``<origin>`` values changed."""

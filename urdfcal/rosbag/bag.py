@@ -1,0 +1,221 @@
+"""Recordings of ROS 1 (.bag) and ROS 2 (sqlite3 or MCAP), read without ROS: topics, and their messages one by one."""
+
+from __future__ import annotations
+
+import struct
+import sys
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from urdfcal.errors import SessionError
+from urdfcal.names import listed
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator
+    from pathlib import Path
+
+    from rosbags.interfaces import Connection
+    from rosbags.rosbag1 import Reader as Reader1
+    from rosbags.rosbag2 import Reader as Reader2
+    from rosbags.typesys.store import Typestore
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+IMAGE = "sensor_msgs/msg/Image"
+COMPRESSED = "sensor_msgs/msg/CompressedImage"
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+
+_SUFFIXES = (".bag", ".db3", ".mcap")
+_NANO = 1_000_000_000
+# What 64 bits hold with a sign; MCAP's have none. [ns]
+_LATEST = 2**63 - 1
+# The only type here that rosbags does not know of ROS 1.
+_TRANSFORMS_1 = "geometry_msgs/TransformStamped[] transforms\n"
+
+
+@dataclass(frozen=True)
+class Topic:
+    """What was recorded under one name.
+
+    Attributes:
+        name: the topic's.
+        type: of its messages, as ROS 2 writes it; several are joined by "or".
+        count: of its messages.
+    """
+
+    name: str
+    type: str
+    count: int
+
+
+@dataclass(frozen=True)
+class Message:
+    """One recorded message.
+
+    Attributes:
+        topic: its name.
+        received: when the recorder got it. [ns]
+        content: its fields, named as in ROS; arrays are NumPy's.
+    """
+
+    topic: str
+    received: int
+    content: Any
+
+    @property
+    def stamp(self) -> int:
+        """When its sender says that it was measured. [ns]."""
+        stamp = self.content.header.stamp
+        return int(stamp.sec) * _NANO + int(stamp.nanosec)
+
+
+@dataclass(frozen=True, eq=False)
+class Bag:
+    """A recording that is open.
+
+    Attributes:
+        path: its file, or the folder of ROS 2.
+        topics: in alphabetical order.
+        duration: from its first to its last message. [s]
+    """
+
+    path: Path
+    topics: tuple[Topic, ...]
+    duration: float
+    _reader: Reader1 | Reader2
+    _types: Typestore
+
+    def messages(self, topics: Collection[str]) -> Iterator[Message]:
+        """Read messages, in the order in which they were recorded.
+
+        Args:
+            topics: names of those to read; all of a type that this module names.
+
+        Raises:
+            SessionError: the bag is damaged, or its messages are not what ROS calls by that name.
+        """
+        with _told(self.path):
+            connections = [one for one in self._reader.connections if one.topic in topics]
+            for one in connections:
+                self._check_definition(one)
+            if not connections:
+                return
+            for connection, received, data in self._reader.messages(connections):
+                if received > _LATEST:
+                    raise SessionError("the time of a message is damaged", where=f"{self.path}: {connection.topic}")
+                yield Message(connection.topic, received, self._decoded(data, connection.msgtype))
+
+    def _decoded(self, data: bytes, type_: str) -> Any:
+        decode = self._types.deserialize_ros1 if _first(self.path) else self._types.deserialize_cdr
+        return decode(data, type_)
+
+    def _check_definition(self, connection: Connection) -> None:
+        # Older bags of ROS 2 do not say.
+        if not connection.digest:
+            return
+        name = connection.msgtype
+        hashed = self._types.generate_msgdef(name)[1] if _first(self.path) else self._types.hash_rihs01(name)
+        if hashed != connection.digest:
+            raise SessionError(f"{connection.topic} is not what ROS calls {name}", where=str(self.path))
+
+
+@contextmanager
+def open_bag(path: Path) -> Iterator[Bag]:
+    """Open a recording.
+
+    Args:
+        path: a .bag file of ROS 1; a folder of ROS 2, or a .db3 or .mcap file of one.
+
+    Raises:
+        SessionError: there is none, or it is damaged.
+    """
+    from rosbags.rosbag1 import Reader as Reader1
+    from rosbags.rosbag2 import Reader as Reader2
+
+    if not path.exists():
+        raise SessionError("there is no such bag", where=str(path))
+    if path.is_dir() and not (path / "metadata.yaml").is_file():
+        there = [entry.name for entry in sorted(path.iterdir()) if entry.suffix in _SUFFIXES]
+        raise SessionError(
+            "the folder has no metadata.yaml, as bags of ROS 2 have",
+            where=str(path),
+            remedy=f"Name one file: {listed(there)}." if there else "Name the folder that `ros2 bag record` made.",
+        )
+    if not path.is_dir() and path.suffix not in _SUFFIXES:
+        raise SessionError(
+            f"bags do not end in {path.suffix!r}" if path.suffix else "bags have a suffix",
+            where=str(path),
+            remedy=f"Those of ROS 1 end in {_SUFFIXES[0]}, files of ROS 2 in {' or '.join(_SUFFIXES[1:])}.",
+        )
+    types = _typestore(path)
+    with _told(path):
+        reader = Reader1(path) if _first(path) else Reader2(path)
+        reader.open()
+    try:
+        with _told(path):
+            topics = _topics(reader.connections)
+            duration = reader.duration / _NANO if reader.message_count else 0.0
+        yield Bag(path, topics, duration, reader, types)
+    finally:
+        reader.close()
+
+
+def _first(path: Path) -> bool:
+    """Whether it is a bag of ROS 1."""
+    return path.suffix == ".bag" and not path.is_dir()
+
+
+def _topics(connections: Collection[Connection]) -> tuple[Topic, ...]:
+    names = sorted({one.topic for one in connections})
+    by_name = {name: [one for one in connections if one.topic == name] for name in names}
+    return tuple(
+        Topic(name, " or ".join(sorted({one.msgtype for one in of})), sum(one.msgcount for one in of))
+        for name, of in by_name.items()
+    )
+
+
+def _typestore(path: Path) -> Typestore:
+    """The definitions of messages.
+
+    A bag's own are not needed: JointState, Image, CompressedImage, CameraInfo and TFMessage have been the same in all
+    distributions of ROS 2, and in ROS 1 (compared: their hashes in rosbags, Dashing to Lyrical).
+    """
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    if not _first(path):
+        return get_typestore(Stores.ROS2_HUMBLE)
+    types = get_typestore(Stores.ROS1_NOETIC)
+    types.register(get_types_from_msg(_TRANSFORMS_1, TRANSFORMS))
+    return types
+
+
+@contextmanager
+def _told(path: Path) -> Iterator[None]:
+    """Say which bag cannot be read, and why."""
+    import apsw
+    from rosbags import rosbag1, rosbag2
+    from rosbags.serde import SerdeError
+    from rosbags.typesys import TypesysError
+
+    if sys.version_info >= (3, 14):
+        from compression.zstd import ZstdError
+    else:
+        from backports.zstd import ZstdError
+
+    # Rosbags trusts the numbers in a file: what a damaged one makes it raise is as varied (tests/session/test_bag.py
+    # cuts and changes bags). Only its code and that of its libraries runs below.
+    explained = (rosbag1.ReaderError, rosbag2.ReaderError, SerdeError, TypesysError, OSError)
+    damage = (
+        *explained, apsw.Error, ZstdError, EOFError, RuntimeError, ValueError, TypeError, LookupError, AssertionError,
+        struct.error, OverflowError, MemoryError,
+    )  # fmt: skip
+    try:
+        yield
+    except damage as error:
+        said = str(error) if isinstance(error, explained) else f"{type(error).__name__} {error}".strip()
+        raise SessionError(
+            f"the bag cannot be read: {said}",
+            where=str(path),
+            remedy="If it is damaged or was not closed: `rosbag reindex`, `ros2 bag reindex` or `mcap recover`.",
+        ) from error

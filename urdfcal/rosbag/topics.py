@@ -1,0 +1,194 @@
+"""Which topics of a bag are the joints and the cameras: by their types and ROS's names, or as the user says."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from urdfcal.errors import SessionError
+from urdfcal.names import listed, suggest
+from urdfcal.rosbag.bag import CAMERA_INFO, COMPRESSED, IMAGE, JOINT_STATE
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from urdfcal.rosbag.bag import Topic
+
+_IMAGES = (IMAGE, COMPRESSED)
+# A camera's name becomes a folder's.
+_FOLDER = re.compile(r"\w[\w .-]*")
+
+
+@dataclass(frozen=True)
+class CameraTopics:
+    """The topics of one camera.
+
+    Attributes:
+        name: the camera's in the session.
+        image: its pictures.
+        info: its camera_info; None where the camera is described elsewhere.
+    """
+
+    name: str
+    image: str
+    info: str | None
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What the user says of a bag's topics.
+
+    Attributes:
+        joints: the topic with the joint states; None: the only one.
+        cameras: topics of the pictures, and of the camera_info if it has an unusual name, by camera; empty: all.
+        infos: whether the cameras are to be described by the bag.
+    """
+
+    joints: str | None = None
+    cameras: Mapping[str, tuple[str, str | None]] | None = None
+    infos: bool = True
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """The topics that a session is made of.
+
+    Attributes:
+        joints: the joint states.
+        cameras: one or more.
+    """
+
+    joints: str
+    cameras: tuple[CameraTopics, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All topics."""
+        return (self.joints, *(name for camera in self.cameras for name in (camera.image, camera.info) if name))
+
+
+def choose_topics(topics: Sequence[Topic], wanted: Wanted) -> Chosen:
+    """Find the topics of the joints and the cameras.
+
+    Args:
+        topics: all of the bag.
+        wanted: what the user says of them.
+
+    Raises:
+        SessionError: a topic is not there, of another type, or nothing tells which of several is meant.
+    """
+    filled = [topic for topic in topics if topic.count]
+    named = wanted.cameras or _by_namespace(filled)
+    cameras = tuple(_camera(filled, name, *topics, infos=wanted.infos) for name, topics in named.items())
+    for camera in cameras:
+        if not _FOLDER.fullmatch(camera.name):
+            raise SessionError(
+                f"the camera's name {camera.name!r} cannot be that of a folder",
+                remedy=f"Use letters and digits: --camera NAME={camera.image}.",
+            )
+    if len({camera.image for camera in cameras}) < len(cameras):
+        raise SessionError("two cameras have the same pictures", remedy="Every camera has a topic of its own.")
+    return Chosen(_joints(filled, wanted.joints), cameras)
+
+
+def _joints(topics: Sequence[Topic], wanted: str | None) -> str:
+    if wanted is not None:
+        return _known(topics, wanted, (JOINT_STATE,))
+    found = [topic.name for topic in topics if topic.type == JOINT_STATE]
+    if not found:
+        raise SessionError(
+            "there are no joint states (sensor_msgs/JointState)", remedy=f"The topics are: {listed(_names(topics))}."
+        )
+    if len(found) > 1:
+        raise SessionError(
+            f"there are {len(found)} topics with joint states: {listed(found)}", remedy=f"Use --joints {found[0]}."
+        )
+    return found[0]
+
+
+def _camera(topics: Sequence[Topic], name: str, image: str, info: str | None, *, infos: bool) -> CameraTopics:
+    _known(topics, image, _IMAGES)
+    usual = _usual_info(image)
+    if info is not None:
+        _known(topics, info, (CAMERA_INFO,))
+    elif not infos:
+        return CameraTopics(name, image, None)
+    there = [topic.name for topic in topics if topic.type == CAMERA_INFO]
+    if info is None and usual not in there:
+        raise SessionError(
+            f"{image} has no {usual}",
+            remedy="Describe the cameras with --cameras FILE"
+            + (f", or name one of {listed(there)}: --camera {name}={image},{there[0]}." if there else "."),
+        )
+    info = info or usual
+    if info == usual and image.rpartition("/")[2].startswith("image_rect"):
+        raise SessionError(
+            f"{image} is rectified, {usual} describes the pictures before that",
+            remedy="Use the raw pictures, or describe the rectified ones with --cameras FILE.",
+        )
+    return CameraTopics(name, image, info)
+
+
+def _by_namespace(topics: Sequence[Topic]) -> dict[str, tuple[str, None]]:
+    """The topic of the pictures of every camera, if each has only one."""
+    by_space: dict[str, list[str]] = {}
+    for topic in topics:
+        if topic.type in _IMAGES:
+            by_space.setdefault(_namespace(topic.name), []).append(topic.name)
+    if not by_space:
+        raise SessionError(
+            "there are no pictures (sensor_msgs/Image or CompressedImage)",
+            remedy=f"The topics are: {listed(_names(topics))}.",
+        )
+    spaces = sorted(by_space, key=_natural)
+    for space in spaces:
+        if len(by_space[space]) > 1:
+            every = [name for one in spaces for name in by_space[one]]
+            raise SessionError(
+                f"there are {len(by_space[space])} topics with pictures in {space or '/'}",
+                remedy=f"Say which to use, --camera NAME=TOPIC for each camera. The topics are: {listed(every)}.",
+            )
+    # A camera of the root namespace has none to be called by.
+    names = [space.rpartition("/")[2] or "camera" for space in spaces]
+    if len(set(names)) < len(names):
+        names = [space.strip("/").replace("/", "_") or "camera" for space in spaces]
+    if len(set(names)) < len(names):
+        raise SessionError(
+            f"the cameras in {listed([space or '/' for space in spaces])} cannot be called by that",
+            remedy="Say what they are called: --camera NAME=TOPIC for each.",
+        )
+    return {name: (by_space[space][0], None) for name, space in zip(names, spaces, strict=True)}
+
+
+def _namespace(image: str) -> str:
+    """Where a camera's topics are: /left of /left/image_raw and of /left/image_raw/compressed."""
+    return image.removesuffix("/compressed").rpartition("/")[0]
+
+
+def _usual_info(image: str) -> str:
+    """The topic of camera_info beside the pictures, as image_transport finds it."""
+    return f"{_namespace(image)}/camera_info"
+
+
+def _natural(name: str) -> list[tuple[bool, int, str]]:
+    """A key that sorts cam2 before cam10."""
+    parts = re.split(r"(\d+)", name)
+    return [(part.isdecimal(), int(part) if part.isdecimal() else 0, part) for part in parts]
+
+
+def _known(topics: Sequence[Topic], name: str, types: Sequence[str]) -> str:
+    """``name``, if there is such a topic, and of one of these types."""
+    usable = [topic.name for topic in topics if topic.type in types]
+    if name not in usable:
+        found = next((topic.type for topic in topics if topic.name == name), None)
+        kinds = " or ".join(type_.rpartition("/")[2] for type_ in types)
+        raise SessionError(
+            f"there is no topic {name!r}" if found is None else f"the topic {name!r} is {found}, not {kinds}",
+            remedy=suggest(name, usable, f"topics with {kinds}") if usable else f"No topic has {kinds}.",
+        )
+    return name
+
+
+def _names(topics: Sequence[Topic]) -> list[str]:
+    return [f"{topic.name} ({topic.type})" for topic in topics]

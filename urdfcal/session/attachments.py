@@ -1,0 +1,165 @@
+"""What LEDs and cameras are fastened to: links of the robot, or the world."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from urdfcal.arrays import Floats, Ints, frozen, inverse
+from urdfcal.errors import SessionError
+from urdfcal.robot.mechanism import Tip  # noqa: TC001  # a field's type
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from urdfcal.cameras.rig import Rig
+    from urdfcal.robot.mechanism import Mechanism
+
+WORLD = "world"
+"""Stands for no link: what neither moves with the robot nor is part of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class CameraMount:
+    """A camera that rides on a link.
+
+    Attributes:
+        camera: its name.
+        link: what it is fastened to.
+        T_link_camera: (4, 4) how, None where unknown. [m]
+        sigma: (6,) how well that is known, standard deviations of a small motion x y z rx ry rz of the link in the
+            camera's frame; None where it is only a guess to start from. [m, rad]
+    """
+
+    camera: str
+    link: str
+    T_link_camera: Floats | None = None
+    sigma: Floats | None = None
+
+    def __post_init__(self) -> None:
+        where = f"camera {self.camera!r}"
+        if self.link == WORLD:
+            raise SessionError(
+                "a camera that stands in the world rides on no link",
+                where=where,
+                remedy="Name the camera file alone: T_cn_cnm1 says where it stands, or it is estimated.",
+            )
+        if self.T_link_camera is not None:
+            T = frozen(self.T_link_camera)
+            R = T[:3, :3] if T.shape == (4, 4) else np.zeros((3, 3))
+            if not np.allclose(R @ R.T, np.eye(3), rtol=0.0, atol=1e-9) or np.linalg.det(R) < 0.0:
+                raise SessionError("T_link_camera is no rigid 4 x 4 transform", where=where)
+            object.__setattr__(self, "T_link_camera", T)
+        if self.sigma is not None:
+            sigma = frozen(self.sigma)
+            if self.T_link_camera is None:
+                raise SessionError("sigma is given without a place", where=where)
+            if sigma.shape != (6,) or not np.all(np.isfinite(sigma) & (sigma > 0.0)):
+                raise SessionError(f"sigma is {sigma.tolist()}, not six positive numbers", where=where)
+            object.__setattr__(self, "sigma", sigma)
+
+
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """The frames that LEDs and cameras are fixed in: 0 is the world, the others are links.
+
+    The world is the frame of the first camera that stands still, or of the tracker; where all cameras ride on the
+    robot it is the base link's.
+
+    Attributes:
+        tips: the links of frames 1, 2, ...
+        led: (L,) frame of each LED.
+        camera: (C,) frame of each camera.
+        leader: (C,) for each camera the first one in the same frame.
+        T_cam_leader: for each camera (4, 4) the place of its leader, None where that is not known. [m]
+        T_leader_frame: for each camera (4, 4) its frame in its leader's, None where that is not known. [m]
+    """
+
+    tips: tuple[Tip, ...]
+    led: Ints
+    camera: Ints
+    leader: Ints
+    T_cam_leader: tuple[Floats | None, ...]
+    T_leader_frame: tuple[Floats | None, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What each frame is: the world, or a link."""
+        return (WORLD, *(tip.link for tip in self.tips))
+
+    @property
+    def standing(self) -> Ints:
+        """Indices of the cameras that stand still."""
+        return np.flatnonzero(self.camera == 0)
+
+    @property
+    def T_cam_frame(self) -> tuple[Floats | None, ...]:
+        """For each camera (4, 4) the frame it is fixed in, as far as it is known beforehand. [m]."""
+        return tuple(
+            None if a is None or b is None else a @ b
+            for a, b in zip(self.T_cam_leader, self.T_leader_frame, strict=True)
+        )
+
+
+def fasten(
+    mechanism: Mechanism, led_links: Sequence[str | None], rig: Rig | None, mounts: Mapping[str, CameraMount]
+) -> Frames:
+    """Sort LEDs and cameras by what they are fastened to.
+
+    Args:
+        mechanism: the robot.
+        led_links: a link for each LED, or "world"; None for the tip link.
+        rig: the cameras.
+        mounts: of those that ride on the robot, by name.
+
+    Raises:
+        RobotError: a link is none of the mechanism's tips.
+        SessionError: nothing is on the robot, a camera's place is given by one in another frame, or on its link though
+            another camera leads it there.
+    """
+    names = [WORLD]
+
+    def frame(link: str) -> int:
+        if link not in names:
+            names.append(link)
+        return names.index(link)
+
+    led = [frame(link or mechanism.tip_link) for link in led_links]
+    cameras = rig.cameras if rig is not None else ()
+    camera = [frame(mounts[one.name].link) if one.name in mounts else 0 for one in cameras]
+    leader = [camera.index(of) for of in camera]
+    if len(names) == 1:
+        raise SessionError("neither an LED nor a camera is on the robot", remedy="Name the link that carries one.")
+    T_cam_leader: list[Floats | None] = []
+    T_leader_frame: list[Floats | None] = []
+    for c, (one, first) in enumerate(zip(cameras, leader, strict=True)):
+        T, T_first = (rig.T_cam_world[k] if rig is not None else None for k in (c, first))
+        if c and c == first and T is not None:
+            raise SessionError(
+                "T_cn_cnm1 places it by a camera that is fastened to something else",
+                where=f"camera {one.name!r}",
+                remedy="Leave T_cn_cnm1 out: where it is comes from its link, or is estimated.",
+            )
+        if c != first and one.name in mounts and mounts[one.name].T_link_camera is not None:
+            raise SessionError(
+                f"its place on {mounts[one.name].link!r} is given, but there it goes with {cameras[first].name!r}",
+                where=f"camera {one.name!r}",
+                remedy="Leave position, rpy and sigma out: T_cn_cnm1 says where it is, or it is estimated.",
+            )
+        if c == first:
+            T_cam_leader.append(np.eye(4))
+        else:
+            T_cam_leader.append(None if T is None or T_first is None else T @ inverse(T_first))
+        mount = mounts.get(cameras[first].name)
+        given = np.eye(4) if mount is None else mount.T_link_camera
+        T_leader_frame.append(None if given is None else inverse(given))
+    return Frames(
+        tuple(mechanism.tip(name) for name in names[1:]),
+        frozen(led, np.intp),
+        frozen(camera, np.intp),
+        frozen(leader, np.intp),
+        tuple(T_cam_leader),
+        tuple(T_leader_frame),
+    )

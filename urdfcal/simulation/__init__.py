@@ -1,0 +1,1 @@
+"""Simulated sessions of a robot whose true geometry is known."""

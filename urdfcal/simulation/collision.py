@@ -1,0 +1,186 @@
+"""Whether an arm can take a pose: clear of itself and of the table, and no LED hidden behind it."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+from pinocchio import coal
+
+from urdfcal.errors import RobotError
+from urdfcal.robot.urdf.urdf import package_roots
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from urdfcal.arrays import Floats
+    from urdfcal.robot.mechanism import Mechanism
+    from urdfcal.robot.urdf.urdf import Urdf
+
+# What stands on a table may reach below its own origin: mounting plates, cables, a table that is not flat. [m]
+_TABLE = -0.03
+# Of an LED in its housing, and of the ray that has to pass. [m]
+_BULB = 0.004
+_RAY = 0.001
+# A pair that collides in all of these random poses overlaps as drawn, or hangs below its base as a leg does.
+# A pair that is free in one pose of ten is taken for such a one in 1.5 % of cases.
+_TRIALS = 40
+
+
+class Clearance:
+    """The collision geometry of an arm as drawn, each solid by its convex hull.
+
+    Joints off the chain stay at zero. Not compared are solids of the same link or of links that one joint
+    connects, and pairs that collide in every pose. A hull holds more than its mesh, so that some poses are refused
+    that the arm could take; but a pose of SO-101 is checked in 0.15 ms, with its meshes it would be 40 ms.
+
+    Attributes:
+        empty: whether the description has no collision geometry at all.
+    """
+
+    def __init__(
+        self, chain: Mechanism, urdf: Urdf, leds: Sequence[tuple[int, Floats]], eyes: Sequence[tuple[int, Floats]]
+    ) -> None:
+        """Load the geometry.
+
+        Args:
+            chain: the arm.
+            urdf: the description that the chain was read from.
+            leds: index of the joint that carries each LED, ``BASE`` for none, and its place (3,) there. [m]
+            eyes: the same of the cameras' centres.
+
+        Raises:
+            RobotError: a mesh cannot be found or read.
+        """
+        self._model = chain.build_model()
+        self._data = self._model.createData()
+        self._geometry = pin.GeometryModel()
+        for solid in _solids(chain, urdf):
+            self._geometry.addGeometryObject(solid)
+        solids = range(self._geometry.ngeoms)
+        self._leds = [(joint + 1, place) for joint, place in leds]
+        for i, (joint, place) in enumerate(self._leds):
+            self._geometry.addGeometryObject(
+                pin.GeometryObject(f"LED {i}", joint, pin.SE3(np.eye(3), place), coal.Sphere(_BULB))
+            )
+        table = coal.Halfspace(np.array([0.0, 0.0, 1.0]), _TABLE)
+        self._geometry.addGeometryObject(pin.GeometryObject("table", 0, pin.SE3.Identity(), table))
+        self._add_pairs(chain)
+        self._placed = self._geometry.createData()
+        # A solid that holds an LED or a camera carries it: it cannot be told from here on which side that sits.
+        ends = [*self._leds, *((joint + 1, place) for joint, place in eyes)]
+        held = [{i for i in solids if self._joint(i) == joint and self._holds(i, place)} for joint, place in ends]
+        self._screens = [
+            [[i for i in solids if i not in by_led | by_eye] for by_eye in held[len(leds) :]]
+            for by_led in held[: len(leds)]
+        ]
+        self.empty = not solids
+
+    def free(self, q: Floats) -> bool:
+        """Whether the arm collides with nothing at ``q`` (n,)."""
+        return not pin.computeCollisions(self._model, self._data, self._geometry, self._placed, q, True)
+
+    def sees(self, q: Floats, eyes: Floats) -> bool:
+        """Whether the arm at ``q`` (n,) hides no LED from any of the ``eyes`` (C, 3), in the base link's frame."""
+        pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._placed, q)
+        return not any(
+            self._blocked(self._data.oMi[joint].act(place), eye, screens)
+            for (joint, place), by_eye in zip(self._leds, self._screens, strict=True)
+            for eye, screens in zip(eyes, by_eye, strict=True)
+        )
+
+    def _blocked(self, led: Floats, eye: Floats, screens: Sequence[int]) -> bool:
+        line = eye - led
+        turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), line).matrix()
+        place = coal.Transform3s(turn, (led + eye) / 2.0)
+        ray = coal.Capsule(_RAY, float(np.linalg.norm(line)))
+        return any(_touch(self._shape(i), _transform(self._placed.oMg[i]), ray, place) for i in screens)
+
+    def _holds(self, i: int, led: Floats) -> bool:
+        placement = _transform(self._geometry.geometryObjects[i].placement)
+        return _touch(self._shape(i), placement, coal.Sphere(_BULB), coal.Transform3s(np.eye(3), led))
+
+    def _shape(self, i: int) -> Any:
+        return self._geometry.geometryObjects[i].geometry
+
+    def _joint(self, i: int) -> int:
+        return int(self._geometry.geometryObjects[i].parentJoint)
+
+    def _neighbours(self, i: int, j: int) -> bool:
+        a, b = self._joint(i), self._joint(j)
+        return bool(self._model.parents[max(a, b)] == min(a, b))
+
+    def _add_pairs(self, chain: Mechanism) -> None:
+        table = self._geometry.ngeoms - 1
+        # Neighbours touch by design. The table is on the base link's side, but nobody's neighbour.
+        pairs = [
+            pin.CollisionPair(i, j)
+            for i, j in combinations(range(self._geometry.ngeoms), 2)
+            if self._joint(i) != self._joint(j) and (j == table or not self._neighbours(i, j))
+        ]
+        for pair in pairs:
+            self._geometry.addCollisionPair(pair)
+        placed, always = self._geometry.createData(), np.ones(len(pairs), dtype=bool)
+        for q in chain.random_values(_TRIALS, np.random.default_rng(0)):
+            pin.computeCollisions(self._model, self._data, self._geometry, placed, q, False)
+            always &= [result.isCollision() for result in placed.collisionResults]
+        for k in np.flatnonzero(always):
+            self._geometry.removeCollisionPair(pairs[k])
+
+
+def _solids(chain: Mechanism, urdf: Urdf) -> list[pin.GeometryObject]:
+    """Load the robot's collision geometry; joint i is the chain's i-th, 0 the base link."""
+    try:
+        text = urdf.data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = urdf.data.decode("latin-1")
+    folders = [*package_roots(), *([urdf.path.parent] if urdf.path else [])]
+    whole = pin.buildModelFromXML(text)
+    try:
+        drawn = pin.buildGeomFromUrdfString(
+            whole,
+            text,
+            pin.GeometryType.COLLISION,
+            package_dirs=[str(folder) for folder in folders],
+            # Oriented boxes are the quickest to build; the hull needs none.
+            mesh_loader=coal.CachedMeshLoader(coal.NODE_TYPE.BV_OBB),
+        )
+    except (ValueError, RuntimeError) as error:
+        reason = " ".join(str(error).rpartition("message: ")[2].split())
+        raise RobotError(
+            f"its collision geometry cannot be loaded: {reason}", where=str(urdf.path or "URDF")
+        ) from error
+    # Not by pin.buildReducedModel, which fails where a joint and a link have the same name.
+    data = whole.createData()
+    pin.forwardKinematics(whole, data, pin.neutral(whole))
+    base = whole.frames[whole.getFrameId(chain.base_link, pin.FrameType.BODY)]
+    frames = {0: data.oMi[base.parentJoint] * base.placement}
+    numbers = {0: 0}
+    for i, name in enumerate(chain.names, start=1):
+        joint = whole.getJointId(name)
+        frames[joint], numbers[joint] = data.oMi[joint], i
+    solids = []
+    for solid in drawn.geometryObjects:
+        carrier = joint = solid.parentJoint
+        while carrier and carrier not in numbers:
+            carrier = whole.parents[carrier]
+        placement = frames[carrier].actInv(data.oMi[joint] * solid.placement)
+        solids.append(pin.GeometryObject(solid.name, numbers[carrier], placement, _hull(solid.geometry)))
+    return solids
+
+
+def _hull(shape: Any) -> Any:
+    if not isinstance(shape, coal.BVHModelBase):
+        return shape
+    shape.buildConvexHull(True, "Qt")
+    return shape.convex
+
+
+def _transform(placement: pin.SE3) -> Any:
+    return coal.Transform3s(placement.rotation, placement.translation)
+
+
+def _touch(a: Any, T_a: Any, b: Any, T_b: Any) -> bool:
+    return bool(coal.collide(a, T_a, b, T_b, coal.CollisionRequest(), coal.CollisionResult()))

@@ -1,1 +1,0 @@
-"""What the cameras see: projection, triangulation, and the files that describe cameras."""
