@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from urdfcal.cameras.camera import Camera
     from urdfcal.cameras.rig import Rig
     from urdfcal.errors import UrdfcalError
+    from urdfcal.estimation.measurements import Detections, Points
     from urdfcal.io.folder import read_rig, read_session, write_session
     from urdfcal.io.recorder import Recorder
     from urdfcal.pipeline import FittedCalibration, calibrate
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from urdfcal.robot.chain import Chain
     from urdfcal.robot.dh import DHTable
     from urdfcal.robot.urdf.urdf import Urdf
-    from urdfcal.session.model import Detections, Estimate, Led, LedDistance, Noise, Points, Session, Setup, Tolerances
+    from urdfcal.session.model import Estimate, Led, LedDistance, Noise, Session, Setup, Tolerances
 
 _HOMES = {
     "urdfcal.pipeline": ("FittedCalibration", "calibrate"),
@@ -34,13 +35,12 @@ _HOMES = {
     "urdfcal.robot.dh": ("DHTable",),
     "urdfcal.robot.urdf.urdf": ("Urdf",),
     "urdfcal.io.folder": ("read_rig", "read_session", "write_session"),
+    "urdfcal.estimation.measurements": ("Detections", "Points"),
     "urdfcal.session.model": (
-        "Detections",
         "Estimate",
         "Led",
         "LedDistance",
         "Noise",
-        "Points",
         "Session",
         "Setup",
         "Tolerances",

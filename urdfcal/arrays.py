@@ -1,8 +1,9 @@
-"""Read-only arrays: what a frozen dataclass holds cannot be changed behind its back."""
+"""Read-only arrays and mappings: what a frozen dataclass holds cannot be changed behind its back."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, TypeAlias
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -19,6 +20,36 @@ def frozen(values: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
     array = np.array(values, dtype=dtype)
     array.setflags(write=False)
     return array
+
+
+K = TypeVar("K")
+V = TypeVar("V")
+
+
+class ReadOnly(Mapping[K, V]):
+    """A mapping that cannot be written to, and unlike ``MappingProxyType`` can be pickled."""
+
+    __slots__ = ("_items",)
+
+    def __init__(self, items: Mapping[K, V]) -> None:
+        """Copy the items."""
+        self._items = dict(items)
+
+    def __getitem__(self, key: K) -> V:
+        """Return the value of a key."""
+        return self._items[key]
+
+    def __iter__(self) -> Iterator[K]:
+        """Iterate over the keys."""
+        return iter(self._items)
+
+    def __len__(self) -> int:
+        """Return the number of keys."""
+        return len(self._items)
+
+    def __repr__(self) -> str:
+        """Show the items as a dict does."""
+        return repr(self._items)
 
 
 def evenly(values: Ints, most: int) -> Ints:

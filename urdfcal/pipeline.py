@@ -9,14 +9,21 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import pinocchio as pin
 
-from urdfcal.arrays import Bools, Floats, frozen, inverse
+from urdfcal.arrays import Floats, frozen, inverse
 from urdfcal.errors import CalibrationError, OutputError, SessionError
-from urdfcal.estimation.linearize import predict
+from urdfcal.estimation.blocks.arm import ArmBlock, no_offsets, zero_rows
+from urdfcal.estimation.blocks.base_pose import BASE
+from urdfcal.estimation.blocks.cameras import camera_poses, has_cameras, lens_key, pose_key, without_cameras
+from urdfcal.estimation.blocks.leds import LEDS
+from urdfcal.estimation.joint_models.time_offset import TIME_OFFSETS, time_offsets
+from urdfcal.estimation.joint_models.zero_offset import ZERO_OFFSETS
+from urdfcal.estimation.measurements.pixels import triangulate
 from urdfcal.estimation.model_selection import Comparison, Trial, compare_models, with_fit
-from urdfcal.estimation.multistart import Candidate, several
-from urdfcal.estimation.observations import Observations, observe
-from urdfcal.estimation.start import triangulated
-from urdfcal.estimation.time_offset import start_state
+from urdfcal.estimation.multistart import Minimum, multistart
+from urdfcal.estimation.observations import Observations, arrange
+from urdfcal.estimation.problem import Problem
+from urdfcal.estimation.snapshot import Snapshot
+from urdfcal.estimation.time_offset_start import start_state
 from urdfcal.estimation.uncertainty import tip_covariance
 from urdfcal.result.calibration import FORMAT, Calibration, corrected_name, describe
 from urdfcal.robot.dh import DHTable
@@ -27,12 +34,14 @@ from urdfcal.robot.tree_dh import rows_of
 from urdfcal.robot.urdf.origins import origins_of
 from urdfcal.robot.urdf.rpy import matrix_to_rpy
 from urdfcal.robot.urdf.urdf import Urdf
+from urdfcal.session.trajectory import Trajectory
 
 if TYPE_CHECKING:
+    from urdfcal.estimation.measurements import Measurement
     from rerun import RecordingStream
 
+    from urdfcal.estimation.blocks.arm import ArmParameterization
     from urdfcal.estimation.identifiability import Identifiability
-    from urdfcal.estimation.parameters import Geometry
     from urdfcal.estimation.solver import Progress, Solution
     from urdfcal.estimation.state import State
     from urdfcal.robot.mechanism import Mechanism
@@ -59,8 +68,7 @@ class FittedCalibration(Calibration):
     Attributes:
         session: what was measured; of an arm that moved, joint values at the estimated time offsets.
         table: the DH rows as drawn.
-        geometry: what was estimated of the arm: the offsets of those rows, or of whole placements.
-        observations: the session's sightings, in the order the solutions' deviations follow.
+        problem: the arm's parameters and the measurements, in the order that the solutions' norms follow.
         comparison: the models that were tried, and the chosen one.
         solutions: minima reached from other starts, if any were asked for; the kept one first.
         seed: of the folds and of the check configurations.
@@ -69,10 +77,9 @@ class FittedCalibration(Calibration):
 
     session: Session
     table: DHTable | TreeTable
-    geometry: Geometry
-    observations: tuple[Observations, ...]
+    problem: Problem
     comparison: Comparison
-    solutions: tuple[Candidate, ...]
+    solutions: tuple[Minimum, ...]
     seed: int
     warnings: tuple[str, ...]
 
@@ -97,14 +104,28 @@ class FittedCalibration(Calibration):
         return self.comparison.failures
 
     @property
-    def nominal(self) -> State:
-        """The arm as drawn, with everything else fitted."""
-        return self.nominal_fit.state
+    def geometry(self) -> ArmParameterization:
+        """What was estimated of the arm: the offsets of the DH rows, or of whole placements."""
+        return self.problem.arm
 
     @property
-    def estimate(self) -> State:
+    def observations(self) -> tuple[Observations, ...]:
+        """The session's measurements, arranged by pose."""
+        return self.problem.observations
+
+    def snapshot(self, state: State) -> Snapshot:
+        """The values of a state under plain names."""
+        return Snapshot.of(self.problem, state)
+
+    @cached_property
+    def nominal(self) -> Snapshot:
+        """The nominal arm, with everything else fitted."""
+        return self.snapshot(self.nominal_fit.state)
+
+    @cached_property
+    def estimate(self) -> Snapshot:
         """The calibrated arm, LEDs and cameras."""
-        return self.fit.state
+        return self.snapshot(self.fit.state)
 
     @property
     def chain(self) -> Mechanism:
@@ -125,7 +146,7 @@ class FittedCalibration(Calibration):
         Returns:
             (N,) root of the covariance's trace. [m]
         """
-        covariance = tip_covariance(self.geometry, self.fit, q)
+        covariance = tip_covariance(self.problem, self.fit, q)
         result: Floats = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
         return result
 
@@ -172,14 +193,14 @@ class FittedCalibration(Calibration):
             "dh": self._rows(),
             "placements": self._placements(),
             "T_world_base": self.estimate.T_world_base.tolist(),
-            "T_world_base_sigma": _known(self._sigma[self.fit.parameters.base]),
+            "T_world_base_sigma": _known(self._sigma[self.fit.parameters.columns(BASE)]),
             "leds": self._leds(),
             "cameras": {camera.name: self._camera(c) for c, camera in enumerate(self.estimate.cameras)},
             "fit": self.summary(),
             "validation": self.validation(),
             "models": [
                 {
-                    "model": str(attempt.freedoms),
+                    "model": str(attempt.spec),
                     "parameters": attempt.fit.parameters.count,
                     "seen_loss": attempt.seen_loss,
                     "held_out_loss": attempt.loss if isinstance(attempt, Trial) else None,
@@ -190,7 +211,7 @@ class FittedCalibration(Calibration):
             "identifiability": {
                 "condition_number": self.identifiability.condition_number,
                 **{f"O{k}": value for k, value in enumerate(self.identifiability.observability, start=1)},
-                "lost": list(self.identifiability.lost),
+                "lost": list(self.identifiability.unidentifiable),
             },
             "solutions": [
                 {"cost": s.cost if np.isfinite(s.cost) else None, "kept": s.kept, "reason": s.reason}
@@ -217,15 +238,17 @@ class FittedCalibration(Calibration):
             "converged": self.fit.converged,
             "reduced_chi2": self.fit.reduced_chi2 if self.fit.freedom > 0 else None,
         }
-        points = triangulated(self.session) if self.estimate.cameras else None
+        found = triangulate(self.session) if self.estimate.cameras else None
+        points = arrange(self.session, found) if found is not None else None
         for prefix, fit in (("nominal_", self.nominal_fit), ("", self.fit)):
             for block, kept in zip(self.observations, self.fit.kept, strict=True):
-                unit, scale = ("px", 1.0) if block.dimension == 2 else ("mm", 1e3)
-                residual = predict(self.geometry, block, fit.state) - block.value
+                unit, scale = block.table.report
+                residual = self.problem.residual(block, fit.state)
                 summary[f"rms_{prefix}{unit}"] = scale * _rms(residual[kept])
             if points is not None:
-                residual = predict(self.geometry, points, fit.state) - points.value
-                summary[f"rms_{prefix}mm"] = 1e3 * _rms(residual[points.valid & ~self._suspect(points)])
+                residual = self.problem.residual(points, fit.state)
+                suspect = self.problem.suspect(points, self.fit.outlier)
+                summary[f"rms_{prefix}mm"] = 1e3 * _rms(residual[points.valid & ~suspect])
         return summary
 
     def validation(self) -> dict[str, Any]:
@@ -253,9 +276,7 @@ class FittedCalibration(Calibration):
 
         Of an arm that moved whole seconds: the errors of neighbouring frames are alike.
         """
-        unit = np.arange(len(self.session.poses))
-        if self.session.trajectory is not None:
-            unit = np.floor(self.session.trajectory.time - self.session.trajectory.time.min()).astype(np.intp)
+        unit = self.session.motion.independent(len(self.session.poses))
         squares, counts = np.zeros(unit.max() + 1), np.zeros(unit.max() + 1)
         chosen = self.comparison.chosen
         for block, kept, distance in zip(self.observations, chosen.fit.kept, chosen.held_out.distance, strict=True):
@@ -269,16 +290,16 @@ class FittedCalibration(Calibration):
     def outliers(self) -> list[dict[str, Any]]:
         """The sightings taken out of the fit: pose, camera, LED and residual (px, or mm for points)."""
         found = []
-        for block, cut, deviation in zip(self.observations, self.fit.outlier, self.fit.deviation, strict=True):
-            residual = predict(self.geometry, block, self.estimate) - block.value
-            scale = 1.0 if block.dimension == 2 else 1e3
+        for block, cut, deviation in zip(self.observations, self.fit.outlier, self.fit.norms, strict=True):
+            residual = self.problem.residual(block, self.fit.state)
+            _, scale = block.table.report
+            cameras = block.index.get("camera")
             for group, slot in np.argwhere(cut):
-                camera = int(block.camera[group, slot])
                 found.append(
                     {
                         "pose": self.session.poses[block.pose[group]],
-                        "camera": self.estimate.cameras[camera].name if camera >= 0 else None,
-                        "led": self.session.leds[block.led[group, slot]].name,
+                        "camera": None if cameras is None else self.estimate.cameras[cameras[group, slot]].name,
+                        "led": self.session.leds[block.index["led"][group, slot]].name,
                         "residual": scale * float(np.linalg.norm(residual[group, slot])),
                         "sigmas": float(deviation[group, slot]),
                     }
@@ -288,21 +309,29 @@ class FittedCalibration(Calibration):
     def sigmas(self) -> Floats:
         """Standard deviations of the estimate's offsets, in rad and m; NaN where one was not estimated."""
         result = np.full(self.estimate.offsets.shape, np.nan)
-        for index, (row, name) in enumerate(self.fit.parameters.rows):
-            result[row, self.geometry.columns.index(name)] = self._sigma[index]
+        for block in self.fit.parameters.blocks:
+            sigma = self._sigma[self.fit.parameters.columns(block.key)]
+            if isinstance(block, ArmBlock):
+                result[block.places] = sigma
+            elif block.key == ZERO_OFFSETS:
+                for (row, column), value in zip(zero_rows(self.geometry).values(), sigma, strict=True):
+                    result[row, column] = value
         return result
+
+    @property
+    def corrected(self) -> tuple[tuple[int, str], ...]:
+        """(row, parameter) of the arm that were estimated."""
+        rows, columns = np.nonzero(np.isfinite(self.sigmas()))
+        return tuple((int(row), self.geometry.columns[k]) for row, k in zip(rows, columns, strict=True))
 
     @cached_property
     def _sigma(self) -> Floats:
         """Standard deviation of every entry of the full parameter vector; NaN where it is held."""
-        sigma = np.full(self.fit.parameters.size, np.nan)
-        sigma[self.fit.parameters.active] = np.sqrt(np.diag(self.fit.covariance))
-        return sigma
+        return self.fit.parameters.sigmas(self.fit.covariance)
 
     def _rows(self) -> list[dict[str, Any]]:
         sigmas = self.sigmas()
-        packed = self.fit.parameters.rows
-        reasons = {packed[i]: why for i, why in self.fit.parameters.reasons.items() if i < len(packed)}
+        reasons = {name: why for block in self.fit.parameters.blocks for name, why in block.reasons.items()}
         entries = []
         drawn = self.table.nominal if self.geometry is self.table else np.zeros_like(sigmas)
         for i, joint in enumerate(self.geometry.labels):
@@ -317,7 +346,10 @@ class FittedCalibration(Calibration):
                 if np.isfinite(sigmas[i, k]):
                     entry |= {"sigma": float(sigmas[i, k]), "status": "estimated"}
                 else:
-                    entry |= {"status": "fixed", "reason": reasons.get((i, name)) or self.geometry.reason(i, name)}
+                    entry |= {
+                        "status": "fixed",
+                        "reason": reasons.get(f"{joint}.{name}") or self.geometry.reason(i, name),
+                    }
                 entries.append(entry)
         return entries
 
@@ -334,9 +366,9 @@ class FittedCalibration(Calibration):
     def _leds(self) -> dict[str, dict[str, Any]]:
         result = {}
         for i, led in enumerate(self.session.leds):
-            sigma = self._sigma[self.fit.parameters.led(i)]
+            sigma = self._sigma[self.fit.parameters.columns(LEDS)][3 * i : 3 * i + 3]
             result[led.name] = {
-                "link": self.session.frames.names[self.session.frames.led[i]],
+                "link": self.session.attachments.frames[self.session.attachments.led[i]],
                 "position": self.estimate.leds[i].tolist(),
                 "sigma": [float(s) if np.isfinite(s) else 0.0 if led.sigma == 0.0 else None for s in sigma],
             }
@@ -344,14 +376,14 @@ class FittedCalibration(Calibration):
 
     def _camera(self, c: int) -> dict[str, Any]:
         """A camera's lens, and where it is: in the world, or on the link that it rides on."""
-        camera, T, frames = self.estimate.cameras[c], self.estimate.T_cam_world[c], self.session.frames
+        camera, T, frames = self.estimate.cameras[c], self.estimate.T_cam_frame[c], self.session.attachments
         frame = int(frames.camera[c])
         place = {"T_cam_world": T.tolist()} if frame == 0 else {"T_link_camera": inverse(T).tolist()}
         return {
             "intrinsics": camera.intrinsics.tolist(),
             "distortion_model": camera.distortion_model,
             "distortion": camera.distortion.tolist(),
-            "link": frames.names[frame],
+            "link": frames.frames[frame],
             **place,
             "sigma": self._camera_sigma(c, next(iter(place))),
             **self._clock(c),
@@ -361,29 +393,20 @@ class FittedCalibration(Calibration):
         """Of an arm that moved, the time offset of a camera's clock in s, t_robot = t_camera + offset."""
         if not len(self.estimate.time_offsets):
             return {}
-        parameters, sigma = self.fit.parameters, np.nan
-        if c in parameters.clocks:
-            sigma = float(self._sigma[parameters.clock(parameters.clocks.index(c))][0])
+        sigmas = self._sigma[self.fit.parameters.columns(TIME_OFFSETS)]
+        sigma = sigmas[c] if len(sigmas) else np.nan
         known = float(sigma) if np.isfinite(sigma) else None
         return {"time_offset": {"value": float(self.estimate.time_offsets[c]), "sigma": known}}
 
     def _camera_sigma(self, c: int, place: str) -> dict[str, list[float | None]]:
         """Standard deviations of what was estimated of a camera; its place's of a small motion in its own frame."""
-        parameters, result = self.fit.parameters, {}
-        if c in parameters.lenses:
-            lens = self._sigma[parameters.lens(parameters.lenses.index(c))]
+        parameters, name, result = self.fit.parameters, self.estimate.cameras[c].name, {}
+        lens, pose = (self._sigma[parameters.columns(key)] for key in (lens_key(name), pose_key(name)))
+        if len(lens):
             result = {"intrinsics": lens[:4], "distortion": lens[4:]}
-        if c in parameters.cameras:
-            result[place] = self._sigma[parameters.camera(parameters.cameras.index(c))]
+        if len(pose):
+            result[place] = pose
         return {key: _known(values) for key, values in result.items()}
-
-    def _suspect(self, points: Observations) -> Bools:
-        """Which triangulated points rest on a sighting that is an outlier."""
-        suspect = np.zeros((len(self.session.poses), len(self.session.leds)), dtype=bool)
-        for block, cut in zip(self.observations, self.fit.outlier, strict=True):
-            group, slot = np.nonzero(cut)
-            suspect[block.pose[group], block.led[group, slot]] = True
-        return suspect[points.pose[:, None], points.led]
 
     def _check(self, data: bytes) -> None:
         """Read the URDF again with two independent readers and compare their FK with the DH rows."""
@@ -438,35 +461,35 @@ def calibrate(
         CalibrationError: there is no start, or the result fails its checks: no convergence, no better than the drawn
             arm on poses not seen, or lenses that the sightings refute.
     """
-    if session.points is not None and session.detections is not None:
+    in_world = [table.kind for table in session.measurements if table.defines_world(session.attachments)]
+    if len(in_world) > 1:
         raise SessionError(
-            "detections and points are both named: the tracker's frame is not the first camera's",
+            f"{' and '.join(in_world)} are both named: the tracker's frame is not the first camera's",
             remedy="Name one of them; evaluate --points checks a result against the other.",
         )
     table = rows_of(session.chain)
-    geometry: Geometry = PlacementTable(session.chain) if session.estimate.geometry == "full" else table
-    start = start_state(session, geometry, np.zeros((len(geometry.labels), len(geometry.columns))))
-    session = session.recorded(start.time_offsets)
-    blocks = observe(session)
+    arm: ArmParameterization = PlacementTable(session.chain) if session.estimate.geometry == "full" else table
+    start = start_state(session, arm, no_offsets(arm))
+    session = session.recorded(time_offsets(start))
+    problem = Problem.of(session, arm)
     if method == "points":
-        blocks, start = _as_points(session), start.without_cameras
-    comparison = compare_models(session, geometry, blocks, start, priors=priors, seed=seed, progress=progress)
-    solutions: tuple[Candidate, ...] = ()
+        problem, start = Problem.of(session, arm, [_as_points(session)]), without_cameras(start)
+    comparison = compare_models(session, problem, start, priors=priors, seed=seed, progress=progress)
+    solutions: tuple[Minimum, ...] = ()
     if starts:
         fit = comparison.chosen.fit
-        solutions = several(session, geometry, blocks, fit, starts, seed, progress)
+        solutions = multistart(session, problem, fit, starts, seed, progress)
         kept = solutions[0].solution if solutions[0].kept else None
         if kept is not None and kept is not fit:
-            comparison = with_fit(comparison, kept, session, geometry, blocks, seed)
+            comparison = with_fit(comparison, kept, session, problem, seed)
     if comparison.failures and not force:
         raise CalibrationError(
             "; ".join(comparison.failures), where="not written", remedy="--force writes it all the same."
         )
     return FittedCalibration(
-        session=session.with_clocks(comparison.chosen.fit.state.time_offsets),
+        session=session.with_time_offsets(time_offsets(comparison.chosen.fit.state)),
         table=table,
-        geometry=geometry,
-        observations=blocks,
+        problem=problem,
         comparison=comparison,
         solutions=solutions,
         seed=seed,
@@ -474,19 +497,19 @@ def calibrate(
     )
 
 
-def _as_points(session: Session) -> tuple[Observations, ...]:
-    if session.trajectory is not None:
+def _as_points(session: Session) -> Measurement:
+    if isinstance(session.motion, Trajectory):
         raise CalibrationError(
             "no point can be triangulated: every frame is taken by one camera, at a time of its own",
             remedy="Leave --method points out.",
         )
-    points = triangulated(session)
+    points = triangulate(session)
     if points is None:
         raise CalibrationError(
             "no point can be triangulated from these sightings",
             remedy="It takes two cameras of known pose; a tracker's points.csv needs no --method points.",
         )
-    return (points,)
+    return points
 
 
 def _doubts(fit: Solution) -> list[str]:
@@ -497,12 +520,14 @@ def _doubts(fit: Solution) -> list[str]:
             f"the residuals are {np.sqrt(fit.reduced_chi2):.1f} times the declared noise: the noise is larger than "
             "declared, or camera intrinsics, units or the robot's stiffness are not what the model assumes"
         )
-    for index, (row, name) in enumerate(fit.parameters.rows):
-        offset, prior = fit.state.offsets[row, fit.parameters.columns.index(name)], fit.parameters.prior[index]
-        if fit.parameters.active[index] and abs(offset) > _FAR * prior:
+    for block in fit.parameters.blocks:
+        if not block.toleranced:
+            continue
+        offsets, _ = block.local(fit.state[block.key])
+        for k in np.flatnonzero(block.active & (np.abs(offsets) > _FAR * block.sigma)):
             doubts.append(
-                f"{fit.parameters.names[index]} is off by {1e3 * offset:.1f} {'mm' if name in _LENGTHS else 'mrad'}, "
-                f"{abs(offset) / prior:.0f} times its tolerance"
+                f"{block.names[k]} is off by {1e3 * offsets[k]:.1f} {'mm' if block.units[k] == 'm' else 'mrad'}, "
+                f"{abs(offsets[k]) / block.sigma[k]:.0f} times its tolerance"
             )
     return doubts
 
@@ -511,9 +536,9 @@ def _strange_mounts(session: Session, fit: Solution) -> list[str]:
     """Cameras that sit far from where the session puts them on their links."""
     doubts = []
     for mount in session.mounts:
-        if mount.T_link_camera is None or mount.sigma is None or not fit.state.cameras or session.rig is None:
+        if mount.T_link_camera is None or mount.sigma is None or not has_cameras(fit.state):
             continue
-        T = fit.state.T_cam_world[session.rig.index(mount.camera)] @ mount.T_link_camera
+        T = camera_poses(session.attachments, fit.state)[session.rig.index(mount.camera)] @ mount.T_link_camera
         motion = pin.log6(T).vector
         if np.abs(motion / mount.sigma).max() > _FAR:
             doubts.append(

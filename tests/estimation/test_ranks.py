@@ -20,7 +20,7 @@ from urdfcal.robot.chain import Chain
 from urdfcal.robot.dh import DHTable, row_transform
 from urdfcal.robot.mechanism import Joint
 from urdfcal.session.attachments import fasten
-from urdfcal.session.model import Detections, Led, Session
+from urdfcal.session.model import Led, Session
 
 H = np.pi / 2
 # (type, theta, d, a, alpha), from the makers' data sheets; see ../shared/data/dh_tables.json.

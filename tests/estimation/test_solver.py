@@ -16,7 +16,7 @@ from urdfcal.estimation.solver import solve
 from urdfcal.estimation.start import kabsch
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.dh import DHTable
-from urdfcal.session.model import Detections, Estimate, Led, LedDistance, Noise
+from urdfcal.session.model import Estimate, Led, LedDistance, Noise
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -11,7 +11,7 @@ from tests.io.making import write_points, write_valid
 from urdfcal.cameras.rig import Rig
 from urdfcal.errors import CameraError, OutputError, SessionError
 from urdfcal.io.folder import read_session, write_session
-from urdfcal.session.model import Detections, Estimate, Led, Noise, Points, Session, Tolerances
+from urdfcal.session.model import Estimate, Led, Noise, Points, Session, Tolerances
 
 # Where it was read from is not what was read.
 PROVENANCE = {"folder", "sha256", "path"}

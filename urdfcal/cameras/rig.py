@@ -127,23 +127,21 @@ class Rig:
     """Cameras and where they stand. The world frame is the first camera's.
 
     Attributes:
-        cameras: one or more, with different names.
+        cameras: with different names; none where something else measures.
         T_cam_world: for every camera (4, 4), or None where its place is not known; the first is the identity.
         sigmas: for every camera how well it is known, or None; left out: all None.
 
     Raises:
-        CameraError: no camera, a name twice, a transform that is not rigid, or standard deviations of something else.
+        CameraError: a name twice, a transform that is not rigid, or standard deviations of something else.
     """
 
-    cameras: tuple[Camera, ...]
-    T_cam_world: tuple[Floats | None, ...]
+    cameras: tuple[Camera, ...] = ()
+    T_cam_world: tuple[Floats | None, ...] = ()
     sigmas: tuple[CameraSigma | None, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "cameras", tuple(self.cameras))
         object.__setattr__(self, "sigmas", tuple(self.sigmas) or (None,) * len(self.cameras))
-        if not self.cameras:
-            raise CameraError("a rig needs at least one camera")
         twice = sorted({name for name in self.names if self.names.count(name) > 1})
         if twice:
             raise CameraError(f"two cameras are named '{twice[0]}'", remedy="Give every camera its own name.")
@@ -153,7 +151,7 @@ class Rig:
         for name, T in zip(self.names, placed, strict=True):
             if T is not None and not _is_rigid(T):
                 raise CameraError("T_cam_world is not a rigid 4 x 4 transform", where=f"camera '{name}'")
-        if placed[0] is None or not np.array_equal(placed[0], np.eye(4)):
+        if placed and (placed[0] is None or not np.array_equal(placed[0], np.eye(4))):
             raise CameraError(
                 "T_cam_world of the first camera is not the identity",
                 where=f"camera '{self.names[0]}'",

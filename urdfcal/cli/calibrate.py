@@ -173,7 +173,7 @@ def _print(overview: Overview, paths: Sequence[Path], remarks: Sequence[str]) ->
     line(f"residual {', '.join(parts)} rms, {fit['reduced_chi2'] ** 0.5:.2g} times the declared noise")
     line(
         f"{fit['poses']} poses, {fit['observations']} measured numbers, {fit['parameters']} parameters "
-        f"({calibration.comparison.chosen.freedoms}), {_counted(len(document['outliers']), 'outlier')}"
+        f"({calibration.comparison.chosen.spec}), {_counted(len(document['outliers']), 'outlier')}"
     )
     cameras = document["cameras"].items()
     clocks = [f"{name} {_clock(**camera['time_offset'])}" for name, camera in cameras if "time_offset" in camera]

@@ -109,13 +109,13 @@ def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
                 where=str(points),
                 remedy="Coordinates are in metres; these look like millimetres.",
             )
-        session = replace(session, detections=None, points=measured, leds=leds)
+        session = replace(session, measurements=(measured,), leds=leds)
     links = [tip.link for tip in session.chain.tips]
     chain = read_mechanism(Urdf.read(find_urdf(urdf)), links, session.chain.base_link)
     explained = explain(chain, session)
     result: dict[str, Any] = {"a": urdf, "session": str(folder), "points": points and str(points)}
-    for residual in explained.residuals:
-        unit, scale = ("px", 1.0) if residual.shape[1] == 2 else ("mm", 1e3)
+    for table, residual in zip(session.measurements, explained.residuals, strict=True):
+        unit, scale = table.report
         result[f"residual_{unit}"] = {"sightings": len(residual), **_spread(np.linalg.norm(residual, axis=1), scale)}
     return result
 

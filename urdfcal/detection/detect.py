@@ -15,13 +15,13 @@ from urdfcal.detection.image_index import Album, read_album
 from urdfcal.detection.prediction import Lights, foresee
 from urdfcal.detection.spots.detector import find_spots
 from urdfcal.errors import OutputError, SessionError
+from urdfcal.estimation.measurements import Detections
 from urdfcal.files import staged
 from urdfcal.images.files import in_parallel, workers, write_image
 from urdfcal.images.video import Video
 from urdfcal.io.folder import IMAGES, detections_path, read_positions
-from urdfcal.io.writing import write_detections, write_table
+from urdfcal.io.writing import write_measurements, write_table
 from urdfcal.robot.kinematics import tip_poses
-from urdfcal.session.model import Detections
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -114,7 +114,7 @@ class Detected:
         return ", ".join(f"{reason} ({count})" for reason, count in counts.most_common())
 
     def _by_camera(self) -> Iterator[tuple[str, tuple[Shot, ...], Spots]]:
-        names = self.positions.rig.names if self.positions.rig is not None else ()
+        names = self.positions.rig.names
         return zip(names, self.album.shots, self.spots, strict=True)
 
     def _sightings(self) -> Iterator[tuple[int, Shot, int]]:
@@ -167,7 +167,7 @@ def detect_in(
 ) -> Detected:
     """Look for the LEDs in an album; see :func:`detect`."""
     rig = positions.rig
-    if rig is None:
+    if not rig.cameras:
         raise SessionError("no cameras are named", remedy="Images need a camera file.")
     T_base_tip = tip_poses(positions.chain, positions.q)
     threads = threads or workers()
@@ -235,7 +235,7 @@ def write_detected(path: str | Path, detected: Detected) -> list[Path]:
         )
     detections = detected.detections
     with staged(table.parent) as stage:
-        write_detections(stage / table.name, detected.positions, detections)
+        write_measurements(stage / table.name, detected.positions, detections)
         header = ["pose", "camera", "led", "u", "v", "sigma", "peak", "width", "reason"]
         write_table(stage / REJECTED, header, zip(*_rejected_rows(detected), strict=True))
     return [table, table.with_name(REJECTED)]
@@ -256,7 +256,7 @@ def write_debug_images(
         OutputError: the folder cannot be written.
     """
     positions, rig = detected.positions, detected.positions.rig
-    if rig is None:
+    if not rig.cameras:
         return
 
     def draw(task: tuple[Camera, int, Shot, Shown, Spots]) -> None:
@@ -287,7 +287,7 @@ def write_debug_images(
 
 
 def _rejected_rows(detected: Detected) -> Iterator[tuple[str, ...]]:
-    names = detected.positions.rig.names if detected.positions.rig is not None else ()
+    names = detected.positions.rig.names
     for pose, camera, led, row, reason in detected.rejected():
         numbers = [""] * 5
         if row is not None:

@@ -11,13 +11,13 @@ from urdfcal.images.files import SUFFIXES
 from urdfcal.images.video import SUFFIXES as VIDEO_SUFFIXES
 from urdfcal.images.video import Video
 from urdfcal.names import listed, suggest
+from urdfcal.session.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
     from urdfcal.session.model import Positions
-    from urdfcal.session.trajectory import Trajectory
 
 _DARK = "off"
 
@@ -70,7 +70,7 @@ def read_album(folder: Path, positions: Positions) -> Album:
         SessionError: there is no picture, two files say the same, a name does not say which LED is lit, or there is a
             video of an arm that stood still or with several LEDs.
     """
-    cameras = positions.rig.names if positions.rig is not None else ()
+    cameras = positions.rig.names
     if not folder.is_dir():
         raise SessionError(
             "there is no such folder",
@@ -131,7 +131,7 @@ def _frames(paths: Sequence[Path], camera: int, folder: Path, positions: Positio
         raise SessionError(
             f"there is {other.name} as well", where=str(path), remedy="One video, or one folder, a camera: keep one."
         )
-    if positions.trajectory is None:
+    if not isinstance(positions.motion, Trajectory):
         raise SessionError(
             "this is a video, and the session names no frames",
             where=str(path),
@@ -143,10 +143,10 @@ def _frames(paths: Sequence[Path], camera: int, folder: Path, positions: Positio
             where=str(path),
             remedy="Write its frames as pictures <frame>.<led>.png, or leave one LED on.",
         )
-    poses = _poses_of(positions.trajectory, camera)
-    rows = tuple(int(positions.trajectory.row[pose]) for pose in poses.values())
+    poses = _poses_of(positions.motion, camera)
+    rows = tuple(int(positions.motion.row[pose]) for pose in poses.values())
     shots = tuple(Shot(pose, 0) for pose in poses.values())
-    return shots, Video(path, rows, len(positions.trajectory.frames[camera]))
+    return shots, Video(path, rows, len(positions.motion.frames[camera]))
 
 
 def _poses_of(trajectory: Trajectory, camera: int) -> dict[str, int]:
@@ -157,11 +157,11 @@ def _poses_of(trajectory: Trajectory, camera: int) -> dict[str, int]:
 
 def _sort(folder: Path, camera: int, positions: Positions) -> tuple[list[tuple[Shot, Picture]], list[str]]:
     """The shots in one camera's folder, and the names of image files that say nothing."""
-    if positions.trajectory is None:
+    if not isinstance(positions.motion, Trajectory):
         poses = {name: i for i, name in enumerate(positions.poses)}
         known = set(poses)
     else:
-        poses, known = _poses_of(positions.trajectory, camera), set(positions.trajectory.frames[camera])
+        poses, known = _poses_of(positions.motion, camera), set(positions.motion.frames[camera])
     lit: dict[tuple[int, int], Path] = {}
     dark: dict[int, Path] = {}
     strangers = []

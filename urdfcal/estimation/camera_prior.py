@@ -1,4 +1,4 @@
-"""What is known of the cameras before the sightings: standard deviations, and how the errors go together."""
+"""What is known of the cameras before the detections: standard deviations, and how the errors go together."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from urdfcal.cameras.rig import Rig
-    from urdfcal.estimation.model_spec import Freedoms
+    from urdfcal.estimation.model_spec import ModelSpec
     from urdfcal.session.model import Freedom, Session
 
 FREE_LENS = (0.2, 0.3, 1.0, 0.1)
 """Standard deviations of a free lens: focal length (share of it), principal point (share of the longer image side),
 radial and decentring coefficients. Next to no prior: it spans any real lens and keeps k3 from running off where
-sightings leave the picture's corners empty; the principal points of ../shared/data/motoman_right are a quarter of the
-image off."""
+detections leave the image's corners empty; the principal points of a measured session of a Motoman arm are a quarter of
+the image off."""
 
 REFINED_LENS = (0.005, 0.005, 0.02, 0.001)
 """The same for a lens to be refined whose calibration gave no standard deviations: a careful board calibration."""
@@ -44,7 +44,7 @@ class CameraPrior:
     measured: Bools
 
     @classmethod
-    def of(cls, session: Session, freedoms: Freedoms, moving: Sequence[int], lenses: Sequence[int]) -> CameraPrior:
+    def of(cls, session: Session, spec: ModelSpec, moving: Sequence[int], lenses: Sequence[int]) -> CameraPrior:
         """What is said of the poses of the cameras ``moving``, then of the lenses of the cameras ``lenses``.
 
         The rig says it of cameras among each other, a mount of how the first one on a link sits there.
@@ -52,11 +52,11 @@ class CameraPrior:
         What is fixed is exactly as given, so that the refined rest is what the rig's covariance leaves of it then
         (conditioned on the fixed). What is free is not known any more (marginalised).
         """
-        if session.rig is None or not freedoms.intrinsics:
+        if not spec.intrinsics:
             return cls(np.zeros(0), np.zeros((0, 0)), np.zeros(0, bool))
         mounts = {session.rig.index(mount.camera): mount for mount in session.mounts}
-        by_hand = {c: mounts[c].sigma for c in mounts if session.frames.leader[c] == c}
-        entries = _Entries.of(session.rig, freedoms, by_hand)
+        by_hand = {c: mounts[c].sigma for c in mounts if session.attachments.reference[c] == c}
+        entries = _Entries.of(session.rig, spec, by_hand)
         sigma, correlation = entries.conditioned()
         chosen = np.concatenate(
             [np.zeros(0, np.intp), *(entries.poses[c] for c in moving), *(entries.lenses[c] for c in lenses)]
@@ -89,12 +89,12 @@ class _Entries:
     by_hand: Ints
 
     @classmethod
-    def of(cls, rig: Rig, freedoms: Freedoms, by_hand: Mapping[int, Floats | None]) -> _Entries:
+    def of(cls, rig: Rig, spec: ModelSpec, by_hand: Mapping[int, Floats | None]) -> _Entries:
         parts: list[Floats] = []
         words: list[Freedom] = []
         listed: list[bool] = []
         places: list[Ints] = []
-        for c, (known, lens, pose) in enumerate(zip(rig.sigmas, freedoms.intrinsics, freedoms.extrinsics, strict=True)):
+        for c, (known, lens, pose) in enumerate(zip(rig.sigmas, spec.intrinsics, spec.extrinsics, strict=True)):
             of_pose = by_hand.get(c, known.pose if known is not None else None)
             for part, word, given in (
                 (_lens_sigma(rig, c, lens), lens, known is not None),

@@ -9,13 +9,14 @@ import numpy as np
 
 from urdfcal.arrays import Floats, frozen
 from urdfcal.errors import RobotError
-from urdfcal.estimation.linearize import predict
+from urdfcal.estimation.alignment import kabsch
+from urdfcal.estimation.blocks.arm import no_offsets
+from urdfcal.estimation.joint_models.time_offset import time_offsets
 from urdfcal.estimation.model_spec import nominal
-from urdfcal.estimation.observations import observe
 from urdfcal.estimation.parameters import choose_parameters
+from urdfcal.estimation.problem import Problem
 from urdfcal.estimation.solver import solve
-from urdfcal.estimation.start import kabsch
-from urdfcal.estimation.time_offset import start_state
+from urdfcal.estimation.time_offset_start import start_state
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.robot.tree_dh import rows_of
 
@@ -112,12 +113,12 @@ def compare(a: Mechanism, b: Mechanism, q: Floats) -> Difference:
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """A session under an arm that is left as drawn.
+    """A session under an arm that is not corrected.
 
     Attributes:
-        residuals: for each kind of sighting (S, D) predicted minus measured, in the order of the session's
-            table, without frames that have no joint readings: pixels (D = 2), points (D = 3). [px or m]
-        fit: base pose, LED places and camera poses.
+        residuals: for each kind of measurement (S, D) predicted minus measured, in the order of the session's
+            table, without frames that have no joint readings. [unit of the kind]
+        fit: base pose, LED positions and camera poses.
     """
 
     residuals: tuple[Floats, ...]
@@ -125,7 +126,7 @@ class Explanation:
 
 
 def explain(chain: Mechanism, session: Session, progress: Progress | None = None) -> Explanation:
-    """Fit base pose, LED places and, for pixels, camera poses to a session; the arm stays as ``chain`` draws it.
+    """Fit base pose, LED positions and, for pixels, camera poses to a session; the arm stays as ``chain`` says.
 
     Args:
         chain: the arm.
@@ -133,20 +134,18 @@ def explain(chain: Mechanism, session: Session, progress: Progress | None = None
         progress: called after every solver step.
 
     Raises:
-        CalibrationError: no start from these sightings.
+        CalibrationError: no start from these measurements.
     """
     session = replace(session, chain=chain)
-    table = rows_of(chain)
-    start = start_state(session, table, np.zeros_like(table.nominal))
-    session = session.recorded(start.time_offsets)
-    blocks = observe(session)
-    freedoms = nominal(session, start)
+    arm = rows_of(chain)
+    start = start_state(session, arm, no_offsets(arm))
+    session = session.recorded(time_offsets(start))
+    problem = Problem.of(session, arm)
+    spec = nominal(session, start)
     free: Freedom = "free"
-    parameters = choose_parameters(
-        session, table, start, replace(freedoms, extrinsics=(free,) * len(freedoms.extrinsics))
-    )
-    fit = solve(table, blocks, start, parameters, session.noise.joint, progress)
-    residuals = [block.by_row(predict(table, block, fit.state) - block.value) for block in blocks]
+    spec = replace(spec, extrinsics=(free,) * len(spec.extrinsics))
+    fit = solve(problem, start, choose_parameters(session, problem, start, spec), progress)
+    residuals = [observed.by_row(problem.residual(observed, fit.state)) for observed in problem.observations]
     return Explanation(tuple(residuals), fit)
 
 

@@ -1,4 +1,4 @@
-"""Which freedoms the data support: nested models, compared by the poses they have not seen."""
+"""Which spec the data support: nested models, compared by the poses they have not seen."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from urdfcal.errors import CalibrationError
+from urdfcal.estimation.blocks.arm import ArmBlock
 from urdfcal.estimation.identifiability import identify
 from urdfcal.estimation.model_spec import allowed, candidates, nominal
 from urdfcal.estimation.parameters import choose_parameters
@@ -15,20 +16,17 @@ from urdfcal.estimation.solver import solve
 from urdfcal.estimation.validation import hold_out, loss
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from urdfcal.arrays import Floats
     from urdfcal.estimation.identifiability import Identifiability
-    from urdfcal.estimation.model_spec import Freedoms
-    from urdfcal.estimation.observations import Observations
-    from urdfcal.estimation.parameters import Geometry
+    from urdfcal.estimation.model_spec import ModelSpec
+    from urdfcal.estimation.problem import Problem
     from urdfcal.estimation.solver import Progress, Solution
     from urdfcal.estimation.state import State
     from urdfcal.estimation.validation import HeldOut
     from urdfcal.session.model import Session
 
 # Held-out residuals that shrink by this factor with lenses set free refute the lenses as given: the arm would be
-# bent to make up for them (../shared/data/motoman_right: 3.0 against 1.0 px, and an arm ten times worse).
+# bent to make up for them (a measured session of a Motoman arm: 3.0 against 1.0 px, and an arm ten times worse).
 _REFUTED = 1.5
 # Residuals this many times the declared noise are no noise: wrong tip links and exchanged columns start at a hundred,
 # careless declarations end at five or so.
@@ -44,13 +42,13 @@ class Attempt:
     """One model, estimated from all poses.
 
     Attributes:
-        freedoms: the model.
+        spec: the model.
         identifiability: what the sightings tell of its parameters.
         fit: its estimate.
         seen_loss: of the poses it has seen; of unseen ones it cannot be lower.
     """
 
-    freedoms: Freedoms
+    spec: ModelSpec
     identifiability: Identifiability
     fit: Solution
     seen_loss: float
@@ -95,8 +93,7 @@ class Comparison:
 
 def compare_models(
     session: Session,
-    table: Geometry,
-    blocks: Sequence[Observations],
+    problem: Problem,
     start: State,
     *,
     priors: bool,
@@ -107,77 +104,75 @@ def compare_models(
 
     Args:
         session: what was measured, and what it wants estimated.
-        table: the arm's parameters.
-        blocks: the session's observations.
+        problem: of its measurements.
         start: first state.
         priors: whether manufacturing tolerances act as priors.
         seed: of the division into folds.
         progress: called after every solver step.
     """
-    joint_sigma = session.noise.joint
     base = nominal(session, start, priors=priors)
-    as_given = solve(table, blocks, start, choose_parameters(session, table, start, base), joint_sigma, progress)
+    as_given = solve(problem, start, choose_parameters(session, problem, start, base), progress)
     models = candidates(session, start, priors=priors)
-    attempts: dict[Freedoms, Attempt] = {}
+    attempts: dict[ModelSpec, Attempt] = {}
 
-    def attempt(freedoms: Freedoms) -> Attempt:
-        if freedoms not in attempts:
+    def attempt(spec: ModelSpec) -> Attempt:
+        if spec not in attempts:
             # Lenses first, the arm after: freed together they start in a bent valley.
-            state = as_given.state if freedoms.geometry == "none" else attempt(freedoms.frozen_arm).fit.state
-            found = identify(table, blocks, state, choose_parameters(session, table, state, freedoms))
-            fit = solve(table, blocks, state, found.parameters, joint_sigma, progress)
-            attempts[freedoms] = Attempt(freedoms, found, fit, loss(fit.deviation, blocks))
-        return attempts[freedoms]
+            state = as_given.state if spec.geometry == "none" else attempt(spec.nominal_arm).fit.state
+            found = identify(problem, state, choose_parameters(session, problem, state, spec))
+            fit = solve(problem, state, found.parameters, progress)
+            attempts[spec] = Attempt(spec, found, fit, loss(fit.norms, problem.observations))
+        return attempts[spec]
 
-    def validated(freedoms: Freedoms) -> Trial:
-        tried = attempt(freedoms)
+    def validated(spec: ModelSpec) -> Trial:
+        tried = attempt(spec)
         if not isinstance(tried, Trial):
-            attempts[freedoms] = tried = validate(tried, table, blocks, joint_sigma, seed)
+            attempts[spec] = tried = validate(tried, problem, seed)
         return tried
 
     chosen: Trial | None = None
     best: Trial | None = None
-    for freedoms in sorted(models, key=lambda model: attempt(model).seen_loss):
-        permitted = allowed(session, freedoms)
+    for spec in sorted(models, key=lambda model: attempt(model).seen_loss):
+        permitted = allowed(session, spec)
         rival = chosen if permitted else best
-        if rival is not None and attempt(freedoms).seen_loss >= rival.loss:
+        if rival is not None and attempt(spec).seen_loss >= rival.loss:
             continue  # it explains what it has seen worse than the rival predicts what that has not
-        trial = validated(freedoms)
+        trial = validated(spec)
         best = trial if best is None or trial.loss < best.loss else best
-        if permitted and (chosen is None or _preferred(trial, chosen, blocks)):
+        if permitted and (chosen is None or _preferred(trial, chosen, problem)):
             chosen = trial
     if chosen is None or best is None:
         raise CalibrationError("the session allows no model", remedy="Look at its estimate.")
-    drawn = validated(chosen.freedoms.frozen_arm)
-    ordered = tuple(attempts[freedoms] for freedoms in dict.fromkeys((*models, *attempts)))
+    drawn = validated(chosen.spec.nominal_arm)
+    ordered = tuple(attempts[spec] for spec in dict.fromkeys((*models, *attempts)))
     return Comparison(as_given, ordered, chosen, drawn, tuple(_failures(session, best, chosen, drawn)))
 
 
-def _preferred(trial: Trial, rival: Trial, blocks: Sequence[Observations]) -> bool:
+def _preferred(trial: Trial, rival: Trial, problem: Problem) -> bool:
     """Whether a model predicts unseen poses better; lenses as given are left only for a certain improvement."""
-    if trial.freedoms.intrinsics == rival.freedoms.intrinsics:
+    if trial.spec.intrinsics == rival.spec.intrinsics:
         return trial.loss < rival.loss
     difference = np.concatenate(
         [
-            (np.log1p(a**2) - np.log1p(b**2))[block.valid]
-            for a, b, block in zip(trial.held_out.deviation, rival.held_out.deviation, blocks, strict=True)
+            (np.log1p(a**2) - np.log1p(b**2))[of.valid]
+            for a, b, of in zip(trial.held_out.norms, rival.held_out.norms, problem.observations, strict=True)
         ]
     )
     certain = _CERTAIN * float(np.std(difference) / np.sqrt(len(difference)))
-    freer = trial.freedoms.free_lenses > rival.freedoms.free_lenses
+    freer = trial.spec.free_lenses > rival.spec.free_lenses
     return float(np.mean(difference)) < (-certain if freer else certain)
 
 
-def validate(attempt: Attempt, table: Geometry, blocks: Sequence[Observations], joint_sigma: float, seed: int) -> Trial:
+def validate(attempt: Attempt, problem: Problem, seed: int) -> Trial:
     """Cross-validate an estimated model."""
-    held_out = hold_out(table, blocks, attempt.fit, joint_sigma, seed)
+    held_out = hold_out(problem, attempt.fit, seed)
     return Trial(
-        attempt.freedoms,
+        attempt.spec,
         attempt.identifiability,
         attempt.fit,
         attempt.seen_loss,
         held_out,
-        loss(held_out.deviation, blocks),
+        loss(held_out.norms, problem.observations),
     )
 
 
@@ -185,14 +180,13 @@ def with_fit(
     comparison: Comparison,
     fit: Solution,
     session: Session,
-    table: Geometry,
-    blocks: Sequence[Observations],
+    problem: Problem,
     seed: int,
 ) -> Comparison:
     """The same comparison with another estimate of the chosen model."""
     old = comparison.chosen
-    attempt = Attempt(old.freedoms, old.identifiability, fit, loss(fit.deviation, blocks))
-    chosen = validate(attempt, table, blocks, session.noise.joint, seed)
+    attempt = Attempt(old.spec, old.identifiability, fit, loss(fit.norms, problem.observations))
+    chosen = validate(attempt, problem, seed)
     attempts = tuple(chosen if attempt is old else attempt for attempt in comparison.attempts)
     failures = tuple(_failures(session, chosen, chosen, comparison.drawn))
     return replace(comparison, attempts=attempts, chosen=chosen, failures=failures)
@@ -227,7 +221,7 @@ def _failures(session: Session, best: Trial, chosen: Trial, drawn: Trial) -> lis
             "the calibrated arm does not predict poses it has not seen better than the drawn one: more poses or less "
             "noise are needed, or there is nothing to correct"
         )
-    if chosen.freedoms.intrinsics:
+    if chosen.spec.intrinsics:
         with_given, with_free = (_rms(trial.residuals("residual")) for trial in (chosen, best))
         if with_given > _REFUTED * with_free:
             failures.append(
@@ -241,10 +235,13 @@ def _failures(session: Session, best: Trial, chosen: Trial, drawn: Trial) -> lis
 def _offsets_in_tolerances(fit: Solution) -> list[str]:
     """The offsets far beyond tolerance, in words; joints' zeros left out: on cheap arms they are anywhere."""
     words = []
-    for index, (row, name) in enumerate(fit.parameters.rows):
-        offset, prior = fit.state.offsets[row, fit.parameters.columns.index(name)], fit.parameters.prior[index]
-        if index not in fit.parameters.zeros and abs(offset) > _STRANGE * prior:
-            words.append(f"{fit.parameters.names[index]} would be off by {abs(offset) / prior:.0f} tolerances")
+    for block in fit.parameters.blocks:
+        if not isinstance(block, ArmBlock):
+            continue
+        offsets, _ = block.local(fit.state[block.key])
+        for name, row, offset, sigma in zip(block.names, block.rows, offsets, block.sigma, strict=True):
+            if row not in block.arm.zeros and abs(offset) > _STRANGE * sigma:
+                words.append(f"{name} would be off by {abs(offset) / sigma:.0f} tolerances")
     return words
 
 

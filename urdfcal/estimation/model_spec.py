@@ -1,4 +1,4 @@
-"""What an estimate may move, and how far: the choice among nested models is made in these words."""
+"""Model specifications: which parts of arm and cameras an estimate corrects (METHOD 13)."""
 
 from __future__ import annotations
 
@@ -6,15 +6,16 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from urdfcal.errors import SessionError
+from urdfcal.estimation.blocks.cameras import camera_values
 
 if TYPE_CHECKING:
     from urdfcal.estimation.state import State
-    from urdfcal.session.model import Freedom, Geometry, Session
+    from urdfcal.session.model import ArmGeometry, Freedom, Session
 
 _FIXED: Freedom = "fixed"
 _FREE: Freedom = "free"
-_WORDS: dict[Geometry, str] = {
-    "none": "arm as drawn",
+_WORDS: dict[ArmGeometry, str] = {
+    "none": "nominal arm",
     "offsets": "zero offsets",
     "dh": "DH rows",
     "full": "all placements",
@@ -22,100 +23,100 @@ _WORDS: dict[Geometry, str] = {
 
 
 @dataclass(frozen=True)
-class Freedoms:
-    """One model of what differs from the drawing.
+class ModelSpec:
+    """One model of what differs from nominal.
 
     Attributes:
         geometry: of the arm.
         intrinsics: of each camera.
-        extrinsics: of each camera in the frame it is fixed in; the first one that stands still is the world and fixed.
-        priors: whether tolerances hold the arm near its drawing and the LEDs near their given places.
+        extrinsics: of each camera in the frame it is fixed in; the first eye-to-hand one is the world and fixed.
+        priors: whether tolerances hold the arm near nominal and the LEDs near their given positions.
     """
 
-    geometry: Geometry
+    geometry: ArmGeometry
     intrinsics: tuple[Freedom, ...] = ()
     extrinsics: tuple[Freedom, ...] = ()
     priors: bool = True
 
     def __str__(self) -> str:
         words = [_WORDS[self.geometry]]
-        for what, freedoms in (("intrinsics", self.intrinsics), ("camera poses", self.extrinsics)):
-            words += [f"{word} {what}" for word in ("refine", "free") if word in freedoms]
+        for what, spec in (("intrinsics", self.intrinsics), ("camera poses", self.extrinsics)):
+            words += [f"{word} {what}" for word in ("refine", "free") if word in spec]
         return ", ".join(words).replace("refine ", "refined ")
 
     @property
     def free_lenses(self) -> int:
-        """How many cameras' intrinsics as given count for nothing."""
+        """Number of cameras whose given intrinsics count for nothing."""
         return self.intrinsics.count(_FREE)
 
     @property
-    def frozen_arm(self) -> Freedoms:
-        """The same cameras with the arm as drawn."""
+    def nominal_arm(self) -> ModelSpec:
+        """The same cameras with the nominal arm."""
         return replace(self, geometry="none")
 
 
-def nominal(session: Session, state: State, *, priors: bool = True) -> Freedoms:
-    """The arm as drawn and the lenses as given; only cameras of unknown pose are free.
+def nominal(session: Session, state: State, *, priors: bool = True) -> ModelSpec:
+    """Return the nominal arm with the lenses as given; only cameras of unknown pose are free.
 
     Args:
         session: what is known of the cameras.
         state: whose cameras take part: none where points are estimated from.
         priors: whether manufacturing tolerances act as priors.
     """
-    frames, cameras = session.frames, state.cameras
+    attachments = session.attachments
+    count = len(camera_values(attachments, state))
     refined = {mount.camera for mount in session.mounts if mount.sigma is not None}
     extrinsics: list[Freedom] = []
-    for c, camera in enumerate(cameras):
-        leads, rides = frames.leader[c] == c, frames.camera[c] != 0
-        if leads and rides:
-            extrinsics.append("refine" if camera.name in refined else "free")
+    for c, name in enumerate(attachments.cameras[:count]):
+        if attachments.reference[c] == c and attachments.camera[c] != 0:
+            extrinsics.append("refine" if name in refined else "free")
         else:
-            extrinsics.append("free" if frames.T_cam_leader[c] is None else "fixed")
-    return Freedoms("none", (_FIXED,) * len(cameras), tuple(extrinsics), priors)
+            extrinsics.append("free" if attachments.T_cam_reference[c] is None else "fixed")
+    return ModelSpec("none", (_FIXED,) * count, tuple(extrinsics), priors)
 
 
-def candidates(session: Session, state: State, *, priors: bool = True) -> tuple[Freedoms, ...]:
+def candidates(session: Session, state: State, *, priors: bool = True) -> tuple[ModelSpec, ...]:
     """The models to compare, from simple to rich: every geometry with the lenses as given, and with free ones.
 
     As given is within their standard deviations where a calibration of the cameras gave some: so the tip is 1.05 x as
     far off as with the true cameras, and 1.14 x with them fixed (tests/benchmarks/cameras.py, 20 seeds). What the
     session names is left as it says in every candidate but for the lenses: whether fixed lenses are refuted by the
-    sightings must be known before an arm is bent to fit them.
+    detections must be known before an arm is bent to fit them.
 
     Raises:
         SessionError: a camera whose place is not given is to stay there.
     """
     base, estimate = nominal(session, state, priors=priors), session.estimate
-    rig = session.rig if base.intrinsics else None
-    names, sigmas = (rig.names, rig.sigmas) if rig is not None else ((), ())
+    count = len(base.intrinsics)
+    names, sigmas = session.rig.names[:count], session.rig.sigmas[:count]
     said = tuple(estimate.of("intrinsics", name) for name in names)
     lenses: tuple[Freedom, ...] = tuple("fixed" if known is None else "refine" for known in sigmas)
     extrinsics: list[Freedom] = []
-    for c, (name, known, drawn) in enumerate(zip(names, sigmas, base.extrinsics, strict=True)):
-        word = None if c in session.frames.standing[:1] else estimate.of("extrinsics", name)
-        if session.frames.T_cam_frame[c] is None and word not in (None, "free"):
+    for c, (name, known, usual) in enumerate(zip(names, sigmas, base.extrinsics, strict=True)):
+        word = None if c in session.attachments.eye_to_hand[:1] else estimate.of("extrinsics", name)
+        if session.attachments.T_cam_frame[c] is None and word not in (None, "free"):
             raise SessionError(
                 f"the extrinsics of {name!r} are {word}, but where it stands is not given",
                 where="estimate",
                 remedy="Give its T_cn_cnm1 in the camera file or its place on its link, or leave its extrinsics free.",
             )
-        measured = known is not None and known.pose is not None and drawn == "fixed"
-        extrinsics.append(word or ("refine" if measured else drawn))
-    geometries: tuple[Geometry, ...] = (estimate.geometry,) if estimate.geometry else ("none", "offsets", "dh")
+        measured = known is not None and known.pose is not None and usual == "fixed"
+        extrinsics.append(word or ("refine" if measured else usual))
+    geometries: tuple[ArmGeometry, ...] = (estimate.geometry,) if estimate.geometry else ("none", "offsets", "dh")
     intrinsics = (
         tuple(word or given for word, given in zip(said, lenses, strict=True)),
         tuple(word or _FREE for word in said),
         (_FREE,) * len(said),
     )
     return tuple(
-        Freedoms(geometry, words, tuple(extrinsics), priors)
+        ModelSpec(geometry, words, tuple(extrinsics), priors)
         for words in dict.fromkeys(intrinsics)
         for geometry in geometries
     )
 
 
-def allowed(session: Session, freedoms: Freedoms) -> bool:
+def allowed(session: Session, spec: ModelSpec) -> bool:
     """Whether a model is what the session asks for, as far as it asks for something."""
-    names = session.rig.names if freedoms.intrinsics and session.rig is not None else ()
+    names = session.rig.names[: len(spec.intrinsics)]
     said = (session.estimate.of("intrinsics", name) for name in names)
-    return all(word is None or word == freedom for word, freedom in zip(said, freedoms.intrinsics, strict=True))
+    return all(word is None or word == freedom for word, freedom in zip(said, spec.intrinsics, strict=True))

@@ -1,24 +1,28 @@
-"""Several solutions: starts near and far, minima told apart by the kinematics they predict (seed's steps 5, 6)."""
+"""Multistart: starts near and far, and minima distinguished by the kinematics they predict (METHOD 10)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from urdfcal.errors import CalibrationError
-from urdfcal.estimation.linearize import view
+from urdfcal.estimation.alignment import kabsch
+from urdfcal.estimation.blocks.arm import ARM, no_offsets
+from urdfcal.estimation.blocks.cameras import has_cameras, without_cameras
+from urdfcal.estimation.joint_models import Readings
+from urdfcal.estimation.joint_models.time_offset import time_offsets
 from urdfcal.estimation.solver import solve
-from urdfcal.estimation.start import first_state, kabsch
+from urdfcal.estimation.start import first_state
+from urdfcal.session.motion import AT_REST
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from urdfcal.estimation.observations import Observations
-    from urdfcal.estimation.parameters import Geometry
+    from urdfcal.estimation.problem import Problem
     from urdfcal.estimation.solver import Progress, Solution
-    from urdfcal.estimation.state import State
+    from urdfcal.estimation.state import Key, State
     from urdfcal.session.model import Session
 
 # Chi-square by which a minimum may lie above the best and still be chance: five standard deviations.
@@ -26,7 +30,7 @@ _CHANCE = 25.0
 # Minima whose LEDs agree to this share of the arm's reach wherever it goes are one arm: the solver stops at 1e-6 of
 # a standard deviation, other minima are millimetres away.
 _SAME = 1e-5
-# Offsets beyond this many tolerances contradict the arm's drawing.
+# Offsets beyond this many tolerances contradict the nominal arm.
 _INCONGRUENT = 20.0
 # Near starts are drawn within a few tolerances; far ones have lengths off by up to this share of the reach and
 # angles by up to half a turn.
@@ -34,7 +38,7 @@ _NEAR, _FAR_LENGTH = 3.0, 0.3
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class Minimum:
     """One local minimum.
 
     Attributes:
@@ -53,22 +57,15 @@ class Candidate:
         return self.solution.cost if self.solution is not None else float("nan")
 
 
-def several(
-    session: Session,
-    table: Geometry,
-    blocks: Sequence[Observations],
-    first: Solution,
-    starts: int,
-    seed: int,
-    progress: Progress | None = None,
-) -> tuple[Candidate, ...]:
+def multistart(
+    session: Session, problem: Problem, first: Solution, starts: int, seed: int, progress: Progress | None = None
+) -> tuple[Minimum, ...]:
     """Start again from other arms, and screen what comes out.
 
     Args:
         session: what was measured.
-        table: the arm's parameters.
-        blocks: the session's observations.
-        first: the solution found from the drawing; it takes part.
+        problem: of its measurements.
+        first: the solution found from the nominal arm; it takes part.
         starts: how many others to start, every second one far beyond tolerance.
         seed: of the starts.
         progress: called after every solver step.
@@ -78,78 +75,90 @@ def several(
     """
     rng = np.random.default_rng(seed)
     found: list[Solution] = [first]
-    lost: list[Candidate] = []
+    failed: list[Minimum] = []
     for k in range(starts):
         try:
-            start = _start(session, table, first, rng, far=bool(k % 2))
-            found.append(solve(table, blocks, start, first.parameters, session.noise.joint, progress))
+            start = _start(session, problem, first, rng, far=bool(k % 2))
+            found.append(solve(problem, start, first.parameters, progress))
         except CalibrationError as error:
-            lost.append(Candidate(None, False, f"no start: {error.what}"))
-    return (*_screen(session, table, blocks, found), *lost)
+            failed.append(Minimum(None, False, f"no start: {error.what}"))
+    return (*_screen(session, problem, found), *failed)
 
 
-def _start(session: Session, table: Geometry, first: Solution, rng: np.random.Generator, *, far: bool) -> State:
-    parameters = first.parameters
-    offsets = np.zeros_like(first.state.offsets)
-    for index, (row, name) in enumerate(parameters.rows):
-        if not parameters.active[index]:
+def _start(session: Session, problem: Problem, first: Solution, rng: np.random.Generator, *, far: bool) -> State:
+    values: dict[Key[Any], Any] = {}
+    for block in first.parameters.blocks:
+        if not block.toleranced:
             continue
-        length = name in ("d", "a", "x", "y", "z")
-        limit = _FAR_LENGTH * table.chain.reach if length else np.pi
-        near = _NEAR * (session.tolerances.length if length else session.tolerances.zero)
-        offsets[row, parameters.columns.index(name)] = rng.uniform(-limit, limit) if far else rng.normal(0.0, near)
-    clocks = first.state.time_offsets
-    start = replace(first_state(session.with_clocks(clocks), table, offsets), time_offsets=clocks)
-    return start if first.state.cameras else start.without_cameras
+        step = np.zeros(len(block))
+        for k in np.flatnonzero(block.active):
+            length = block.units[k] == "m"
+            limit = _FAR_LENGTH * problem.arm.chain.reach if length else np.pi
+            near = _NEAR * (session.tolerances.length if length else session.tolerances.zero)
+            step[k] = rng.uniform(-limit, limit) if far else rng.normal(0.0, near)
+        values[block.key] = block.retract(block.nominal, step)
+    offsets = values.pop(ARM, no_offsets(problem.arm))
+    known = {model.key: first.state[model.key] for model in problem.joint_models}
+    session = session.with_time_offsets(time_offsets(first.state))
+    start = first_state(session, problem.arm, offsets, {**known, **values})
+    return start if has_cameras(first.state) else without_cameras(start)
 
 
-def _screen(
-    session: Session, table: Geometry, blocks: Sequence[Observations], found: Sequence[Solution]
-) -> list[Candidate]:
+def _screen(session: Session, problem: Problem, found: Sequence[Solution]) -> list[Minimum]:
     settled = [solution for solution in found if solution.converged]
     best = min((solution.cost for solution in settled), default=np.inf)
     likely = [solution for solution in settled if solution.cost <= best + _CHANCE]
     kept = min(likely, key=lambda solution: _strangeness(session, solution), default=None)
-    candidates: list[Candidate] = []
+    candidates: list[Minimum] = []
     for solution in found:
         if solution is kept:
-            candidates.insert(0, Candidate(solution, True, "nearest to the drawing among the best"))
+            candidates.insert(0, Minimum(solution, True, "nearest to nominal among the best"))
         elif not solution.converged:
-            candidates.append(Candidate(solution, False, "the solver did not settle"))
+            candidates.append(Minimum(solution, False, "the solver did not settle"))
         elif solution.cost > best + _CHANCE:
             reason = f"chi-square {solution.cost:.4g} against {best:.4g}: more than chance"
-            candidates.append(Candidate(solution, False, reason))
-        elif kept is not None and _same_arm(table, blocks, kept, solution):
-            twin = not np.allclose(kept.state.offsets, solution.state.offsets, rtol=0.0, atol=1e-3)
+            candidates.append(Minimum(solution, False, reason))
+        elif kept is not None and _same_arm(problem, kept, solution):
+            twin = not np.allclose(kept.state[ARM], solution.state[ARM], rtol=0.0, atol=1e-3)
             reason = "the same arm in other signs of its DH parameters" if twin else "the same minimum"
-            candidates.append(Candidate(solution, False, reason))
+            candidates.append(Minimum(solution, False, reason))
         else:
             strangeness = _strangeness(session, solution)
-            word = "outside tolerance" if strangeness > _INCONGRUENT else "farther from the drawing"
-            candidates.append(Candidate(solution, False, f"{word}: an offset of {strangeness:.0f} tolerances"))
+            word = "outside tolerance" if strangeness > _INCONGRUENT else "farther from nominal"
+            candidates.append(Minimum(solution, False, f"{word}: an offset of {strangeness:.0f} tolerances"))
     return candidates
 
 
 def _strangeness(session: Session, solution: Solution) -> float:
     """The largest offset in units of its tolerance."""
     tolerances, largest = session.tolerances, 0.0
-    for row, name in solution.parameters.rows:
-        offset = solution.state.offsets[row, solution.parameters.columns.index(name)]
-        unit = tolerances.length if name in ("d", "a", "x", "y", "z") else tolerances.angle
-        largest = max(largest, abs(offset) / unit if unit > 0.0 else 0.0)
+    for block in solution.parameters.blocks:
+        if not block.toleranced:
+            continue
+        offsets, _ = block.local(solution.state[block.key])
+        for offset, unit in zip(offsets, block.units, strict=True):
+            tolerance = tolerances.length if unit == "m" else tolerances.angle
+            largest = max(largest, abs(offset) / tolerance if tolerance > 0.0 else 0.0)
     return largest
 
 
-def _same_arm(table: Geometry, blocks: Sequence[Observations], a: Solution, b: Solution) -> bool:
-    """Whether two solutions move the LEDs alike, wherever the arm goes, up to where base and cameras are."""
-    for block in blocks:
-        q = table.chain.random_values(len(block.q), np.random.default_rng(0))
-        elsewhere = replace(block, q=q, trajectory=None)  # where an arm went that moved must not decide
-        p, r = (view(table, elsewhere, solution.state) for solution in (a, b))
-        for frame in np.unique(block.view_frame[block.valid]):
-            here = block.valid & (block.view_frame == frame)
+def _same_arm(problem: Problem, a: Solution, b: Solution) -> bool:
+    """Whether two solutions move the measured points alike, wherever the arm goes, up to where base and cameras are."""
+    chain = problem.arm.chain
+    for observed in problem.observations:
+        q = chain.random_values(len(observed.pose), np.random.default_rng(0))
+        # Where an arm that moved happened to go must not decide.
+        elsewhere = replace(observed, readings=Readings(q, observed.pose, AT_REST))
+        of_a, of_b = (
+            elsewhere.table.points(elsewhere, problem.links(elsewhere.readings, of.state), of.state) for of in (a, b)
+        )
+        if of_a is None or of_b is None:
+            continue
+        (frames, p), (_, r) = of_a, of_b
+        for frame in np.unique(frames[observed.valid]):
+            here = observed.valid & (frames == frame)
             T = kabsch(p[here], r[here])
             apart = np.linalg.norm(p[here] @ T[:3, :3].T + T[:3, 3] - r[here], axis=1)
-            if np.sqrt(np.mean(apart**2)) > _SAME * table.chain.reach:
+            if np.sqrt(np.mean(apart**2)) > _SAME * chain.reach:
                 return False
     return True

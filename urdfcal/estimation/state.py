@@ -1,45 +1,67 @@
-"""Everything an estimate moves, as one immutable value."""
+"""Hold the current value of every unknown of an estimate, looked up by typed keys."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
 import numpy as np
 
-from urdfcal.arrays import Floats, frozen
+from urdfcal.arrays import frozen
 
 if TYPE_CHECKING:
-    from urdfcal.cameras.camera import Camera
+    from collections.abc import Iterator, Mapping
+
+V = TypeVar("V")
 
 
-@dataclass(frozen=True, eq=False)
-class State:
-    """One hypothesis about the robot, the LEDs and the cameras.
+@dataclass(frozen=True)
+class Key(Generic[V]):
+    """Name one unknown and, for the type checker, the type of its value.
 
     Attributes:
-        offsets: (rows, 5) added to the DH rows, columns as ``dh.PARAMETERS``. [rad, m]
-        T_world_base: (4, 4) the base link in the world. [m]
-        leds: (L, 3) LED positions, each in the frame of what it is fastened to. [m]
-        cameras: lenses, in the rig's order.
-        T_cam_world: (C, 4, 4) in each camera the frame that it is fixed in: the world, or the link it rides on. [m]
-        time_offsets: (C,) of the cameras' clocks, t_robot = t_camera + offset; empty where the arm stood still. [s]
+        name: unique among the unknowns of an estimate.
     """
 
-    offsets: Floats
-    T_world_base: Floats
-    leds: Floats
-    cameras: tuple[Camera, ...] = ()
-    T_cam_world: Floats = field(default_factory=lambda: np.zeros((0, 4, 4)))
-    time_offsets: Floats = field(default_factory=lambda: np.zeros(0))
+    name: str
 
-    def __post_init__(self) -> None:
-        for entry in fields(self):
-            value = getattr(self, entry.name)
-            if isinstance(value, np.ndarray):
-                object.__setattr__(self, entry.name, frozen(value))
 
-    @property
-    def without_cameras(self) -> State:
-        """The same where points in space are estimated from, and cameras have no part."""
-        return replace(self, cameras=(), T_cam_world=np.zeros((0, 4, 4)))
+class State:
+    """One hypothesis about the robot, the LEDs and the cameras: a read-only value for each unknown.
+
+    Whether a value is estimated or fixed is not said here but by ``Parameters``.
+    """
+
+    __slots__ = ("_values",)
+
+    def __init__(self, values: Mapping[Key[Any], Any]) -> None:
+        """Copy the values; arrays become read-only."""
+        self._values = {key: _read_only(value) for key, value in values.items()}
+
+    def __getitem__(self, key: Key[V]) -> V:
+        """Return the value of an unknown."""
+        return cast("V", self._values[key])
+
+    def __contains__(self, key: object) -> bool:
+        """Return whether the unknown has a value."""
+        return key in self._values
+
+    def __iter__(self) -> Iterator[Key[Any]]:
+        """Iterate over the keys."""
+        return iter(self._values)
+
+    def __repr__(self) -> str:
+        """Name the unknowns."""
+        return f"State({', '.join(key.name for key in self._values)})"
+
+    def replace(self, values: Mapping[Key[Any], Any]) -> State:
+        """Return a state with some values changed or added."""
+        new = State({})
+        new._values = {**self._values, **{key: _read_only(value) for key, value in values.items()}}
+        return new
+
+
+def _read_only(value: Any) -> Any:
+    if not isinstance(value, np.ndarray) or not (value.flags.writeable or value.base is not None):
+        return value
+    return frozen(value, value.dtype)

@@ -1,4 +1,4 @@
-"""How well the calibrated tip is known, wherever the arm goes."""
+"""Uncertainty of the calibrated tip over the workspace (METHOD 12)."""
 
 from __future__ import annotations
 
@@ -7,24 +7,27 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.arrays import Floats, skew
-from urdfcal.robot.kinematics import tip_motion
+from urdfcal.estimation.blocks.arm import ARM
+from urdfcal.estimation.joint_models import Readings
+from urdfcal.robot.kinematics import joint_axes, tip_motion
+from urdfcal.session.motion import AT_REST
 
 if TYPE_CHECKING:
-    from urdfcal.estimation.parameters import Geometry
+    from urdfcal.estimation.problem import Problem
     from urdfcal.estimation.solver import Solution
 
 # Configurations that stand for the workspace when the base is aligned.
 _WORKSPACE = 300
 
 
-def tip_covariance(table: Geometry, fit: Solution, q: Floats, seed: int = 0) -> Floats:
-    """Covariance of the calibrated tip's position in the base link's frame.
+def tip_covariance(problem: Problem, fit: Solution, q: Floats, seed: int = 0) -> Floats:
+    """Compute the covariance of the calibrated tip's position in the base link's frame.
 
-    The offsets' covariance carried to the tip, less what a best rigid alignment over the workspace takes away: how
-    a robot is bolted down is nothing its URDF could know. The tip's place on the last link counts as drawn.
+    The covariance of the arm's offsets carried to the tip, less what a best rigid alignment over the workspace takes
+    away: how a robot is bolted down is nothing its URDF could know. The tip's place on the last link counts as nominal.
 
     Args:
-        table: the arm's parameters.
+        problem: the arm and its joint models.
         fit: the estimate.
         q: (N, n) joint values. [rad or m]
         seed: of the configurations that stand for the workspace.
@@ -32,22 +35,29 @@ def tip_covariance(table: Geometry, fit: Solution, q: Floats, seed: int = 0) -> 
     Returns:
         (N, 3, 3). [m^2]
     """
-    workspace = table.chain.random_values(_WORKSPACE, np.random.default_rng(seed))
-    A_workspace, rigid_workspace = _motion(table, fit, workspace)
+    workspace = problem.arm.chain.random_values(_WORKSPACE, np.random.default_rng(seed))
+    A_workspace, rigid_workspace = _motion(problem, fit, workspace)
     alignment = np.linalg.lstsq(
         rigid_workspace.reshape(-1, 6), A_workspace.reshape(-1, fit.parameters.count), rcond=None
     )[0]
-    A, rigid = _motion(table, fit, np.asarray(q, dtype=float))
+    A, rigid = _motion(problem, fit, np.asarray(q, dtype=float))
     A = A - rigid @ alignment
     result: Floats = A @ fit.covariance @ np.swapaxes(A, 1, 2)
     return result
 
 
-def _motion(table: Geometry, fit: Solution, q: Floats) -> tuple[Floats, Floats]:
+def _motion(problem: Problem, fit: Solution, q: Floats) -> tuple[Floats, Floats]:
     """How the tip moves with the active parameters (N, 3, count), and with the base as a rigid body (N, 3, 6)."""
-    parameters, offsets = fit.parameters, fit.state.offsets
-    motion = tip_motion(table.chain, table.chain.build_model(table.placements(offsets)), q)
-    A = np.zeros((len(q), 3, parameters.size))
-    A[..., : len(parameters.rows)] = (motion.regressor @ table.twists(offsets, parameters.rows))[:, :3]
+    parameters, arm = fit.parameters, problem.arm
+    offsets = problem.offsets(fit.state)
+    motion = tip_motion(arm.chain, arm.chain.build_model(arm.placements(offsets)), q)
+    A = np.zeros((len(q), 3, parameters.count))
+    A[..., parameters.active_columns(ARM)[0]] = (motion.regressor @ arm.twists(offsets, parameters.arm_rows))[:, :3]
+    J_q = (motion.regressor @ joint_axes(arm.chain))[:, :3]
+    readings = Readings(q, np.arange(len(q)), AT_REST)
+    for model in problem.joint_models:
+        where, active = parameters.active_columns(model.key)
+        if where.stop > where.start:
+            A[..., where] = (J_q @ model.jacobian(readings, fit.state[model.key]))[..., active]
     rigid = np.concatenate([np.broadcast_to(np.eye(3), (len(q), 3, 3)), -skew(motion.p)], axis=2)
-    return A[..., parameters.active], rigid
+    return A, rigid

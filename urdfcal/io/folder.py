@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from urdfcal.cameras.rig import Rig
 from urdfcal.errors import SessionError
+from urdfcal.estimation.measurements import MEASUREMENTS, Detections, Points
 from urdfcal.io import frame_tables, tables
 from urdfcal.io.checks.plausibility import Inputs, Taken, check, check_positions
 from urdfcal.io.writing import write_session
@@ -17,13 +19,15 @@ from urdfcal.robot.tree import read_mechanism
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.robot.urdf.urdf import Urdf, find_urdf
 from urdfcal.session.attachments import WORLD
-from urdfcal.session.model import Detections, Led, Points, Positions, RigDescription, Session, Stand
+from urdfcal.session.model import Led, Positions, RigDescription, Session, Stand
 from urdfcal.source import Source
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Mapping
 
-    from urdfcal.io.schema import Document, SessionFile, SetupFile
+    from urdfcal.estimation.measurements import Measurement
+    from urdfcal.io.schema import SessionFile, SetupFile
+    from urdfcal.io.yaml_document import Document
     from urdfcal.robot.mechanism import Mechanism
 
 __all__ = [
@@ -57,38 +61,31 @@ def read_session(path: str | Path) -> Session:
     """
     document, keys = _read_document(Path(path))
     setup = _read_setup(document, keys)
-    chain, rig, noise = setup["chain"], setup["rig"], setup["noise"]
-    led_names = [led.name for led in setup["leds"]]
-
     placed = _read_poses(document, keys, setup)
-    detections = points = None
+    files = {kind: _file(document, kind.kind) for kind in keys.tables}
     detected = _detections_file(document, keys)
-    if detected is None and keys.points is None:
+    if detected is not None:
+        files = {Detections: detected, **files}
+    if not files:
         raise SessionError(
-            "neither detections nor points are named: there is nothing to calibrate from",
+            f"none of {', '.join(kind.kind for kind in MEASUREMENTS)} are named: there is nothing to calibrate from",
             where=document.place(),
             remedy="Run `urdfcal detect` on its images first." if _has_images(document) else "",
         )
-    if detected is not None:
-        detections = placed.read_detections(detected, led_names, noise.pixel)
-    if keys.points is not None:
-        points = tables.read_points(_file(document, "points"), placed.taken.labels, led_names, noise.point)
-
-    joints = placed.joints
-    warnings = check(Inputs(document, chain, setup["leds"], rig, noise, joints, placed.taken, detections, points))
-    seen = {keys.detections or DETECTIONS: detections, keys.points: points}
-    hashes = {name: sightings.table.source.sha256 for name, sightings in seen.items() if name and sightings}
+    tables = tuple(placed.read(files[kind], kind, setup["noise"].of(kind)) for kind in MEASUREMENTS if kind in files)
+    warnings = check(_inputs(document, setup, placed, tables))
+    named = {kind: keys.tables.get(kind, DETECTIONS) for kind in files}
+    hashes = {named[table.kind]: table.table.source.sha256 for table in tables}
     return Session(
         **{**setup, "sha256": {**setup["sha256"], **placed.sha256, **hashes}},
         **placed.poses,
-        detections=_detections(detections) if detections else None,
-        points=_points(points) if points else None,
+        measurements=tuple(table.measurements for table in tables),
         warnings=placed.warnings + warnings,
     )
 
 
 def read_positions(path: str | Path) -> Positions:
-    """Read a session without its sightings, as `urdfcal detect` needs it: they are still in its images.
+    """Read a session without its measurements, as `urdfcal detect` needs it: they are still in its images.
 
     Args:
         path: the session's folder, or the YAML file in it.
@@ -100,11 +97,10 @@ def read_positions(path: str | Path) -> Positions:
     """
     document, keys = _read_document(Path(path))
     setup = _read_setup(document, keys)
-    if setup["rig"] is None:
+    if not setup["rig"].cameras:
         raise SessionError("no cameras are named", where=document.place(), remedy="Images need a camera file.")
     placed = _read_poses(document, keys, setup)
-    declared = setup["chain"], setup["leds"], setup["rig"], setup["noise"]
-    warnings = check_positions(Inputs(document, *declared, placed.joints, placed.taken, None, None))
+    warnings = check_positions(_inputs(document, setup, placed, ()))
     return Positions(**setup, **placed.poses, warnings=placed.warnings + warnings)
 
 
@@ -115,7 +111,7 @@ def lacks_detections(path: str | Path) -> bool:
         SessionError: session.yaml is missing or malformed.
     """
     document, keys = _read_document(Path(path))
-    return keys.points is None and _has_images(document) and _detections_file(document, keys) is None
+    return not keys.tables and _has_images(document) and _detections_file(document, keys) is None
 
 
 def detections_path(path: str | Path) -> Path:
@@ -125,7 +121,7 @@ def detections_path(path: str | Path) -> Path:
         SessionError: session.yaml is missing or malformed.
     """
     document, keys = _read_document(Path(path))
-    return document.source.path.parent / (keys.detections or DETECTIONS)
+    return document.source.path.parent / keys.tables.get(Detections, DETECTIONS)
 
 
 def read_rig(path: str | Path) -> RigDescription:
@@ -139,14 +135,15 @@ def read_rig(path: str | Path) -> RigDescription:
         RobotError: the URDF is not one, or has no such chain.
         CameraError: the camera file is not one.
     """
-    from urdfcal.io.schema import Document, RigFile
+    from urdfcal.io.schema import RigFile
+    from urdfcal.io.yaml_document import Document
 
     document = Document.read(_yaml_file(Path(path), _RIG))
     keys = document.validate(RigFile)
     stand = None if keys.stand is None else Stand(keys.stand.position, keys.stand.look_at)  # type: ignore[arg-type]
     setup = _read_setup(document, keys)
-    riding = {mount.camera for mount in setup["mounts"]}
-    if stand is None and not set(setup["rig"].names) <= riding:
+    on_links = {mount.camera for mount in setup["mounts"]}
+    if stand is None and not set(setup["rig"].names) <= on_links:
         raise SessionError(
             "the key 'stand' is missing",
             where=document.place(),
@@ -168,12 +165,14 @@ def read_points(path: str | Path, session: Session) -> tuple[Points, tuple[Led, 
     Raises:
         SessionError: the file cannot be read, or names other poses, with line and column.
     """
-    table = tables.read_points(Path(path), session.poses, None, session.noise.point)
-    return _points(table), tuple(Led(name) for name in table.names["led"])
+    table = tables.read_measurements(Path(path), Points, {"pose": session.poses}, session.noise.point)
+    points = Points(table.index["pose"], table.index["led"], table.values, table.sigma)
+    return points, tuple(Led(name) for name in table.names["led"])
 
 
 def _read_document(path: Path) -> tuple[Document, SessionFile]:
-    from urdfcal.io.schema import Document, SessionFile
+    from urdfcal.io.schema import SessionFile
+    from urdfcal.io.yaml_document import Document
 
     document = Document.read(_yaml_file(path, _SESSION))
     return document, document.validate(SessionFile)
@@ -188,7 +187,7 @@ class _Placed:
         joints: the table of readings.
         taken: what was measured at.
         sha256: of the tables that were read, the hash by the name in the session.
-        read_detections: reads detections.csv (path, LEDs, usual sigma in px).
+        read: reads a table of measurements (path, kind, usual sigma in the kind's unit).
         warnings: what was ignored or left out.
     """
 
@@ -196,8 +195,15 @@ class _Placed:
     joints: tables.JointTable | frame_tables.LogTable
     taken: Taken
     sha256: Mapping[str, str]
-    read_detections: Callable[[Path, Sequence[str], float], tables.SightingTable]
+    read: Callable[[Path, type[Measurement], float], tables.MeasurementTable]
     warnings: tuple[str, ...]
+
+
+def _inputs(
+    document: Document, setup: Mapping[str, Any], placed: _Placed, tables: tuple[tables.MeasurementTable, ...]
+) -> Inputs:
+    declared = setup["chain"], setup["leds"], setup["rig"], setup["noise"]
+    return Inputs(document, *declared, placed.joints, placed.taken, tables)
 
 
 def _read_poses(document: Document, keys: SessionFile, setup: Mapping[str, Any]) -> _Placed:
@@ -205,14 +211,15 @@ def _read_poses(document: Document, keys: SessionFile, setup: Mapping[str, Any])
 
 
 def _read_still(document: Document, keys: SessionFile, setup: Mapping[str, Any]) -> _Placed:
-    chain, cameras = setup["chain"], setup["rig"].names if setup["rig"] is not None else ()
+    chain = setup["chain"]
     joints = tables.read_joints(_file(document, "joints"), chain, setup["urdf"].joints)
+    names = {"pose": joints.poses, "camera": setup["rig"].names, "led": [led.name for led in setup["leds"]]}
     return _Placed(
         poses={"poses": joints.poses, "q": chain.joint_values(joints.readings), "time": joints.time},
         joints=joints,
         taken=Taken(joints.table.path, joints.poses, joints.readings, still=0.0),
         sha256={keys.joints: joints.table.source.sha256},
-        read_detections=lambda path, leds, sigma: tables.read_detections(path, joints.poses, cameras, leds, sigma),
+        read=lambda path, kind, sigma: tables.read_measurements(path, kind, names, sigma),
         warnings=joints.warnings,
     )
 
@@ -224,22 +231,23 @@ def _read_moving(document: Document, keys: SessionFile, setup: Mapping[str, Any]
     trajectory, pose, warnings = frame_tables.combine(joints, taken, chain)
     labels = tuple(f"{taken.cameras[c]}/{trajectory.label(k)}" for k, c in enumerate(trajectory.camera.tolist()))
     q = trajectory.values(np.zeros(len(taken.cameras)))
+    leds = [led.name for led in setup["leds"]]
     return _Placed(
-        poses={"poses": labels, "q": q, "time": trajectory.time, "trajectory": trajectory},
+        poses={"poses": labels, "q": q, "time": trajectory.time, "motion": trajectory},
         joints=joints,
         taken=Taken(taken.table.path, labels, chain.readings(q), still=frame_tables.STILL),
         sha256={keys.joints: joints.table.source.sha256, str(keys.frames): taken.table.source.sha256},
-        read_detections=lambda path, leds, sigma: frame_tables.read_frame_detections(path, taken, pose, leds, sigma),
+        read=lambda path, _, sigma: frame_tables.read_frame_detections(path, taken, pose, leds, sigma),
         warnings=(*joints.warnings, *warnings),
     )
 
 
 def _detections_file(document: Document, keys: SessionFile) -> Path | None:
     """The table of detections: as named, or, of a session with images and nothing named, as detected in them."""
-    if keys.detections is not None:
+    if Detections in keys.tables:
         return _file(document, "detections")
     default = document.source.path.parent / DETECTIONS
-    images = keys.points is None and keys.cameras is not None and _has_images(document)
+    images = not keys.tables and keys.cameras is not None and _has_images(document)
     return default if images and default.is_file() else None
 
 
@@ -306,7 +314,7 @@ def _read_setup(document: Document, keys: SetupFile) -> dict[str, Any]:
     urdf = Urdf.read(find_urdf(keys.robot.urdf, folder))
     chain = _read_mechanism(document, keys, urdf)
     hashes = {document.source.path.name: document.source.sha256, keys.robot.urdf: Source(folder, urdf.data).sha256}
-    rig = None
+    rig = Rig()
     if keys.cameras is not None:
         path = _file(document, "cameras", keys.cameras.file)
         rig = read_kalibr(path)
@@ -335,11 +343,3 @@ def _read_setup(document: Document, keys: SetupFile) -> dict[str, Any]:
         "sha256": hashes,
         "folder": folder,
     }
-
-
-def _detections(table: tables.SightingTable) -> Detections:
-    return Detections(**table.index, uv=table.values, sigma=table.sigma)
-
-
-def _points(table: tables.SightingTable) -> Points:
-    return Points(**table.index, xyz=table.values, sigma=table.sigma)

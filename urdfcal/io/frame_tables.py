@@ -9,7 +9,9 @@ import numpy as np
 
 from urdfcal.arrays import Bools, Floats, Ints, frozen
 from urdfcal.errors import SessionError
-from urdfcal.io.tables import SightingTable, Table, ignored_columns, sorted_sightings
+from urdfcal.estimation.measurements import Detections
+from urdfcal.io.csv_table import Table
+from urdfcal.io.tables import MeasurementTable, ignored_columns, sorted_measurements
 from urdfcal.names import listed, suggest
 from urdfcal.session.model import MIN_POSES
 from urdfcal.session.trajectory import LONGEST_GAP, MARGIN, JointLog, Trajectory
@@ -162,8 +164,8 @@ def combine(log_table: LogTable, frames: FrameTable, chain: Mechanism) -> tuple[
 
 def read_frame_detections(
     path: Path, frames: FrameTable, pose: Ints, leds: Sequence[str], sigma: float
-) -> SightingTable:
-    """Read detections.csv of a moving arm; sightings in frames without joint values are left out.
+) -> MeasurementTable:
+    """Read detections.csv of a moving arm; detections in frames without joint values are left out.
 
     Args:
         path: the file.
@@ -197,7 +199,7 @@ def read_frame_detections(
         )
     kept = tuple(frame for frame, k in zip(frames.frame, pose.tolist(), strict=True) if k >= 0)
     names = {"pose": kept, "camera": frames.cameras, "led": tuple(leds)}
-    return sorted_sightings(table, index, names, ("u", "v"), sigma)
+    return sorted_measurements(table, Detections, index, names, sigma)
 
 
 def _check_increasing(table: Table, time: Floats, rows: Ints, whose: str) -> None:

@@ -4,20 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from urdfcal.arrays import Floats, frozen
 from urdfcal.errors import SessionError
+from urdfcal.estimation.measurements import Detections, Points
 from urdfcal.io.checks.plausibility import OVERRUN
 from urdfcal.names import flaw, suggest
-from urdfcal.session.model import Detections, Points, Positions, Session, Setup
+from urdfcal.session.finite import finite_array
+from urdfcal.session.model import Positions, Session, Setup
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from urdfcal.arrays import Floats
+    from collections.abc import Sequence
 
     from numpy.typing import ArrayLike
+
+    from urdfcal.estimation.measurements import Measurement
 
 
 class Recorder:
@@ -75,7 +79,7 @@ class Recorder:
         if name in self._readings:
             raise SessionError("there is a pose of this label", where=where, remedy="Give every pose its own.")
         by_order = self._by_order(joints, where) if isinstance(joints, Mapping) else joints
-        readings = _numbers(by_order, len(self._setup.chain.actuated), "joints", where)
+        readings = finite_array(by_order, (len(self._setup.chain.actuated),), "joints", where)
         self._check_limits(readings, where)
         if len(self) and (time is None) != (not self._times):
             raise SessionError(
@@ -84,7 +88,7 @@ class Recorder:
                 remedy="Give all poses a time, or none.",
             )
         if time is not None:
-            self._times.append(float(_numbers([time], 1, "time", where)[0]))
+            self._times.append(float(finite_array([time], (1,), "time", where)[0]))
         self._readings[name] = readings
         return name
 
@@ -104,14 +108,14 @@ class Recorder:
         """
         where = f"pose {pose!r}, camera {camera!r}, LED {led!r}"
         rig = self._setup.rig
-        if rig is None:
+        if not rig.cameras:
             raise SessionError("the setup has no cameras", where=where, remedy="Give it a rig, or add points.")
         key = (
             self._index(pose, tuple(self._readings), "poses"),
             self._index(camera, rig.names, "cameras"),
             self._index(led, self._setup.led_names, "LEDs"),
         )
-        place = _numbers(uv, 2, "uv", where)
+        place = finite_array(uv, (2,), "uv", where)
         if not rig.cameras[key[1]].in_image(place):
             width, height = rig.cameras[key[1]].resolution
             raise SessionError(f"({place[0]:g}, {place[1]:g}) is outside the {width} x {height} image", where=where)
@@ -136,7 +140,7 @@ class Recorder:
             self._index(pose, tuple(self._readings), "poses"),
             self._index(led, self._setup.led_names, "LEDs"),
         )
-        place = _numbers(xyz, 3, "xyz", where)
+        place = finite_array(xyz, (3,), "xyz", where)
         if key in self._points:
             raise SessionError("it was measured already", where=where, remedy="Keep one point.")
         self._points[key] = place, _positive(self._setup.noise.point if sigma is None else sigma, where)
@@ -156,10 +160,10 @@ class Recorder:
             poses=tuple(self._readings),
             q=self._setup.chain.joint_values(np.array(list(self._readings.values())).reshape(len(self), -1)),
             time=np.array(self._times) if self._times else None,
-            detections=Detections(**_columns(self._sightings, ("pose", "camera", "led"), "uv"))
-            if self._sightings
-            else None,
-            points=Points(**_columns(self._points, ("pose", "led"), "xyz")) if self._points else None,
+            measurements=(
+                *([Detections(**_columns(self._sightings, Detections))] if self._sightings else ()),
+                *([Points(**_columns(self._points, Points))] if self._points else ()),
+            ),
         )
 
     def _by_order(self, joints: Mapping[str, float], where: str) -> list[float]:
@@ -193,31 +197,17 @@ class Recorder:
         return known.index(name)
 
 
-def _numbers(values: ArrayLike, count: int, what: str, where: str) -> Floats:
-    try:
-        array = frozen(values)
-    except (TypeError, ValueError) as error:
-        raise SessionError(f"{what} is not made of numbers", where=where) from error
-    if array.shape != (count,):
-        raise SessionError(f"{what} has shape {array.shape}, not ({count},)", where=where)
-    if not np.isfinite(array).all():
-        raise SessionError(f"{what} has values that are not finite", where=where)
-    return array
-
-
 def _positive(sigma: float, where: str) -> float:
-    value = float(_numbers([sigma], 1, "sigma", where)[0])
+    value = float(finite_array([sigma], (1,), "sigma", where)[0])
     if value <= 0.0:
         raise SessionError(f"sigma is {value:g}; it must be positive", where=where)
     return value
 
 
-def _columns(
-    table: Mapping[tuple[int, ...], tuple[Floats, float]], keys: Collection[str], values: str
-) -> dict[str, np.ndarray]:
+def _columns(table: Mapping[tuple[int, ...], tuple[Floats, float]], kind: type[Measurement]) -> dict[str, Any]:
     indices = np.array(list(table), dtype=np.intp)
     return {
-        **{key: indices[:, i] for i, key in enumerate(keys)},
-        values: np.array([place for place, _ in table.values()]),
+        **{key: indices[:, i] for i, key in enumerate(kind.keys)},
+        kind.array: np.array([place for place, _ in table.values()]),
         "sigma": np.array([sigma for _, sigma in table.values()]),
     }

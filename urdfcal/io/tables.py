@@ -1,193 +1,27 @@
-"""The CSV tables of a session: read fast, and refused with file, line and column."""
+"""The tables of a session: joint readings, and measurements of every kind."""
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from urdfcal.arrays import Floats, Ints, frozen
 from urdfcal.errors import SessionError
-from urdfcal.names import flaw, listed, suggest
+from urdfcal.io.csv_table import Table
 from urdfcal.session.model import MIN_POSES
-from urdfcal.source import Source
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
     from pathlib import Path
 
+    from urdfcal.estimation.measurements import Measurement
     from urdfcal.robot.mechanism import Mechanism
 
-_SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars"}
-_MISSING_SIGHTING = "Leave the row out where an LED was not seen."
-
-
-@dataclass(frozen=True, eq=False)
-class Table:
-    """A CSV file as text, its header checked.
-
-    Attributes:
-        source: the file.
-        columns: the cells of each column by its name, below the header.
-        lines: the file's lines; row i is line i + 2 as people count.
-    """
-
-    source: Source
-    columns: Mapping[str, Sequence[str]]
-    lines: Sequence[str]
-
-    @classmethod
-    def read(
-        cls, path: Path, required: Sequence[str], optional: Sequence[str] = (), ignored: Collection[str] | None = ()
-    ) -> Table:
-        """Read ``path``.
-
-        Args:
-            path: a file of comma-separated values in UTF-8, its first line naming the columns.
-            required: names of columns that must be there, in any order.
-            optional: names of columns that may be.
-            ignored: names of columns that may be, and do not matter; None for any others.
-
-        Raises:
-            SessionError: the file cannot be read, its header is not as expected, or rows are ragged or missing.
-        """
-        source = Source.read(path)
-        lines = source.text.split("\n")
-        while lines and not lines[-1].strip():
-            lines.pop()
-        if not lines:
-            raise SessionError(
-                "the file is empty",
-                where=str(path),
-                remedy=f"Its first line names the columns: {','.join(required)}.",
-            )
-        cells, widths = _split(path, lines)
-        header = [name.strip() for name in cells[: widths[0]]]
-        _check_header(path, header, required, optional, ignored)
-        if len(widths) == 1:
-            raise SessionError("there are no rows below the header", where=f"{path}:1")
-        for number, width in enumerate(widths, 1):
-            if width != len(header):
-                blank = not lines[number - 1].strip()
-                what = "the line is empty" if blank else f"{width} cells where the header names {len(header)}"
-                raise SessionError(what, where=f"{path}:{number}", remedy="Every row has one cell per column.")
-        columns = {name: cells[len(header) + i :: len(header)] for i, name in enumerate(header)}
-        return cls(source, columns, lines)
-
-    @property
-    def path(self) -> Path:
-        """The file's path."""
-        return self.source.path
-
-    def place(self, row: int, column: str) -> str:
-        """Where a cell is: file:line:column, counted from 1."""
-        index, line = list(self.columns).index(column), self.lines[row + 1]
-        position = 0
-        for _ in range(index):
-            # A comma inside quotes separates nothing.
-            quoted = False
-            while quoted or line[position] != ",":
-                quoted ^= line[position] == '"'
-                position += 1
-            position += 1
-        position += len(line[position:]) - len(line[position:].lstrip(" "))
-        return f"{self.path}:{row + 2}:{position + 1}"
-
-    def labels(self, column: str) -> tuple[str, ...]:
-        """The cells of a column of names, without blanks around them.
-
-        Raises:
-            SessionError: a cell is empty or cannot be printed.
-        """
-        labels = tuple(cell.strip() for cell in self.columns[column])
-        for row, label in enumerate(labels):
-            if problem := flaw(label):
-                what = problem if label else "the cell is empty"
-                raise SessionError(f"{column}: {what}", where=self.place(row, column))
-        return labels
-
-    def numbers(self, columns: Sequence[str], remedy: str = "") -> Floats:
-        """The cells of some columns as numbers, (rows, columns).
-
-        Args:
-            columns: their names.
-            remedy: what to do about a number that is not there.
-
-        Raises:
-            SessionError: a cell is empty, no number, or not finite.
-        """
-        result = np.empty((len(self.columns[columns[0]]), len(columns)))
-        for i, column in enumerate(columns):
-            cells = self.columns[column]
-            try:
-                result[:, i] = list(map(float, cells))
-            except ValueError:
-                self._refuse_text(column, remedy)
-            # Python reads 1_000 as a number; a table that has it is damaged.
-            if "_" in "".join(cells):
-                self._refuse_text(column, remedy)
-        bad = np.argwhere(~np.isfinite(result))
-        if bad.size:
-            row, column = int(bad[0, 0]), columns[bad[0, 1]]
-            cell = self.columns[column][row].strip()
-            raise SessionError(f"{column}: {cell} is not a finite number", where=self.place(row, column), remedy=remedy)
-        return result
-
-    def positive(self, column: str) -> Floats:
-        """The cells of a column of standard deviations, (rows,).
-
-        Raises:
-            SessionError: a cell is no positive number.
-        """
-        result: Floats = self.numbers([column])[:, 0]
-        bad = np.flatnonzero(result <= 0.0)
-        if bad.size:
-            row = int(bad[0])
-            raise SessionError(
-                f"{column}: {self.columns[column][row].strip()} is not positive", where=self.place(row, column)
-            )
-        return result
-
-    def indices(self, column: str, known: Sequence[str], kind: str) -> Ints:
-        """The cells of a column of names as indices into ``known``, (rows,).
-
-        Args:
-            column: its name.
-            known: the names that there are.
-            kind: what they name, in the plural, for the message.
-
-        Raises:
-            SessionError: a name is not among them.
-        """
-        index = {name: i for i, name in enumerate(known)}
-        try:
-            found = [index[cell] for cell in self.columns[column]]
-        except KeyError:
-            found = [index.get(label, -1) for label in self.labels(column)]
-            if -1 in found:
-                row = found.index(-1)
-                name = self.columns[column][row].strip()
-                raise SessionError(
-                    f"there is no {column} {name!r}",
-                    where=self.place(row, column),
-                    remedy=suggest(name, known, kind),
-                ) from None
-        return np.array(found, dtype=np.intp)
-
-    def _refuse_text(self, column: str, remedy: str) -> NoReturn:
-        for row, cell in enumerate(self.columns[column]):
-            text = cell.strip()
-            try:
-                if "_" not in text:
-                    float(text)
-                    continue
-            except ValueError:
-                pass
-            what = f"{text!r} is not a number" if text else "the cell is empty"
-            raise SessionError(f"{column}: {what}", where=self.place(row, column), remedy=remedy)
-        raise SessionError(f"{column}: there are cells that are not numbers", where=str(self.path))
+_MISSING = "Leave the row out where nothing was measured."
+# What is named elsewhere: in joints.csv, the camera file and session.yaml.
+_KNOWN = {"pose": "poses of joints.csv", "camera": "cameras", "led": "LEDs"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,18 +44,20 @@ class JointTable:
 
 
 @dataclass(frozen=True, eq=False)
-class SightingTable:
-    """detections.csv or points.csv, sorted by pose, camera and LED.
+class MeasurementTable:
+    """A table of measurements of one kind, sorted by its keys.
 
     Attributes:
+        kind: of what was measured.
         table: its text.
-        rows: (S,) row of the table that each sighting comes from.
-        index: the indices by column: pose, camera, led, each (S,).
+        rows: (S,) row of the table that each measurement comes from.
+        index: the indices by column: pose, camera, led, ..., each (S,).
         names: what the indices stand for, by column.
-        values: (S, 2) u, v in px, or (S, 3) x, y, z in m.
-        sigma: (S,) of each number; where the table has none, the same for all. [px or m]
+        values: (S, D) what was measured. [unit of the kind]
+        sigma: (S,) of each number; where the table has none, the same for all. [unit of the kind]
     """
 
+    kind: type[Measurement]
     table: Table
     rows: Ints
     index: Mapping[str, Ints]
@@ -229,9 +65,15 @@ class SightingTable:
     values: Floats
     sigma: Floats
 
-    def place(self, sighting: int, column: str) -> str:
-        """Where a cell of a sighting is: file:line:column."""
-        return self.table.place(int(self.rows[sighting]), column)
+    def place(self, measurement: int, column: str) -> str:
+        """Where a cell of a measurement is: file:line:column."""
+        return self.table.place(int(self.rows[measurement]), column)
+
+    @property
+    def measurements(self) -> Measurement:
+        """The measurements of the table."""
+        own = {key: names for key, names in self.names.items() if key not in _KNOWN}
+        return self.kind(**{**self.index, self.kind.array: self.values, "sigma": self.sigma, "names": own})  # type: ignore[arg-type]
 
 
 def read_joints(path: Path, chain: Mechanism, robot_joints: Collection[str]) -> JointTable:
@@ -287,126 +129,57 @@ def ignored_columns(table: Table, chain: Mechanism, others: Collection[str]) -> 
     )
 
 
-def read_detections(
-    path: Path, poses: Sequence[str], cameras: Sequence[str], leds: Sequence[str], sigma: float
-) -> SightingTable:
-    """Read detections.csv.
+def read_measurements(
+    path: Path, kind: type[Measurement], known: Mapping[str, Sequence[str]], sigma: float
+) -> MeasurementTable:
+    """Read a table of measurements.
 
     Args:
         path: the file.
-        poses: labels that there are.
-        cameras: names that there are.
-        leds: names that there are.
-        sigma: standard deviation where the table has no such column. [px]
+        kind: of the measurements.
+        known: the names that there are, by column; columns without an entry take those in the file, as they come.
+        sigma: standard deviation where the table has no such column. [unit of the kind]
 
     Raises:
         SessionError: with the place in the file.
     """
-    return _read_sightings(path, {"pose": poses, "camera": cameras, "led": leds}, ("u", "v"), sigma)
+    table = Table.read(path, [*kind.keys, *kind.columns], ["sigma"])
+    names = {key: tuple(known[key] if key in known else dict.fromkeys(table.labels(key))) for key in kind.keys}
+    index = {key: table.indices(key, names[key], _KNOWN.get(key, f"{key}s")) for key in kind.keys}
+    return sorted_measurements(table, kind, index, names, sigma)
 
 
-def read_points(path: Path, poses: Sequence[str], leds: Sequence[str] | None, sigma: float) -> SightingTable:
-    """Read points.csv.
-
-    Args:
-        path: the file.
-        poses: labels that there are.
-        leds: names that there are; None takes those in the file, in the order they come.
-        sigma: standard deviation where the table has no such column. [m]
-
-    Raises:
-        SessionError: with the place in the file.
-    """
-    return _read_sightings(path, {"pose": poses, "led": leds}, ("x", "y", "z"), sigma)
-
-
-def _read_sightings(
-    path: Path, known: Mapping[str, Sequence[str] | None], values: tuple[str, ...], sigma: float
-) -> SightingTable:
-    table = Table.read(path, [*known, *values], ["sigma"])
-    names = {key: tuple(dict.fromkeys(table.labels(key))) if of is None else tuple(of) for key, of in known.items()}
-    kinds = {"pose": "poses of joints.csv", "camera": "cameras", "led": "LEDs"}
-    index = {key: table.indices(key, names[key], kinds[key]) for key in known}
-    return sorted_sightings(table, index, names, values, sigma)
-
-
-def sorted_sightings(
-    table: Table, index: Mapping[str, Ints], names: Mapping[str, tuple[str, ...]], values: tuple[str, ...], sigma: float
-) -> SightingTable:
-    """Read the numbers of a table of sightings, and sort it.
+def sorted_measurements(
+    table: Table,
+    kind: type[Measurement],
+    index: Mapping[str, Ints],
+    names: Mapping[str, tuple[str, ...]],
+    sigma: float,
+) -> MeasurementTable:
+    """Read the numbers of a table of measurements, and sort it.
 
     Args:
         table: the file.
-        index: what is seen, by column, each of all rows; rows with a negative one are left out.
+        kind: of the measurements.
+        index: what is measured, by column, each of all rows; rows with a negative one are left out.
         names: what the indices stand for.
-        values: the columns with what was measured.
-        sigma: standard deviation where the table has no such column. [px or m]
+        sigma: standard deviation where the table has no such column. [unit of the kind]
 
     Raises:
-        SessionError: a number is none, or there are two sightings of the same, with the place in the file.
+        SessionError: a number is none, or there are two measurements of the same, with the place in the file.
     """
-    numbers = table.numbers(values, _MISSING_SIGHTING)
+    numbers = table.numbers(kind.columns, _MISSING)
     spread = table.positive("sigma") if "sigma" in table.columns else np.full(len(numbers), sigma)
     order = np.lexsort([index[key] for key in reversed(list(index))])
     order = order[np.logical_and.reduce([index[key][order] >= 0 for key in index])]
     index = {key: frozen(column[order], np.intp) for key, column in index.items()}
     twice = np.flatnonzero(np.logical_and.reduce([np.diff(column) == 0 for column in index.values()]))
     if twice.size:
-        # lexsort is stable: of equal sightings the second comes later in the file.
+        # lexsort is stable: of equal measurements the second comes later in the file.
         first, second = int(order[twice[0]]), int(order[twice[0] + 1])
         what = ", ".join(f"{key} {table.columns[key][second].strip()!r}" for key in index)
         raise SessionError(
             f"{what} is already in line {first + 2}", where=table.place(second, "pose"), remedy="Keep one."
         )
-    return SightingTable(table, frozen(order, np.intp), index, names, frozen(numbers[order]), frozen(spread[order]))
-
-
-def _split(path: Path, lines: Sequence[str]) -> tuple[list[str], list[int]]:
-    """The cells of all lines, one after the other, and how many each line has."""
-    # Without quotes a cell ends at a comma, and one split of the whole text is several times faster.
-    if not any('"' in line for line in lines):
-        return ",".join(lines).split(","), [line.count(",") + 1 for line in lines]
-    reader = csv.reader(lines, strict=True, skipinitialspace=True)
-    try:
-        rows = list(reader)
-    except csv.Error as error:
-        _check_quotes(path, lines)
-        raise SessionError(f"this is no CSV: {error}", where=f"{path}:{reader.line_num}") from error
-    if len(rows) != len(lines):
-        _check_quotes(path, lines)
-    return [cell for row in rows for cell in row], [len(row) for row in rows]
-
-
-def _check_quotes(path: Path, lines: Sequence[str]) -> None:
-    for number, line in enumerate(lines, 1):
-        if line.count('"') % 2:
-            raise SessionError(
-                "a quote is opened and not closed in this line", where=f"{path}:{number}", remedy="Close it."
-            )
-
-
-def _check_header(
-    path: Path,
-    header: Sequence[str],
-    required: Sequence[str],
-    optional: Sequence[str],
-    ignored: Collection[str] | None,
-) -> None:
-    where = f"{path}:1"
-    expected = [*required, *optional]
-    needs = f"The columns are: {listed(required)}" + (f"; optional: {listed(optional)}." if optional else ".")
-    if len(header) == 1:
-        for character, name in _SEPARATORS.items():
-            if character in header[0]:
-                raise SessionError(f"the columns are separated by {name}", where=where, remedy="Use commas.")
-    for i, name in enumerate(header):
-        if name in header[:i]:
-            raise SessionError(f"the column {name!r} is named twice", where=where, remedy=needs)
-        if ignored is not None and name not in expected and name not in ignored:
-            raise SessionError(f"unknown column {name!r}", where=where, remedy=suggest(name, expected, "columns"))
-    missing = [name for name in required if name not in header]
-    if missing:
-        plural = "columns are" if len(missing) > 1 else "column is"
-        raise SessionError(
-            f"the {plural} missing: {', '.join(repr(name) for name in missing)}", where=where, remedy=needs
-        )
+    numbers, spread = frozen(numbers[order]), frozen(spread[order])
+    return MeasurementTable(kind, table, frozen(order, np.intp), index, names, numbers, spread)

@@ -15,25 +15,24 @@ from urdfcal.errors import OutputError
 from urdfcal.names import check_names
 from urdfcal.robot.urdf.rpy import matrix_to_rpy
 from urdfcal.session.model import Session
+from urdfcal.session.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
-    from urdfcal.arrays import Floats, Ints
     from urdfcal.robot.urdf.urdf import Urdf
     from urdfcal.session.attachments import CameraMount
-    from urdfcal.session.model import Detections, Led, Positions, Setup
-    from urdfcal.session.trajectory import Trajectory
+    from urdfcal.session.measurement import Measurements
+    from urdfcal.session.model import Led, Positions, Setup
 
 _SESSION = "session.yaml"
-_CAMERAS, _JOINTS, _DETECTIONS, _POINTS = "cameras.yaml", "joints.csv", "detections.csv", "points.csv"
-_FRAMES = "frames.csv"
+_CAMERAS, _JOINTS, _FRAMES = "cameras.yaml", "joints.csv", "frames.csv"
 
 
 def write_session(folder: str | Path, session: Positions) -> None:
     """Write a session so that reading it gives the same one; all of it or nothing.
 
-    One without sightings is for images to be put beside it.
+    One without measurements is for images to be put beside it.
 
     A URDF named as ``package://`` stays in its package; any other is copied beside the tables.
 
@@ -43,7 +42,7 @@ def write_session(folder: str | Path, session: Positions) -> None:
 
     Raises:
         OutputError: one of the files is already there, the folder cannot be written, or the session has no URDF, or
-            a camera's place is known differently well in different directions.
+            a camera's pose is known differently well in different directions.
     """
     folder = Path(folder)
     urdf = session.urdf
@@ -51,7 +50,7 @@ def write_session(folder: str | Path, session: Positions) -> None:
         raise OutputError("the session has no URDF to write", where=str(folder), remedy="Build its chain from a URDF.")
     if (folder / _SESSION).exists():
         raise _already_there(folder / _SESSION)
-    check_names("cameras", session.rig.names if session.rig else ())
+    check_names("cameras", session.rig.names)
     with put_into(folder) as partial:
         _write_files(partial, session, urdf)
 
@@ -80,19 +79,20 @@ def put_into(folder: Path) -> Iterator[Path]:
         ) from error
 
 
-def write_detections(path: Path, positions: Positions, seen: Detections) -> None:
-    """Write detections.csv.
+def write_measurements(path: Path, positions: Positions, table: Measurements) -> None:
+    """Write a table of measurements; a column of sigmas only where they differ from the usual one.
 
     Args:
         path: the file.
-        positions: whose poses, cameras and LEDs were seen.
-        seen: where.
+        positions: whose poses, cameras and LEDs the table refers to.
+        table: what was measured.
     """
-    cameras = positions.rig.names if positions.rig is not None else ()
     labels = [positions.label(k) for k in range(len(positions.poses))]
-    keys = {"pose": (labels, seen.pose), "camera": (cameras, seen.camera)}
-    keys["led"] = (positions.led_names, seen.led)
-    _write_sightings(path, keys, "uv", seen.uv, seen.sigma, positions.noise.pixel)
+    names = {"pose": labels, "camera": positions.rig.names, "led": positions.led_names, **table.names}
+    own = [table.sigma.tolist()] if np.any(table.sigma != positions.noise.of(type(table))) else []
+    columns = [[names[key][i] for i in index] for key, index in table.index.items()]
+    header = [*table.keys, *table.columns, *(["sigma"] if own else [])]
+    write_table(path, header, [*columns, *table.values.T.tolist(), *own])
 
 
 def _already_there(path: Path) -> OutputError:
@@ -135,26 +135,21 @@ def _write_files(folder: Path, session: Positions, urdf: Urdf) -> None:
         content["led_distances"] = [
             {"leds": list(d.leds), "distance": d.distance, "sigma": d.sigma} for d in session.led_distances
         ]
-    if session.rig is not None:
+    if session.rig.cameras:
         mounts = {mount.camera: _mount_keys(mount) for mount in session.mounts}
         content["cameras"] = {"file": _CAMERAS, **mounts} if mounts else _CAMERAS
         write_kalibr(folder / _CAMERAS, session.rig)
     content["joints"] = _JOINTS
-    if session.trajectory is not None:
+    if isinstance(session.motion, Trajectory):
         content["frames"] = _FRAMES
-        _write_trajectory(folder, session, session.trajectory)
+        _write_trajectory(folder, session, session.motion)
     else:
         time = [] if session.time is None else [session.time.tolist()]
         header = ["pose", *chain.actuated, *(["time"] if time else [])]
         write_table(folder / _JOINTS, header, [session.poses, *session.readings.T.tolist(), *time])
-    if isinstance(session, Session) and session.detections is not None:
-        content["detections"] = _DETECTIONS
-        write_detections(folder / _DETECTIONS, session, session.detections)
-    if isinstance(session, Session) and session.points is not None:
-        content["points"] = _POINTS
-        measured = session.points
-        keys = {"pose": (session.poses, measured.pose), "led": (session.led_names, measured.led)}
-        _write_sightings(folder / _POINTS, keys, "xyz", measured.xyz, measured.sigma, session.noise.point)
+    for table in session.measurements if isinstance(session, Session) else ():
+        content[table.kind] = f"{table.kind}.csv"
+        write_measurements(folder / f"{table.kind}.csv", session, table)
     content.update(_expectations(session))
     text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None, width=110)
     (folder / _SESSION).write_text(text, encoding="utf-8")
@@ -166,7 +161,7 @@ def _write_trajectory(folder: Path, session: Positions, trajectory: Trajectory) 
     write_table(
         folder / _JOINTS, ["time", *chain.actuated], [log.time.tolist(), *chain.readings(log.values).T.tolist()]
     )
-    names = session.rig.names if session.rig is not None else ()
+    names = session.rig.names
     labels = [trajectory.label(k) for k in range(len(trajectory.time))]
     columns = [[names[c] for c in trajectory.camera], labels, trajectory.time.tolist()]
     write_table(folder / _FRAMES, ["camera", "frame", "time"], columns)
@@ -201,7 +196,7 @@ def _expectations(setup: Setup) -> dict[str, Any]:
     """Noise, estimate and tolerances, as far as they say anything."""
     tolerances = setup.tolerances
     content: dict[str, Any] = {
-        "noise": dict(vars(setup.noise)),
+        "noise": {name: getattr(setup.noise, name) for name in ("pixel", "point", "joint")} | dict(setup.noise.other),
         "estimate": {
             key: value if isinstance(value, str) else dict(value)
             for key, value in vars(setup.estimate).items()
@@ -209,23 +204,9 @@ def _expectations(setup: Setup) -> dict[str, Any]:
         },
         "tolerances": {key: getattr(tolerances, key) for key in ("length", "angle", "zero")},
     }
+    content["joint_models"] = dict(setup.joint_models)
     content["tolerances"] |= {name: dict(values) for name, values in tolerances.joints.items()}
     return {key: value for key, value in content.items() if value}
-
-
-def _write_sightings(
-    path: Path,
-    keys: Mapping[str, tuple[Sequence[str], Ints]],
-    names: str,
-    values: Floats,
-    sigma: Floats,
-    usual: float,
-) -> None:
-    """Write a table of sightings; a column of sigmas only where they differ from the usual one."""
-    own = [sigma.tolist()] if np.any(sigma != usual) else []
-    columns = [[labels[i] for i in index] for labels, index in keys.values()]
-    header = [*keys, *names, *(["sigma"] if own else [])]
-    write_table(path, header, [*columns, *values.T.tolist(), *own])
 
 
 def write_table(path: Path, header: Sequence[str], columns: Iterable[Sequence[object]]) -> None:

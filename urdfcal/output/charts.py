@@ -161,9 +161,7 @@ def parameter_charts(calibration: FittedCalibration) -> list[Chart]:
     charts = []
     for kind, unit in (("lengths", "mm"), ("angles", "mrad")):
         entries = [
-            (row, columns.index(name))
-            for row, name in calibration.fit.parameters.rows
-            if (name in LENGTHS) == (unit == "mm")
+            (row, columns.index(name)) for row, name in calibration.corrected if (name in LENGTHS) == (unit == "mm")
         ]
         if not entries:
             continue
@@ -235,8 +233,8 @@ def _paths(calibration: FittedCalibration) -> Iterable[Chart]:
 
 def parameter_paths(calibration: FittedCalibration) -> Floats:
     """The arm's offsets at the start and after every iteration, (I + 1, rows, columns) in mm and mrad."""
-    states = [calibration.nominal, *(step.state for step in calibration.fit.history)]
-    return 1e3 * np.array([state.offsets for state in states])
+    states = [calibration.nominal_fit.state, *(step.state for step in calibration.fit.history)]
+    return 1e3 * np.array([calibration.problem.offsets(state) for state in states])
 
 
 def workspace_chart(workspace: Workspace) -> Chart:

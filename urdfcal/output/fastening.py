@@ -24,7 +24,7 @@ def fastening_sentences(session: Session) -> tuple[str, ...]:
 
     Nothing where every LED is on the tip link and every camera stands still: that goes without saying.
     """
-    frames, chain = session.frames, session.chain
+    frames, chain = session.attachments, session.chain
     links = [tip.link for tip in frames.tips]
     riding = np.flatnonzero(frames.camera)
     if len(chain.tips) == 1 and np.all(frames.led == 1) and not len(riding):
@@ -35,7 +35,7 @@ def fastening_sentences(session: Session) -> tuple[str, ...]:
         where = f"on {links[frame - 1]}" if frame else "fixed in the world"
         parts.append(f"{listed(names)} {where}")
     sentences = [f"LEDs: {'; '.join(parts)}."]
-    if session.rig is not None:
+    if session.rig.cameras:
         for c in riding:
             link = links[frames.camera[c] - 1]
             sentences.append(

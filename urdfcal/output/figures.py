@@ -63,7 +63,7 @@ def draw(calibration: FittedCalibration, scene: Scene, workspace: Workspace) -> 
     with mpl.rc_context(_STYLE):
         drawn = {
             "residuals": _svg(_residuals(scene)),
-            "corrections": _svg(_corrections(calibration)) if calibration.fit.parameters.rows else None,
+            "corrections": _svg(_corrections(calibration)) if calibration.corrected else None,
             "workspace": _svg(_workspace(workspace)),
             "field": _svg(_field(calibration, scene, scene.pixels)) if scene.pixels else None,
             "convergence": _svg(_convergence(calibration)),
@@ -127,7 +127,7 @@ def _corrections(calibration: FittedCalibration) -> Figure:
     """Every estimated offset with its 95 % interval, lengths and angles apart."""
     offsets, sigmas = calibration.estimate.offsets, calibration.sigmas()
     kinds = [
-        [(row, name) for row, name in calibration.fit.parameters.rows if (name in LENGTHS) == lengths]
+        [(row, name) for row, name in calibration.corrected if (name in LENGTHS) == lengths]
         for lengths in (True, False)
     ]
     height = 0.45 + 0.15 * max(map(len, kinds))

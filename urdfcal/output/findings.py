@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 
+from urdfcal.estimation.blocks.arm import ArmBlock
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
@@ -110,9 +112,10 @@ def look_up(document: Document, key: str | Sequence[str]) -> Any:
 
 def _far(calibration: FittedCalibration) -> int:
     """How many parameters are corrected by more than ``_FAR`` tolerances; joints' zeros may be anywhere."""
-    parameters, offsets = calibration.fit.parameters, calibration.estimate.offsets
-    moved = np.array([offsets[row, parameters.columns.index(name)] for row, name in parameters.rows])
-    count = len(parameters.rows)
-    far = parameters.active[:count] & (np.abs(moved) > _FAR * parameters.prior[:count])
-    far[list(parameters.zeros)] = False
-    return int(np.count_nonzero(far))
+    fit, count = calibration.fit, 0
+    for block in fit.parameters.blocks:
+        if isinstance(block, ArmBlock):
+            offsets, _ = block.local(fit.state[block.key])
+            zeros = np.array([row in block.arm.zeros for row in block.rows])
+            count += int(np.count_nonzero(block.active & ~zeros & (np.abs(offsets) > _FAR * block.sigma)))
+    return count

@@ -26,7 +26,7 @@ _QUALITY = 80
 
 def find_photographs(session: Session) -> tuple[dict[int, Path], ...]:
     """For each camera the picture of each pose, that of the first LED where several are lit one by one."""
-    cameras = session.rig.names if session.rig is not None else ()
+    cameras = session.rig.names
     folder = session.folder / _FOLDER if session.folder is not None else None
     if folder is None or not folder.is_dir() or not cameras:
         return tuple({} for _ in cameras)

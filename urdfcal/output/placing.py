@@ -15,8 +15,8 @@ from urdfcal.session.attachments import WORLD
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from urdfcal.estimation.parameters import Geometry
-    from urdfcal.estimation.state import State
+    from urdfcal.estimation.blocks.arm import ArmParameterization
+    from urdfcal.estimation.snapshot import Snapshot
     from urdfcal.pipeline import FittedCalibration
     from urdfcal.robot.mechanism import Mechanism
 
@@ -38,21 +38,21 @@ class Places:
     T_base_cam: Floats
 
     @classmethod
-    def of(cls, calibration: FittedCalibration, state: State, q: Floats) -> Places:
+    def of(cls, calibration: FittedCalibration, state: Snapshot, q: Floats) -> Places:
         """Run a state's forward kinematics at joint values (N, n), in rad or m."""
-        fastened = calibration.session.frames
+        fastened = calibration.session.attachments
         frames = joint_frames(calibration.geometry, state, q)
         # The world is a link of the base here: it moves with no joint.
         tips = (Tip(WORLD, BASE, inverse(state.T_world_base)), *fastened.tips)
         T_base_frame = np.array([link_frames(frames, tip) for tip in tips])
         leds = led_positions(calibration.chain, frames, state.leds, [tips[frame] for frame in fastened.led])
         seats = T_base_frame[fastened.camera[: len(state.cameras)]]
-        return cls(frames, T_base_frame, leds, seats @ inverse(state.T_cam_world)[:, None])
+        return cls(frames, T_base_frame, leds, seats @ inverse(state.T_cam_frame)[:, None])
 
 
-def joint_frames(geometry: Geometry, state: State, q: Floats) -> Floats:
+def joint_frames(arm: ArmParameterization, state: Snapshot, q: Floats) -> Floats:
     """T_base_joint of the base link and every joint at every pose, (N, n + 1, 4, 4) in m."""
-    model = geometry.chain.build_model(geometry.placements(state.offsets))
+    model = arm.chain.build_model(arm.placements(state.offsets))
     data = model.createData()
     T = np.empty((len(q), model.njoints, 4, 4))
     for k, q_k in enumerate(q):

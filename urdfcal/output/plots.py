@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import rerun as rr
 
-from urdfcal.estimation.linearize import predict
 from urdfcal.output.charts import parameter_paths
 from urdfcal.output.palette import CALIBRATED, NOMINAL, PARAMETER_COLORS
 from urdfcal.output.scene import UNITS, rms_by_pose
@@ -48,11 +47,11 @@ def log_convergence(base: Layer, calibration: FittedCalibration) -> None:
         ("step", [step.step for step in history]),
     ):
         _log_iterations(plots.at(name), 1, np.array(values))
-    states = [calibration.nominal, *(step.state for step in history)]
+    states = [calibration.nominal_fit.state, *(step.state for step in history)]
     for block, outlier in zip(calibration.observations, calibration.fit.outlier, strict=True):
         unit, scale = UNITS[block.dimension]
         used = block.valid & ~outlier
-        residuals = [(predict(calibration.geometry, block, state) - block.value)[used] for state in states]
+        residuals = [calibration.problem.residual(block, state)[used] for state in states]
         rms = scale * np.sqrt([np.mean(np.sum(r**2, axis=1)) for r in residuals])
         _log_iterations(plots.at(f"rms_{unit}"), 0, rms)
     paths, sigmas = parameter_paths(calibration), 1e3 * calibration.sigmas()

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from urdfcal.arrays import Floats
     from urdfcal.cameras.camera import Camera
-    from urdfcal.estimation.state import State
+    from urdfcal.estimation.snapshot import Snapshot
     from urdfcal.pipeline import FittedCalibration
 
 # A lens bends straight lines: each is projected at so many points.
@@ -70,7 +70,7 @@ def project_line(camera: Camera, T_base_cam: Floats, corners: Floats) -> Floats:
     return uv
 
 
-def skeleton(calibration: FittedCalibration, state: State, q: Floats) -> Floats:
+def skeleton(calibration: FittedCalibration, state: Snapshot, q: Floats) -> Floats:
     """Corners of the arm's DH rows, (N, 2 n + 3, 3) in m in the base link's frame: base, F_0, foot, F_1, ..., tip.
 
     Of an arm that branches one such line after the other, NaN in between.

@@ -12,12 +12,12 @@ from urdfcal.robot.tree_dh import Branch
 
 if TYPE_CHECKING:
     from urdfcal.arrays import Floats
-    from urdfcal.estimation.state import State
+    from urdfcal.estimation.snapshot import Snapshot
     from urdfcal.pipeline import FittedCalibration
     from urdfcal.robot.tree_dh import TreeTable
 
 
-def row_offsets(calibration: FittedCalibration, state: State) -> Floats:
+def row_offsets(calibration: FittedCalibration, state: Snapshot) -> Floats:
     """Offsets (R, 5) of the DH rows; zero where whole placements were estimated, the drawn rows riding on them."""
     if calibration.geometry is calibration.table:
         return state.offsets

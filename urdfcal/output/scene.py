@@ -9,16 +9,15 @@ import numpy as np
 
 from urdfcal.arrays import Floats, Ints, inverse, skew
 from urdfcal.cameras.rig import Rig
-from urdfcal.estimation.linearize import predict
 from urdfcal.output.placing import Places
 from urdfcal.output.rows import dh_frames, row_corners, row_offsets
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from urdfcal.estimation.state import State
+    from urdfcal.estimation.snapshot import Snapshot
     from urdfcal.pipeline import FittedCalibration
-    from urdfcal.session.attachments import Frames
+    from urdfcal.session.attachments import Attachments
 
     Bools = NDArray[np.bool_]
 
@@ -143,28 +142,28 @@ def lay_out(calibration: FittedCalibration) -> Scene:
     places = Places.of(calibration, estimate, session.q)
     # The two arms are compared in what they share, the world or the link that watches, seen by the same cameras
     # (wrong lenses would put the drawn arm anywhere); the calibrated base carries the picture.
-    drawn = Places.of(calibration, calibration.comparison.drawn.fit.state, session.q)
+    drawn = Places.of(calibration, calibration.snapshot(calibration.comparison.drawn.fit.state), session.q)
     T_base_drawn = places.T_base_frame @ inverse(drawn.T_base_frame)
     nominal = T_base_drawn[0, :, None] @ drawn.frames
     nominal_leds = np.einsum("fnij,nlj->fnli", T_base_drawn[..., :3, :3], drawn.leds) + T_base_drawn[:, :, None, :3, 3]
     tables = tuple(_tabulated(calibration, index) for index in range(len(calibration.observations)))
     pixels = pixels_of(tables)
     rays = _rays(pixels, estimate, places) if pixels else np.zeros((0, 2, 3))
-    parts = [_leds(block, estimate, session.frames, rays, places, nominal_leds) for block in tables]
+    parts = [_leds(block, estimate, session.attachments, rays, places, nominal_leds) for block in tables]
     leds = parts[0] if len(parts) == 1 else _merged(parts)
     apart = np.linalg.norm(nominal[..., :3, 3] - places.frames[..., :3, 3], axis=-1).mean(axis=0).max()
     offsets = row_offsets(calibration, estimate)
     dh = dh_frames(table, offsets, places.frames)
     factor = readable(max(float(apart), _typical(leds.nominal - leds.measured)), 0.1 * table.chain.reach)
     width = float(np.mean([camera.resolution[0] for camera in estimate.cameras])) if pixels else 0.0
-    links = (None, *(tip.link for tip in session.frames.tips))
+    links = (None, *(tip.link for tip in session.attachments.tips))
     return Scene(
         frames=places.frames,
         ghost=exaggerated(places.frames, nominal, factor),
         dh=dh,
         corners=row_corners(table, offsets, places.frames, dh),
         views=places.T_base_cam,
-        links=tuple(links[frame] for frame in session.frames.camera[: len(estimate.cameras)]),
+        links=tuple(links[frame] for frame in session.attachments.camera[: len(estimate.cameras)]),
         leds=leds,
         tables=tables,
         rays=rays,
@@ -185,14 +184,14 @@ def _tabulated(calibration: FittedCalibration, index: int) -> Sightings:
 
     return Sightings(
         pose=np.broadcast_to(block.pose[:, None], rows.shape)[rows],
-        led=block.led[rows],
-        camera=block.camera[rows],
+        led=block.index["led"][rows],
+        camera=block.index.get("camera", np.full_like(block.row, -1))[rows],
         measured=block.value[rows],
         sigma=np.sqrt(block.covariance[rows][:, 0, 0]),
-        predicted=predict(calibration.geometry, block, calibration.estimate)[rows],
-        nominal=predict(calibration.geometry, block, calibration.nominal)[rows],
-        size=size(fit.deviation[index]),
-        size_nominal=size(calibration.nominal_fit.deviation[index]),
+        predicted=calibration.problem.predict(block, calibration.fit.state)[rows],
+        nominal=calibration.problem.predict(block, calibration.nominal_fit.state)[rows],
+        size=size(fit.norms[index]),
+        size_nominal=size(calibration.nominal_fit.norms[index]),
         outlier=fit.outlier[index][rows],
     )
 
@@ -237,7 +236,7 @@ def _typical(vectors: Floats) -> float:
     return float(np.nanmedian(np.linalg.norm(vectors, axis=-1)))
 
 
-def _rays(pixels: Sightings, state: State, places: Places) -> Floats:
+def _rays(pixels: Sightings, state: Snapshot, places: Places) -> Floats:
     T = places.T_base_cam[pixels.camera, pixels.pose]
     depth = np.einsum("si,si->s", T[:, :3, 2], places.leds[pixels.pose, pixels.led] - T[:, :3, 3])
     ray = np.empty((len(T), 3))
@@ -247,7 +246,9 @@ def _rays(pixels: Sightings, state: State, places: Places) -> Floats:
     return np.stack([T[:, :3, 3], end], axis=1)
 
 
-def _leds(block: Sightings, state: State, fastened: Frames, rays: Floats, places: Places, nominal: Floats) -> Leds:
+def _leds(
+    block: Sightings, state: Snapshot, fastened: Attachments, rays: Floats, places: Places, nominal: Floats
+) -> Leds:
     """Gather sightings of an LED at a pose; nominal LEDs (F, N, L, 3) as seen from each frame that cameras are in."""
     in_space = block.measured.shape[1] == 3
     view = np.zeros_like(block.camera) if in_space else fastened.camera[block.camera]
@@ -284,7 +285,7 @@ def _leds(block: Sightings, state: State, fastened: Frames, rays: Floats, places
 
 
 def _triangulated(
-    pixels: Sightings, state: State, fastened: Frames, places: Places, row: Ints, pose: Ints, view: Ints
+    pixels: Sightings, state: Snapshot, fastened: Attachments, places: Places, row: Ints, pose: Ints, view: Ints
 ) -> tuple[Floats, Floats]:
     """Points (M, 3) and covariances, in the base link's frame, each by the cameras that are in one frame; else NaN."""
     uv = np.full((len(pose), len(state.cameras), 2), np.nan)
@@ -297,7 +298,7 @@ def _triangulated(
             continue
         mine = view == frame
         first = cameras[0]
-        T_cam_first = (np.eye(4), *(state.T_cam_world[c] @ inverse(state.T_cam_world[first]) for c in cameras[1:]))
+        T_cam_first = (np.eye(4), *(state.T_cam_frame[c] @ inverse(state.T_cam_frame[first]) for c in cameras[1:]))
         rig = Rig(tuple(state.cameras[c] for c in cameras), T_cam_first)
         found = rig.triangulate(uv[mine][:, cameras], sigma[mine][:, cameras])
         points[mine], covariances[mine] = _moved(places.T_base_cam[first, pose[mine]], found.points, found.covariances)

@@ -11,7 +11,7 @@ import numpy as np
 
 from urdfcal.arrays import Floats, frozen
 from urdfcal.errors import SessionError
-from urdfcal.io.tables import Table
+from urdfcal.io.csv_table import Table
 
 if TYPE_CHECKING:
     from pathlib import Path

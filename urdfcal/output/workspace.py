@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.arrays import Floats, frozen
-from urdfcal.estimation.start import kabsch
+from urdfcal.estimation.alignment import kabsch
 from urdfcal.robot.kinematics import tip_poses
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""What LEDs and cameras are fastened to: links of the robot, or the world."""
+"""What LEDs and cameras are attached to: links of the robot, or the world."""
 
 from __future__ import annotations
 
@@ -62,36 +62,38 @@ class CameraMount:
 
 
 @dataclass(frozen=True, eq=False)
-class Frames:
+class Attachments:
     """The frames that LEDs and cameras are fixed in: 0 is the world, the others are links.
 
-    The world is the frame of the first camera that stands still, or of the tracker; where all cameras ride on the
-    robot it is the base link's.
+    The world is the frame of the first eye-to-hand camera, or of the tracker; where all cameras are eye-in-hand it is
+    the base link's.
 
     Attributes:
         tips: the links of frames 1, 2, ...
         led: (L,) frame of each LED.
+        cameras: names of the C cameras.
         camera: (C,) frame of each camera.
-        leader: (C,) for each camera the first one in the same frame.
-        T_cam_leader: for each camera (4, 4) the place of its leader, None where that is not known. [m]
-        T_leader_frame: for each camera (4, 4) its frame in its leader's, None where that is not known. [m]
+        reference: (C,) for each camera the first one in the same frame: its pose is known relative to that one's.
+        T_cam_reference: for each camera (4, 4) its reference camera, None where that is not known. [m]
+        T_reference_frame: for each camera (4, 4) the frame in its reference camera, None where not known. [m]
     """
 
     tips: tuple[Tip, ...]
     led: Ints
+    cameras: tuple[str, ...]
     camera: Ints
-    leader: Ints
-    T_cam_leader: tuple[Floats | None, ...]
-    T_leader_frame: tuple[Floats | None, ...]
+    reference: Ints
+    T_cam_reference: tuple[Floats | None, ...]
+    T_reference_frame: tuple[Floats | None, ...]
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """What each frame is: the world, or a link."""
+    def frames(self) -> tuple[str, ...]:
+        """The name of each frame: the world, or a link."""
         return (WORLD, *(tip.link for tip in self.tips))
 
     @property
-    def standing(self) -> Ints:
-        """Indices of the cameras that stand still."""
+    def eye_to_hand(self) -> Ints:
+        """Indices of the cameras that are fixed in the world."""
         return np.flatnonzero(self.camera == 0)
 
     @property
@@ -99,25 +101,25 @@ class Frames:
         """For each camera (4, 4) the frame it is fixed in, as far as it is known beforehand. [m]."""
         return tuple(
             None if a is None or b is None else a @ b
-            for a, b in zip(self.T_cam_leader, self.T_leader_frame, strict=True)
+            for a, b in zip(self.T_cam_reference, self.T_reference_frame, strict=True)
         )
 
 
-def fasten(
-    mechanism: Mechanism, led_links: Sequence[str | None], rig: Rig | None, mounts: Mapping[str, CameraMount]
-) -> Frames:
-    """Sort LEDs and cameras by what they are fastened to.
+def attach(
+    mechanism: Mechanism, led_links: Sequence[str | None], rig: Rig, mounts: Mapping[str, CameraMount]
+) -> Attachments:
+    """Sort LEDs and cameras by what they are attached to.
 
     Args:
         mechanism: the robot.
         led_links: a link for each LED, or "world"; None for the tip link.
         rig: the cameras.
-        mounts: of those that ride on the robot, by name.
+        mounts: of the eye-in-hand ones, by name.
 
     Raises:
         RobotError: a link is none of the mechanism's tips.
-        SessionError: nothing is on the robot, a camera's place is given by one in another frame, or on its link though
-            another camera leads it there.
+        SessionError: nothing is on the robot, a camera's pose is given by one in another frame, or on its link though
+            its reference camera gives it there.
     """
     names = [WORLD]
 
@@ -127,39 +129,39 @@ def fasten(
         return names.index(link)
 
     led = [frame(link or mechanism.tip_link) for link in led_links]
-    cameras = rig.cameras if rig is not None else ()
-    camera = [frame(mounts[one.name].link) if one.name in mounts else 0 for one in cameras]
-    leader = [camera.index(of) for of in camera]
+    camera = [frame(mounts[name].link) if name in mounts else 0 for name in rig.names]
+    reference = [camera.index(of) for of in camera]
     if len(names) == 1:
         raise SessionError("neither an LED nor a camera is on the robot", remedy="Name the link that carries one.")
-    T_cam_leader: list[Floats | None] = []
-    T_leader_frame: list[Floats | None] = []
-    for c, (one, first) in enumerate(zip(cameras, leader, strict=True)):
-        T, T_first = (rig.T_cam_world[k] if rig is not None else None for k in (c, first))
+    T_cam_reference: list[Floats | None] = []
+    T_reference_frame: list[Floats | None] = []
+    for c, (name, first) in enumerate(zip(rig.names, reference, strict=True)):
+        T, T_first = rig.T_cam_world[c], rig.T_cam_world[first]
         if c and c == first and T is not None:
             raise SessionError(
                 "T_cn_cnm1 places it by a camera that is fastened to something else",
-                where=f"camera {one.name!r}",
+                where=f"camera {name!r}",
                 remedy="Leave T_cn_cnm1 out: where it is comes from its link, or is estimated.",
             )
-        if c != first and one.name in mounts and mounts[one.name].T_link_camera is not None:
+        if c != first and name in mounts and mounts[name].T_link_camera is not None:
             raise SessionError(
-                f"its place on {mounts[one.name].link!r} is given, but there it goes with {cameras[first].name!r}",
-                where=f"camera {one.name!r}",
+                f"its place on {mounts[name].link!r} is given, but there it goes with {rig.names[first]!r}",
+                where=f"camera {name!r}",
                 remedy="Leave position, rpy and sigma out: T_cn_cnm1 says where it is, or it is estimated.",
             )
         if c == first:
-            T_cam_leader.append(np.eye(4))
+            T_cam_reference.append(np.eye(4))
         else:
-            T_cam_leader.append(None if T is None or T_first is None else T @ inverse(T_first))
-        mount = mounts.get(cameras[first].name)
+            T_cam_reference.append(None if T is None or T_first is None else T @ inverse(T_first))
+        mount = mounts.get(rig.names[first])
         given = np.eye(4) if mount is None else mount.T_link_camera
-        T_leader_frame.append(None if given is None else inverse(given))
-    return Frames(
+        T_reference_frame.append(None if given is None else inverse(given))
+    return Attachments(
         tuple(mechanism.tip(name) for name in names[1:]),
         frozen(led, np.intp),
+        tuple(rig.names),
         frozen(camera, np.intp),
-        frozen(leader, np.intp),
-        tuple(T_cam_leader),
-        tuple(T_leader_frame),
+        frozen(reference, np.intp),
+        tuple(T_cam_reference),
+        tuple(T_reference_frame),
     )

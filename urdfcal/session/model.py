@@ -5,33 +5,33 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, get_args
+from typing import TYPE_CHECKING, Literal, TypeAlias, TypeVar, get_args
 
 import numpy as np
 
-from urdfcal.arrays import Floats, Ints, frozen
+from urdfcal.arrays import Floats, Ints, ReadOnly
+from urdfcal.cameras.rig import Rig
 from urdfcal.errors import SessionError
 from urdfcal.names import check_names, suggest
 from urdfcal.robot.dh import PARAMETERS
 from urdfcal.robot.tree_dh import rows_of
-from urdfcal.session.attachments import CameraMount, Frames, fasten
+from urdfcal.session.attachments import Attachments, CameraMount, attach
+from urdfcal.session.finite import finite_array, finite_number
+from urdfcal.session.measurement import Measurements
+from urdfcal.session.motion import AT_REST, Motion
+from urdfcal.session.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from numpy.typing import ArrayLike
-
-    from urdfcal.cameras.rig import Rig
     from urdfcal.robot.mechanism import Mechanism
     from urdfcal.robot.urdf.urdf import Urdf
-    from urdfcal.session.trajectory import Trajectory
 
-Geometry: TypeAlias = Literal["dh", "offsets", "full", "none"]
+ArmGeometry: TypeAlias = Literal["dh", "offsets", "full", "none"]
 Freedom: TypeAlias = Literal["fixed", "refine", "free"]
 TimeOffset: TypeAlias = Literal["free", "fixed"]
 
-Table = TypeVar("Table", "Detections", "Points")
+Kind = TypeVar("Kind", bound=Measurements)
 
 # Three positions are the fewest that fix a base pose.
 MIN_POSES = 3
@@ -59,11 +59,11 @@ class Led:
         where = f"LED {self.name!r}"
         object.__setattr__(self, "name", str(self.name))
         if self.position is not None:
-            object.__setattr__(self, "position", _finite(self.position, (3,), "position", where))
+            object.__setattr__(self, "position", finite_array(self.position, (3,), "position", where))
         if self.sigma is not None:
             if self.position is None:
                 raise SessionError("sigma is given without a position", where=where)
-            object.__setattr__(self, "sigma", _number(self.sigma, "sigma", where, zero=True))
+            object.__setattr__(self, "sigma", finite_number(self.sigma, "sigma", where, zero=True))
 
 
 @dataclass(frozen=True)
@@ -84,8 +84,8 @@ class LedDistance:
         where = f"distance of LEDs {self.leds[0]!r} and {self.leds[1]!r}"
         if self.leds[0] == self.leds[1]:
             raise SessionError("an LED has no distance to itself", where=where)
-        object.__setattr__(self, "distance", _number(self.distance, "distance", where, zero=False))
-        object.__setattr__(self, "sigma", _number(self.sigma, "sigma", where, zero=False))
+        object.__setattr__(self, "distance", finite_number(self.distance, "distance", where, zero=False))
+        object.__setattr__(self, "sigma", finite_number(self.sigma, "sigma", where, zero=False))
 
 
 @dataclass(frozen=True)
@@ -96,15 +96,24 @@ class Noise:
         pixel: of u and of v. [px]
         point: of each coordinate of a measured point. [m]
         joint: of each joint reading; 0 where it does not matter. [rad or m]
+        other: of further kinds of measurement, by their ``noise`` key; what is not named is the kind's usual one.
     """
 
     pixel: float = 0.1
     point: float = 1e-4
     joint: float = 0.0
+    other: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name in ("pixel", "point", "joint"):
-            object.__setattr__(self, name, _number(getattr(self, name), name, "noise", zero=name == "joint"))
+            object.__setattr__(self, name, finite_number(getattr(self, name), name, "noise", zero=name == "joint"))
+        numbers = {name: finite_number(value, name, "noise", zero=False) for name, value in self.other.items()}
+        object.__setattr__(self, "other", ReadOnly(numbers))
+
+    def of(self, kind: type[Measurements]) -> float:
+        """Return the standard deviation of a kind of measurement, in its unit."""
+        declared = {"pixel": self.pixel, "point": self.point, **self.other}
+        return declared.get(kind.noise, kind.usual)
 
 
 @dataclass(frozen=True)
@@ -118,7 +127,7 @@ class Estimate:
         time_offset: of every camera's clock from the robot's, where the arm moves; None is free.
     """
 
-    geometry: Geometry | None = None
+    geometry: ArmGeometry | None = None
     intrinsics: Freedom | Mapping[str, Freedom] | None = None
     extrinsics: Freedom | Mapping[str, Freedom] | None = None
     time_offset: TimeOffset | None = None
@@ -129,7 +138,7 @@ class Estimate:
         return said if said is None or isinstance(said, str) else said.get(camera)
 
     def __post_init__(self) -> None:
-        known_words = {"geometry": Geometry, "intrinsics": Freedom, "extrinsics": Freedom, "time_offset": TimeOffset}
+        known_words = {"geometry": ArmGeometry, "intrinsics": Freedom, "extrinsics": Freedom, "time_offset": TimeOffset}
         for name, known in known_words.items():
             value, choices = getattr(self, name), get_args(known)
             by_camera = name in ("intrinsics", "extrinsics") and isinstance(value, Mapping)
@@ -158,7 +167,7 @@ class Tolerances:
 
     def __post_init__(self) -> None:
         for name in ("length", "angle", "zero"):
-            object.__setattr__(self, name, _number(getattr(self, name), name, "tolerances", zero=True))
+            object.__setattr__(self, name, finite_number(getattr(self, name), name, "tolerances", zero=True))
         read_only = {}
         for joint, values in self.joints.items():
             where = f"tolerances of joint {joint!r}"
@@ -169,62 +178,9 @@ class Tolerances:
                         where=where,
                         remedy=suggest(parameter, PARAMETERS, "parameters"),
                     )
-            numbers = {str(name): _number(value, name, where, zero=True) for name, value in values.items()}
-            read_only[str(joint)] = MappingProxyType(numbers)
-        object.__setattr__(self, "joints", MappingProxyType(read_only))
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        # Read-only mappings do not travel to other processes; plain ones do.
-        joints = {joint: dict(values) for joint, values in self.joints.items()}
-        return type(self), (self.length, self.angle, self.zero, joints)
-
-
-@dataclass(frozen=True, eq=False)
-class Detections:
-    """LEDs seen by cameras, sorted by pose, camera and LED. A missing sighting is a missing row.
-
-    Attributes:
-        pose: (S,) index of the pose.
-        camera: (S,) index of the camera.
-        led: (S,) index of the LED.
-        uv: (S, 2) where it was seen. [px]
-        sigma: (S,) standard deviation of u and of v; one number serves all. [px]
-    """
-
-    pose: Ints
-    camera: Ints
-    led: Ints
-    uv: Floats
-    sigma: Floats
-
-    def __post_init__(self) -> None:
-        _freeze_sightings(self, "detections", ("pose", "camera", "led"), "uv", 2)
-
-    def __len__(self) -> int:
-        return len(self.uv)
-
-
-@dataclass(frozen=True, eq=False)
-class Points:
-    """LEDs measured in 3-D, sorted by pose and LED.
-
-    Attributes:
-        pose: (S,) index of the pose.
-        led: (S,) index of the LED.
-        xyz: (S, 3) in the tracker's frame. [m]
-        sigma: (S,) standard deviation of each coordinate; one number serves all. [m]
-    """
-
-    pose: Ints
-    led: Ints
-    xyz: Floats
-    sigma: Floats
-
-    def __post_init__(self) -> None:
-        _freeze_sightings(self, "points", ("pose", "led"), "xyz", 3)
-
-    def __len__(self) -> int:
-        return len(self.xyz)
+            numbers = {str(name): finite_number(value, name, where, zero=True) for name, value in values.items()}
+            read_only[str(joint)] = ReadOnly(numbers)
+        object.__setattr__(self, "joints", ReadOnly(read_only))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -235,13 +191,14 @@ class Setup:
         chain: the joints that are calibrated; a tree of them where LEDs and cameras are on different links.
         leds: on links of the robot, or in the world.
         led_distances: measured between them.
-        rig: the cameras; None where points were measured instead.
-        mounts: of the cameras that ride on the robot.
+        rig: the cameras; none where something else measures.
+        mounts: of the eye-in-hand cameras.
         urdf: the robot description; None for a chain from elsewhere.
         urdf_reference: how the file names it: a path or ``package://``.
         noise: of the measurements.
         estimate: what is to be estimated.
         tolerances: of the robot.
+        joint_models: by name, which are estimated (True) or not (False); of the others each decides itself.
         sha256: hash of every input file, by the name that the session gives it.
         folder: where it was read from.
     """
@@ -249,13 +206,14 @@ class Setup:
     chain: Mechanism
     leds: tuple[Led, ...]
     led_distances: tuple[LedDistance, ...] = ()
-    rig: Rig | None = None
+    rig: Rig = field(default_factory=Rig)
     mounts: tuple[CameraMount, ...] = ()
     urdf: Urdf | None = None
     urdf_reference: str = ""
     noise: Noise = field(default_factory=Noise)
     estimate: Estimate = field(default_factory=Estimate)
     tolerances: Tolerances = field(default_factory=Tolerances)
+    joint_models: Mapping[str, bool] = field(default_factory=dict)
     sha256: Mapping[str, str] = field(default_factory=dict)
     folder: Path | None = None
 
@@ -267,7 +225,8 @@ class Setup:
                 raise SessionError(
                     f"there is no LED {name!r}", where="led_distances", remedy=suggest(name, self.led_names, "LEDs")
                 )
-        object.__setattr__(self, "sha256", MappingProxyType(dict(self.sha256)))
+        object.__setattr__(self, "sha256", ReadOnly(self.sha256))
+        object.__setattr__(self, "joint_models", ReadOnly(self.joint_models))
         if not self.leds:
             raise SessionError("there is no LED", remedy="Name at least one.")
         check_names("LEDs", [led.name for led in self.leds])
@@ -280,7 +239,7 @@ class Setup:
                     remedy=suggest(joint, rows, "joints"),
                 )
         object.__setattr__(self, "mounts", tuple(self.mounts))
-        names = self.rig.names if self.rig is not None else ()
+        names = self.rig.names
         for mount in self.mounts:
             if mount.camera not in names:
                 raise SessionError(
@@ -295,16 +254,12 @@ class Setup:
                     raise SessionError(
                         f"there is no camera {name!r}", where="estimate", remedy=suggest(name, names, "cameras")
                     )
-        _ = self.frames  # a link that is none of the robot's is told now, not when it is first needed
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        values = {f.name: getattr(self, f.name) for f in fields(self)}
-        return _rebuilt, (type(self), {**values, "sha256": dict(self.sha256)})
+        _ = self.attachments  # a link that is none of the robot's is told now, not when it is first needed
 
     @cached_property
-    def frames(self) -> Frames:
-        """What LEDs and cameras are fastened to."""
-        return fasten(self.chain, [led.link for led in self.leds], self.rig, {m.camera: m for m in self.mounts})
+    def attachments(self) -> Attachments:
+        """What LEDs and cameras are attached to."""
+        return attach(self.chain, [led.link for led in self.leds], self.rig, {m.camera: m for m in self.mounts})
 
     @property
     def led_names(self) -> tuple[str, ...]:
@@ -326,7 +281,7 @@ class Stand:
 
     def __post_init__(self) -> None:
         for name in ("position", "look_at"):
-            object.__setattr__(self, name, _finite(getattr(self, name), (3,), name, "stand"))
+            object.__setattr__(self, name, finite_array(getattr(self, name), (3,), name, "stand"))
         if np.array_equal(self.position, self.look_at):
             raise SessionError("the camera looks at its own place", where="stand")
 
@@ -343,9 +298,9 @@ class RigDescription(Setup):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.stand is None and len(self.frames.standing):
+        if self.stand is None and len(self.attachments.eye_to_hand):
             raise SessionError("where the first camera stands is not given", where="stand")
-        if self.stand is not None and self.mounts and not len(self.frames.standing):
+        if self.stand is not None and self.mounts and not len(self.attachments.eye_to_hand):
             raise SessionError(
                 "no camera stands: all ride on the robot", where="stand", remedy="Leave the key 'stand' out."
             )
@@ -359,14 +314,14 @@ class Positions(Setup):
         poses: (N) labels.
         q: (N, n) value of every joint of the chain in every pose, mimic joints included. [rad or m]
         time: (N,) of each pose, where recorded. [s]
-        trajectory: of an arm that moved: each pose is a frame of one camera, q what the log says of it.
+        motion: at rest in every pose, or a trajectory: each pose is then a frame of one camera, q what its log says.
         warnings: what looked odd when it was read.
     """
 
     poses: tuple[str, ...]
     q: Floats
     time: Floats | None = None
-    trajectory: Trajectory | None = None
+    motion: Motion = AT_REST
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -377,11 +332,11 @@ class Positions(Setup):
         if count < MIN_POSES:
             raise SessionError(f"{count} poses are too few", remedy=f"Measure at least {MIN_POSES}, better 30 or more.")
         check_names("poses", self.poses)
-        object.__setattr__(self, "q", _finite(self.q, (count, len(self.chain.joints)), "q", "session"))
+        object.__setattr__(self, "q", finite_array(self.q, (count, len(self.chain.joints)), "q", "session"))
         if not np.allclose(self.chain.joint_values(self.readings), self.q, rtol=0.0, atol=_MIMIC_ROUNDING):
             raise SessionError("a mimic joint's value in q is not what it follows from", where="session")
         if self.time is not None:
-            object.__setattr__(self, "time", _finite(self.time, (count,), "time", "session"))
+            object.__setattr__(self, "time", finite_array(self.time, (count,), "time", "session"))
 
     @property
     def readings(self) -> Floats:
@@ -389,141 +344,78 @@ class Positions(Setup):
         return self.chain.readings(self.q)
 
     def label(self, pose: int) -> str:
-        """What the tables and the pictures' file names call a pose: a frame goes by the name its camera gave it."""
-        return self.poses[pose] if self.trajectory is None else self.trajectory.label(pose)
+        """What the tables and the images' file names call a pose: a frame goes by the name its camera gave it."""
+        return self.motion.label(pose, self.poses)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Session(Positions):
-    """A rig and what was measured with it: pixels, points, or both.
+    """A rig and what was measured with it.
 
     Attributes:
-        detections: LEDs in the cameras' images.
-        points: LEDs in 3-D.
+        measurements: one table for each kind of measurement, such as detections in images or points of a tracker.
     """
 
-    detections: Detections | None = None
-    points: Points | None = None
+    measurements: tuple[Measurements, ...]
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._check_measurements()
+        object.__setattr__(self, "measurements", tuple(self.measurements))
+        if not self.measurements:
+            raise SessionError("there are no measurements", remedy="There is nothing to calibrate from.")
+        counts = {"pose": len(self.poses), "led": len(self.leds), "camera": len(self.rig.cameras)}
+        for table in self.measurements:
+            if "camera" in table.keys and not self.rig.cameras:
+                raise SessionError(f"there are {table.kind}, but no cameras", remedy="Give the session a rig.")
+            table.check(counts)
+        self._check_motion()
+
+    def find(self, kind: type[Kind]) -> Kind | None:
+        """Return the measurements of a kind; None if there are none."""
+        return next((table for table in self.measurements if isinstance(table, kind)), None)
 
     def at(self, poses: Ints) -> Session:
-        """The session of some of its poses, (K,) indices in ascending order."""
+        """Return the session of some of its poses, (K,) indices in ascending order."""
+        tables = (table.at(poses) for table in self.measurements)
         return replace(
             self,
             poses=tuple(self.poses[k] for k in poses),
             q=self.q[poses],
             time=None if self.time is None else self.time[poses],
-            trajectory=None if self.trajectory is None else self.trajectory.at(poses),
-            detections=_at(self.detections, poses),
-            points=_at(self.points, poses),
+            motion=self.motion.at(poses),
+            measurements=tuple(table for table in tables if table is not None),
         )
 
-    def with_clocks(self, time_offsets: Floats) -> Session:
-        """The same, of an arm that moved with its joint values read at the cameras' time offsets (C,) in s."""
-        return self if self.trajectory is None else replace(self, q=self.trajectory.values(time_offsets))
+    def with_time_offsets(self, time_offsets: Floats) -> Session:
+        """Return the same with its joint values read at the cameras' time offsets (C,) in s, where the arm moved."""
+        q = self.motion.joint_values(self.q, time_offsets)
+        return self if q is self.q else replace(self, q=q)
 
     def recorded(self, time_offsets: Floats) -> Session:
-        """The same, of an arm that moved without frames that its log does not cover with time offsets (C,) in s.
+        """Return the same without frames that the log of a moving arm does not cover with time offsets (C,) in s.
 
         Frames are read before the offsets are known: with one of a second, some at the log's ends have no joint values.
         """
-        if self.trajectory is None:
-            return self
-        covered = self.trajectory.log.covers(self.trajectory.robot_time(time_offsets))
+        covered = self.motion.covered(len(self.poses), time_offsets)
         if covered.all():
             return self
         warning = (
             f"{np.count_nonzero(~covered)} of {len(covered)} frames have no joint readings at their time once the "
-            "cameras' clocks are set, and were left out"
+            "cameras' time offsets are known, and were left out"
         )
         return replace(self.at(np.flatnonzero(covered)), warnings=(*self.warnings, warning))
 
     def unmeasured(self) -> Positions:
-        """The same without its sightings."""
+        """Return the same without its measurements."""
         return Positions(**{f.name: getattr(self, f.name) for f in fields(Positions)})
 
-    def _check_measurements(self) -> None:
-        if self.detections is None and self.points is None:
-            raise SessionError("there are neither detections nor points", remedy="There is nothing to calibrate from.")
-        counts = {"pose": len(self.poses), "led": len(self.leds)}
-        if self.detections is not None:
-            if self.rig is None:
-                raise SessionError("there are detections, but no cameras", remedy="Give the session a rig.")
-            _check_indices(self.detections, "detections", {**counts, "camera": len(self.rig.cameras)})
-        if self.points is not None:
-            _check_indices(self.points, "points", counts)
-        if self.trajectory is not None:
-            if self.points is not None or self.detections is None:
+    def _check_motion(self) -> None:
+        """Of a moving arm each pose is one camera's frame: what is measured is measured by that camera."""
+        if not isinstance(self.motion, Trajectory):
+            return
+        for table in self.measurements:
+            camera = table.index.get("camera")
+            if camera is None:
                 raise SessionError("a moving arm is measured by cameras alone", where="session")
-            if np.any(self.detections.camera != self.trajectory.camera[self.detections.pose]):
-                raise SessionError("a sighting is by another camera than its frame", where="detections")
-
-
-def _rebuilt(kind: type[Setup], values: dict[str, Any]) -> Setup:
-    return kind(**values)
-
-
-def _number(value: Any, name: str, where: str, *, zero: bool) -> float:
-    number = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
-    if not number or not np.isfinite(value) or value < 0 or (value == 0 and not zero):
-        raise SessionError(f"{name} is {value!r}, not a {'non-negative' if zero else 'positive'} number", where=where)
-    return float(value)
-
-
-def _finite(values: ArrayLike, shape: tuple[int, ...], name: str, where: str) -> Floats:
-    try:
-        array = frozen(values)
-    except (TypeError, ValueError) as error:
-        raise SessionError(f"{name} is not made of numbers", where=where) from error
-    if array.shape != shape:
-        raise SessionError(f"{name} has shape {array.shape}, not {shape}", where=where)
-    if not np.isfinite(array).all():
-        raise SessionError(f"{name} has values that are not finite", where=where)
-    return array
-
-
-def _freeze_sightings(table: Any, where: str, keys: tuple[str, ...], values: str, width: int) -> None:
-    """Check the columns of a table of sightings, sort them by ``keys`` and make them read-only."""
-    index = {key: np.asarray(getattr(table, key)) for key in keys}
-    count = len(index[keys[0]]) if index[keys[0]].ndim == 1 else 0
-    if count == 0:
-        raise SessionError("there is no sighting", where=where)
-    for key, column in index.items():
-        if column.shape != (count,) or column.dtype.kind not in "iu" or column.min() < 0:
-            raise SessionError(f"{key} is not an array of {count} indices", where=where)
-    numbers = _finite(getattr(table, values), (count, width), values, where)
-    try:
-        sigma = _finite(np.broadcast_to(table.sigma, (count,)), (count,), "sigma", where)
-    except ValueError as error:
-        raise SessionError(f"sigma has shape {np.shape(table.sigma)}, not ({count},)", where=where) from error
-    if sigma.min() <= 0.0:
-        raise SessionError(f"sigma is {sigma.min():g}; it must be positive", where=where)
-    order = np.lexsort([index[key] for key in reversed(keys)])
-    for key, column in index.items():
-        object.__setattr__(table, key, frozen(column[order], np.intp))
-    object.__setattr__(table, values, frozen(numbers[order]))
-    object.__setattr__(table, "sigma", frozen(sigma[order]))
-    twice = np.logical_and.reduce([np.diff(getattr(table, key)) == 0 for key in keys])
-    if twice.any():
-        first = int(np.flatnonzero(twice)[0])
-        names = ", ".join(f"{key} {getattr(table, key)[first]}" for key in keys)
-        raise SessionError(f"there are two sightings of {names}", where=where)
-
-
-def _at(table: Table | None, poses: Ints) -> Table | None:
-    """Sightings at some poses, by which they are numbered anew; None if there are none."""
-    if table is None:
-        return None
-    kept = np.isin(table.pose, poses)
-    columns = {entry.name: getattr(table, entry.name)[kept] for entry in fields(table)}
-    return replace(table, **{**columns, "pose": np.searchsorted(poses, columns["pose"])}) if kept.any() else None
-
-
-def _check_indices(table: Detections | Points, where: str, counts: Mapping[str, int]) -> None:
-    for key, count in counts.items():
-        largest = int(getattr(table, key).max())
-        if largest >= count:
-            raise SessionError(f"{key} {largest} does not exist: there are {count}", where=where)
+            if np.any(camera != self.motion.camera[table.pose]):
+                raise SessionError("a detection is by another camera than its frame", where=table.kind)

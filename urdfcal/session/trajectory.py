@@ -10,8 +10,11 @@ import numpy as np
 
 from urdfcal.arrays import Bools, Floats, Ints, frozen
 from urdfcal.errors import SessionError
+from urdfcal.session.motion import Motion
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from scipy.interpolate import CubicSpline
 
 # Readings farther apart than this are not joined by a curve. A cubic is off by 5/384 h^4 of the fourth derivative: with
@@ -78,7 +81,7 @@ class JointLog:
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory:
+class Trajectory(Motion):
     """The frames of a moving arm: each is a pose of its own, seen by one camera.
 
     Attributes:
@@ -102,22 +105,46 @@ class Trajectory:
             raise SessionError("the frames' cameras, rows and times differ in number", where="trajectory")
 
     def at(self, poses: Ints) -> Trajectory:
-        """The same of some of the frames, (K,) indices."""
+        """Return the same of some of the frames, (K,) indices."""
         return replace(self, camera=self.camera[poses], row=self.row[poses], time=self.time[poses])
 
-    def label(self, pose: int) -> str:
-        """What its camera calls a frame."""
+    def label(self, pose: int, labels: Sequence[str] = ()) -> str:
+        """Return what its camera calls a frame."""
+        del labels
         return self.frames[int(self.camera[pose])][int(self.row[pose])]
 
     def robot_time(self, time_offsets: Floats) -> Floats:
-        """When (N,) the frames were taken, on the robot's clock, for offsets (C,): t_robot = t_camera + offset. [s]."""
+        """Return when (N,) the frames were taken, on the robot's clock, for offsets (C,) of the cameras'. [s]."""
         result: Floats = self.time + time_offsets[self.camera]
         return result
 
     def values(self, time_offsets: Floats) -> Floats:
-        """(N, n) joint values when the frames were taken, with the clocks' offsets (C,) in s. [rad or m]."""
+        """Return the joint values (N, n) when the frames were taken, for offsets (C,) in s. [rad or m]."""
         return self.log.at(self.robot_time(time_offsets))
 
     def velocities(self, time_offsets: Floats) -> Floats:
-        """(N, n) how fast the joints moved: the derivative of :meth:`values` by the camera's offset. [rad/s or m/s]."""
+        """Return the derivative (N, n) of :meth:`values` by the offset of the frame's camera. [rad/s or m/s]."""
         return self.log.velocities(self.robot_time(time_offsets))
+
+    def joint_values(self, q: Floats, time_offsets: Floats) -> Floats:
+        """Return what the log says: ``q`` is what it said with other offsets."""
+        del q
+        return self.values(time_offsets)
+
+    def covered(self, count: int, time_offsets: Floats) -> Bools:
+        """Return which frames are well within the log."""
+        del count
+        return self.log.covers(self.robot_time(time_offsets))
+
+    def independent(self, count: int) -> Ints:
+        """Number the seconds: the errors of neighbouring frames are alike."""
+        del count
+        result: Ints = np.floor(self.time - self.time.min()).astype(np.intp)
+        return result
+
+    def folds(self, poses: Ints, folds: int, seed: int) -> Ints:
+        """Divide the frames into stretches of time: to predict one from its neighbours would be no test."""
+        del seed
+        fold = np.empty(len(poses), dtype=np.intp)
+        fold[np.argsort(self.time[poses], kind="stable")] = np.arange(len(poses)) * folds // len(poses)
+        return fold

@@ -14,6 +14,7 @@ from urdfcal.images.files import in_parallel, write_image
 from urdfcal.images.video import write_video
 from urdfcal.io.folder import IMAGES
 from urdfcal.io.writing import write_table
+from urdfcal.session.trajectory import Trajectory
 from urdfcal.simulation.render import Light, Scenery, Sensor
 from urdfcal.simulation.simulate import true_scene
 from urdfcal.simulation.truth import write_simulated
@@ -160,7 +161,7 @@ def write_simulated_videos(
         OutputError: the folder holds a session or a truth already, or cannot be written.
     """
     session, folder = simulated.session, Path(folder)
-    if session.trajectory is None or len(session.leds) > 1:
+    if not isinstance(session.motion, Trajectory) or len(session.leds) > 1:
         raise SessionError("a video shows a moving arm with one LED", where="simulate", remedy="Write pictures.")
     shoot = _Shoot.of(simulated, exposure)
     write_simulated(folder, simulated, sightings=False)
@@ -198,8 +199,8 @@ class _Shoot:
 
     @classmethod
     def of(cls, simulated: Simulated, exposure: Exposure) -> _Shoot:
-        scene, trajectory = true_scene(simulated), simulated.session.trajectory
-        if len(simulated.session.frames.standing) < len(scene.cameras):
+        scene, motion = true_scene(simulated), simulated.session.motion
+        if len(simulated.session.attachments.eye_to_hand) < len(scene.cameras):
             raise SessionError(
                 "pictures of cameras that ride on the robot cannot be made",
                 where="simulate",
@@ -208,8 +209,8 @@ class _Shoot:
         stage_seed, view_seed = np.random.SeedSequence((simulated.truth.seed, _STREAM)).spawn(2)
         sceneries = _sceneries(scene, exposure, np.random.default_rng(stage_seed))
         views = _views(scene, simulated.truth.q, exposure, sceneries, view_seed)
-        if trajectory is not None:  # a frame is taken by one camera
-            views = [view for view in views if view.camera == trajectory.camera[view.pose]]
+        if isinstance(motion, Trajectory):  # a frame is taken by one camera
+            views = [view for view in views if view.camera == motion.camera[view.pose]]
         return cls(scene.cameras, exposure, sceneries, views)
 
     @property

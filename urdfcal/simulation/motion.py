@@ -9,7 +9,8 @@ import numpy as np
 
 from urdfcal.arrays import Floats, frozen
 from urdfcal.errors import SessionError
-from urdfcal.session.model import Detections, Session, Setup
+from urdfcal.estimation.measurements import Detections
+from urdfcal.session.model import Session, Setup
 from urdfcal.session.trajectory import JointLog, Trajectory
 from urdfcal.simulation.simulate import find_clearance, mistake, true_scene
 
@@ -107,8 +108,8 @@ def set_in_motion(simulated: Simulated, motion: Motion) -> Simulated:
         poses=tuple(f"{scene.cameras[c].name}/{trajectory.label(k)}" for k, c in enumerate(camera.tolist())),
         q=trajectory.values(np.zeros(count)),
         time=trajectory.time,
-        trajectory=trajectory,
-        detections=Detections(pose, camera[pose], led, seen, np.array(session.noise.pixel)),
+        motion=trajectory,
+        measurements=(Detections(pose, camera[pose], led, seen, np.array(session.noise.pixel)),),
         warnings=session.warnings,
     )
     moved = replace(truth, q=frozen(q), outliers=frozen(outliers, np.intp), time_offsets=frozen(time_offsets))

@@ -14,7 +14,7 @@ from urdfcal.robot.mechanism import BASE, Tip
 if TYPE_CHECKING:
     from urdfcal.cameras.camera import Camera
     from urdfcal.robot.mechanism import Mechanism
-    from urdfcal.session.attachments import Frames
+    from urdfcal.session.attachments import Attachments
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +33,7 @@ class Scene:
 
     chain: Mechanism
     placements: Floats
-    frames: Frames
+    attachments: Attachments
     leds: Floats
     T_world_base: Floats
     cameras: tuple[Camera, ...]
@@ -41,16 +41,19 @@ class Scene:
 
     def eyes(self, q: Floats) -> Floats:
         """The cameras' centres (N, C, 3) in the base link's frame at joint values ``q`` (N, n), m."""
-        T_base_frame = self._frames(q)[self.frames.camera]
+        T_base_frame = self._frames(q)[self.attachments.camera]
         return np.asarray(np.swapaxes((T_base_frame @ inverse(self.T_cam_frame)[:, None])[..., :3, 3], 0, 1))
 
     def fastened(self) -> tuple[list[tuple[int, Floats]], list[tuple[int, Floats]]]:
         """The LEDs, and the cameras' centres: index of the joint that carries each, and its place (3,) there, m."""
-        tips = [Tip("world", BASE, inverse(self.T_world_base)), *self.frames.tips]
+        tips = [Tip("world", BASE, inverse(self.T_world_base)), *self.attachments.tips]
         centres = inverse(self.T_cam_frame)[:, :3, 3]
         leds, cameras = (
             [(tips[f].joint, tips[f].T_joint_link[:3, :3] @ p + tips[f].T_joint_link[:3, 3]) for f, p in pairs]
-            for pairs in (zip(self.frames.led, self.leds, strict=True), zip(self.frames.camera, centres, strict=True))
+            for pairs in (
+                zip(self.attachments.led, self.leds, strict=True),
+                zip(self.attachments.camera, centres, strict=True),
+            )
         )
         return leds, cameras
 
@@ -70,16 +73,16 @@ class Scene:
         """(N, C, L, 3) the LEDs in the cameras' frames, m."""
         T_base_frame = self._frames(q)
         leds = np.concatenate([self.leds, np.ones((len(self.leds), 1))], axis=1)
-        p_base = (T_base_frame[self.frames.led] @ leds[:, None, :, None])[..., 0]  # (L, N, 4)
+        p_base = (T_base_frame[self.attachments.led] @ leds[:, None, :, None])[..., 0]  # (L, N, 4)
         if mirrored:
             p_base = p_base * [1.0, 1.0, -1.0, 1.0]
-        T_cam_base = self.T_cam_frame[:, None] @ inverse(T_base_frame)[self.frames.camera]  # (C, N, 4, 4)
+        T_cam_base = self.T_cam_frame[:, None] @ inverse(T_base_frame)[self.attachments.camera]  # (C, N, 4, 4)
         points = T_cam_base.swapaxes(0, 1)[:, :, None] @ p_base.swapaxes(0, 1)[:, None, :, :, None]
         return np.asarray(points[..., :3, 0])
 
     def _frames(self, q: Floats) -> Floats:
         """T_base_frame (F, N, 4, 4) of the world and of the links that carry LEDs or cameras, m."""
-        links = link_poses(self.chain, q, self.frames.tips, self.placements)
+        links = link_poses(self.chain, q, self.attachments.tips, self.placements)
         return np.array([np.broadcast_to(inverse(self.T_world_base), (len(q), 4, 4)), *links])
 
 

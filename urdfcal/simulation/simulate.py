@@ -10,9 +10,10 @@ import pinocchio as pin
 
 from urdfcal.arrays import Floats, Ints, frozen, inverse
 from urdfcal.errors import RobotError, SessionError
+from urdfcal.estimation.measurements import Detections
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.robot.urdf.origins import origins_of, rewrite_origins
-from urdfcal.session.model import MIN_POSES, Detections, Session, Setup
+from urdfcal.session.model import MIN_POSES, Session, Setup
 from urdfcal.simulation.collision import Clearance
 from urdfcal.simulation.geometric_errors import draw_offsets
 from urdfcal.simulation.pose_sampling import choose_poses
@@ -90,7 +91,7 @@ def simulate(
         | {"noise": noise, "sha256": {}, "folder": None},
         poses=tuple(f"{k:0{len(str(poses))}d}" for k in range(1, poses + 1)),
         q=_read(rig, q, encoders),
-        detections=Detections(pose, camera, led, uv, np.array(noise.pixel)),
+        measurements=(Detections(pose, camera, led, uv, np.array(noise.pixel)),),
         warnings=warnings,
     )
     truth = Truth(
@@ -126,11 +127,11 @@ def _check_arguments(seed: int, poses: int, pixel: float | None, error_scale: fl
 
 def _planned(rig: RigDescription) -> Scene:
     """The scene as drawn and as the stand was meant."""
-    if rig.rig is None:
+    if not rig.rig.cameras:
         raise SessionError("the rig has no cameras", where="cameras")
-    placed = [T for T in rig.frames.T_cam_frame if T is not None]
+    placed = [T for T in rig.attachments.T_cam_frame if T is not None]
     if len(placed) < len(rig.rig.cameras):
-        unknown = next(name for name, T in zip(rig.rig.names, rig.frames.T_cam_frame, strict=True) if T is None)
+        unknown = next(name for name, T in zip(rig.rig.names, rig.attachments.T_cam_frame, strict=True) if T is None)
         raise SessionError(
             f"where {unknown!r} stands is not given",
             where="cameras",
@@ -145,7 +146,7 @@ def _planned(rig: RigDescription) -> Scene:
     return Scene(
         chain=rig.chain,
         placements=rig.chain.placements,
-        frames=rig.frames,
+        attachments=rig.attachments,
         leds=np.array(positions),
         T_world_base=_planned_stand(rig),
         cameras=rig.rig.cameras,
@@ -155,7 +156,7 @@ def _planned(rig: RigDescription) -> Scene:
 
 def _planned_stand(rig: RigDescription) -> Floats:
     """T_world_base (4, 4); where all cameras ride on the robot, its base is the world."""
-    if not len(rig.frames.standing):
+    if not len(rig.attachments.eye_to_hand):
         return np.eye(4)
     if rig.stand is None:
         raise SessionError("where the first camera stands is not given", where="stand")
@@ -164,17 +165,17 @@ def _planned_stand(rig: RigDescription) -> Floats:
 
 def _stood(rig: RigDescription, T_world_base: Floats, motion: Floats) -> Floats:
     """Where the robot truly stands before cameras that were put up by hand."""
-    return T_world_base @ _nudge(motion) if len(rig.frames.standing) else T_world_base
+    return T_world_base @ _nudge(motion) if len(rig.attachments.eye_to_hand) else T_world_base
 
 
 def _fastened(rig: RigDescription, T_cam_frame: Floats, rng: np.random.Generator) -> Floats:
     """How riding cameras are truly fastened to their links; the others in a frame go with the first."""
-    frames, names = rig.frames, rig.rig.names if rig.rig is not None else ()
+    frames, names = rig.attachments, rig.rig.names
     sigma = {mount.camera: _STAND_SIGMA if mount.sigma is None else mount.sigma for mount in rig.mounts}
     true = np.array(T_cam_frame)
-    for c in np.flatnonzero((frames.camera != 0) & (frames.leader == np.arange(len(names)))):
+    for c in np.flatnonzero((frames.camera != 0) & (frames.reference == np.arange(len(names)))):
         moved = _nudge(rng.normal(0.0, sigma[names[c]])) @ T_cam_frame[c]
-        for k in np.flatnonzero(frames.leader == c):
+        for k in np.flatnonzero(frames.reference == c):
             true[k] = T_cam_frame[k] @ inverse(T_cam_frame[c]) @ moved
     return true
 
@@ -186,12 +187,12 @@ def true_scene(simulated: Simulated) -> Scene:
         SessionError: there are no cameras.
     """
     session, truth = simulated.session, simulated.truth
-    if session.rig is None:
+    if not session.rig.cameras:
         raise SessionError("there are no cameras", where="simulate")
     return Scene(
         session.chain,
         truth.placements,
-        session.frames,
+        session.attachments,
         truth.leds,
         truth.T_world_base,
         session.rig.cameras,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from urdfcal.errors import OutputError
+from urdfcal.estimation.measurements import Detections
 from urdfcal.files import write_bytes, write_text
 from urdfcal.io.writing import write_session
 from urdfcal.robot.dh import PARAMETERS
@@ -95,8 +96,8 @@ def write_simulated(folder: str | Path, simulated: Simulated, *, sightings: bool
 def _truth_to_dict(simulated: Simulated) -> dict[str, Any]:
     session, truth = simulated.session, simulated.truth
     table = rows_of(session.chain)
-    seen = session.detections
-    names = session.rig.names if session.rig is not None else ()
+    seen = session.find(Detections)
+    names = session.rig.names
     clocks = dict(zip(names, truth.time_offsets.tolist(), strict=False))
     return {
         "seed": truth.seed,
@@ -126,6 +127,6 @@ def _truth_to_dict(simulated: Simulated) -> dict[str, Any]:
                 "led": session.led_names[seen.led[row]],
             }
             for row in truth.outliers
-            if seen is not None and session.rig is not None
+            if seen is not None
         ],
     }

@@ -1,4 +1,4 @@
-"""Is this session what it says? Wrong units, exchanged names and stuck sensors, each told from honest data.
+"""Check that a session is what it says: wrong units, swapped names and stuck sensors.
 
 Every rule is one function; the numbers that decide are at the top, each with its reason.
 """
@@ -11,20 +11,23 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.errors import SessionError
-from urdfcal.io.checks.swaps import Rays, check_names_by_rays
+from urdfcal.estimation.measurements import Detections, Points
+from urdfcal.io.checks.content import check_images, frozen_recording, unseen
+from urdfcal.io.checks.swaps import check_names_by_rays
 from urdfcal.io.tables import JointTable
 from urdfcal.names import listed
 from urdfcal.session.attachments import WORLD
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
     from pathlib import Path
 
     from urdfcal.arrays import Floats
     from urdfcal.cameras.rig import Rig
+    from urdfcal.estimation.measurements import Measurement
     from urdfcal.io.frame_tables import LogTable
-    from urdfcal.io.schema import Document
-    from urdfcal.io.tables import SightingTable
+    from urdfcal.io.tables import MeasurementTable
+    from urdfcal.io.yaml_document import Document
     from urdfcal.robot.mechanism import Joint, Mechanism
     from urdfcal.session.model import Led, Noise
 
@@ -42,8 +45,6 @@ _TOO_FAR, _TOO_WIDE = 5.0, 20.0
 _BLIND = 0.05
 # Five degrees of reading noise: the unit is wrong.
 _UNREAD = 0.1
-# Encoders repeat what hardly changes: one frame in a hundred of a slow arm at 2 kB a frame.
-_REPEATED = 0.05
 # A joint that moves less than this moves the tip by less than the drawing is wrong.
 _STILL = 1e-3
 
@@ -73,23 +74,21 @@ class Inputs:
         document: session.yaml.
         chain: the robot's.
         leds: as declared.
-        rig: the cameras, if any.
+        rig: the cameras.
         noise: as declared.
         joints: the joint readings.
         taken: when or where LEDs were looked at.
-        detections: the pixels, if any.
-        points: the measured points, if any.
+        tables: the measurements.
     """
 
     document: Document
     chain: Mechanism
     leds: tuple[Led, ...]
-    rig: Rig | None
+    rig: Rig
     noise: Noise
     joints: JointTable | LogTable
     taken: Taken
-    detections: SightingTable | None
-    points: SightingTable | None
+    tables: tuple[MeasurementTable, ...]
 
     @property
     def scale(self) -> float:
@@ -102,10 +101,9 @@ class Inputs:
         named = self.document.data["cameras"]
         return str(named if isinstance(named, str) else named["file"])
 
-    @property
-    def sightings(self) -> Iterator[SightingTable]:
-        """The tables of sightings that there are."""
-        return (table for table in (self.detections, self.points) if table is not None)
+    def find(self, kind: type[Measurement]) -> MeasurementTable | None:
+        """The table of a kind of measurement, if there is one."""
+        return next((table for table in self.tables if table.kind is kind), None)
 
 
 def check_positions(inputs: Inputs) -> tuple[str, ...]:
@@ -136,14 +134,15 @@ def check(inputs: Inputs) -> tuple[str, ...]:
     """
     warnings = list(check_positions(inputs))
     _check_point_units(inputs)
-    for table in inputs.sightings:
-        warnings += _frozen(inputs, table)
-    if inputs.detections is not None and inputs.rig is not None:
-        rays, odd = check_names_by_rays(inputs.rig, inputs.detections)
-        warnings += [*odd, *_check_images(inputs, inputs.rig, inputs.detections, rays)]
-    elif inputs.rig is not None:
+    for table in inputs.tables:
+        warnings += frozen_recording(inputs, table)
+    detections = inputs.find(Detections)
+    if detections is not None:
+        rays, odd = check_names_by_rays(inputs.rig, detections)
+        warnings += [*odd, *check_images(inputs, detections, rays)]
+    elif inputs.rig.cameras:
         warnings.append(f"{inputs.document.place('cameras')}: there are no detections: the cameras are not used")
-    return (*warnings, *_never_seen(inputs))
+    return (*warnings, *unseen(inputs))
 
 
 def _actuated(inputs: Inputs) -> list[Joint]:
@@ -240,30 +239,29 @@ def _check_noise_units(inputs: Inputs) -> None:
             where=inputs.document.place("noise", "joint"),
             remedy="Write radians, and metres for prismatic joints.",
         )
-    if inputs.detections is not None and inputs.rig is not None:
-        sides = np.array([max(camera.resolution) for camera in inputs.rig.cameras])
-        largest = _BLIND * sides[inputs.detections.index["camera"]]
-        _check_sigma(inputs, inputs.detections, largest, "pixel", "px", "of the size of the image")
-    if inputs.points is not None:
-        reach = np.full(len(inputs.points.sigma), inputs.scale)
-        _check_sigma(inputs, inputs.points, reach, "point", "m", "of the size of the arm")
+    for table in inputs.tables:
+        if table.kind.unit == "px":
+            sides = np.array([max(camera.resolution) for camera in inputs.rig.cameras])
+            _check_sigma(inputs, table, _BLIND * sides[table.index["camera"]], "of the size of the image")
+        elif table.kind.unit == "m":
+            _check_sigma(inputs, table, np.full(len(table.sigma), inputs.scale), "of the size of the arm")
 
 
-def _check_sigma(inputs: Inputs, table: SightingTable, largest: Floats, noise: str, unit: str, verdict: str) -> None:
+def _check_sigma(inputs: Inputs, table: MeasurementTable, largest: Floats, verdict: str) -> None:
     absurd = np.flatnonzero(table.sigma > largest)
     if not absurd.size:
         return
     first = int(absurd[np.argmin(table.rows[absurd])])
     own = "sigma" in table.table.columns
     raise SessionError(
-        f"a sigma of {table.sigma[first]:g} {unit} is {verdict}",
-        where=table.place(first, "sigma") if own else inputs.document.place("noise", noise),
-        remedy=f"Write one standard deviation in {unit}.",
+        f"a sigma of {table.sigma[first]:g} {table.kind.unit} is {verdict}",
+        where=table.place(first, "sigma") if own else inputs.document.place("noise", table.kind.noise),
+        remedy=f"Write one standard deviation in {table.kind.unit}.",
     )
 
 
 def _check_point_units(inputs: Inputs) -> None:
-    table = inputs.points
+    table = inputs.find(Points)
     if table is None:
         return
     reach = f"the arm reaches {inputs.chain.reach:.3g} m"
@@ -291,7 +289,7 @@ def _still_joints(inputs: Inputs) -> Iterator[str]:
             yield (
                 f"{inputs.joints.table.path}: joint {joint.name!r} "
                 + (f"moves by only {moved:.2g} {unit}" if moved else "never moves")
-                + ": its parameters cannot be told"
+                + ": its parameters are unidentifiable"
             )
 
 
@@ -310,106 +308,3 @@ def _same_readings(joints: JointTable | LogTable) -> Iterator[str]:
         more = f", as have {len(pairs) - 1} more pairs" if len(pairs) > 1 else ""
         place = joints.table.place(pairs[0][1], "pose")
         yield f"{place}: pose {b!r} has exactly the joint readings of pose {a!r}{more}"
-
-
-def _frozen(inputs: Inputs, table: SightingTable) -> Iterator[str]:
-    """Two poses that differ, and nothing in the pictures does: they are one picture.
-
-    A video may repeat a picture; in a session of poses each is meant to be another.
-    """
-    repeated = 0
-    pose = table.index["pose"]
-    what = np.column_stack([*(table.index[key] for key in table.index if key != "pose"), table.values + 0.0])
-    starts: list[int] = np.flatnonzero(np.diff(pose, prepend=-1)).tolist()
-    first: dict[bytes, int] = {}
-    for start, stop in zip(starts, [*starts[1:], len(pose)], strict=True):
-        # A single pixel pair may repeat by chance if it is not found to a fraction of a pixel.
-        if table.values[start:stop].size < 3 and not np.any(table.values[start:stop] % 0.5):
-            continue
-        other = first.setdefault(what[start:stop].tobytes(), start)
-        readings = inputs.taken.readings[[pose[other], pose[start]]]
-        if other != start and np.abs(readings[1] - readings[0]).max() > inputs.taken.still:
-            if not isinstance(inputs.joints, JointTable):
-                repeated += 1
-                continue
-            names = [inputs.taken.labels[pose[i]] for i in (other, start)]
-            line = table.rows[other] + 2
-            raise SessionError(
-                f"pose {names[1]!r} shows exactly what pose {names[0]!r} shows (line {line}), "
-                "but the joints have moved: the recording has frozen",
-                where=table.place(start, "pose"),
-                remedy="Leave out the poses whose sightings were not taken anew.",
-            )
-    if repeated > _REPEATED * len(starts):
-        yield (
-            f"{table.table.path}: {repeated} of {len(starts)} frames show exactly what another one shows, but the "
-            "joints have moved: did the recording freeze?"
-        )
-
-
-def _check_images(inputs: Inputs, rig: Rig, table: SightingTable, rays: Rays) -> Iterator[str]:
-    """Pixels outside their image; and why, where it can be told."""
-    camera_of = table.index["camera"]
-    inside, turned = np.empty(len(camera_of), bool), np.empty(len(camera_of), bool)
-    for i, camera in enumerate(rig.cameras):
-        seen = camera_of == i
-        inside[seen] = camera.in_image(table.values[seen])
-        turned[seen] = camera.in_image(table.values[seen][:, ::-1])
-    outside = np.flatnonzero(~inside)
-    if not outside.size:
-        return
-    first = int(outside[np.argmin(table.rows[outside])])
-    camera = rig.cameras[camera_of[first]]
-    (u, v), (width, height) = table.values[first], camera.resolution
-    what = f"({u:g}, {v:g}) lies outside the {width} x {height} image of camera {camera.name!r}"
-    if len(outside) > 1:
-        what += f", as do {len(outside) - 1} more of {len(camera_of)} sightings"
-    where = table.place(first, "u")
-    if turned.all() and rays is Rays.UNKNOWN:
-        # Nothing here depends on the resolution, and without the cameras' places both explanations stand.
-        yield (
-            f"{where}: {what}. With u and v exchanged all would fit: either they are exchanged, or in "
-            f"{inputs.cameras_file} width and height are, and with them perhaps the intrinsics"
-        )
-        return
-    if turned.all() and rays is Rays.MEET:
-        where = f"{inputs.document.source.path.parent / inputs.cameras_file}, camera {camera.name!r}"
-        what += "; the rays meet, so the pixels are right"
-        remedy = f"Write the resolution as [width, height]: [{height}, {width}]?"
-    elif turned.all():
-        remedy = "All would fit with u and v exchanged: are they?"
-    elif len(outside) < 0.05 * len(camera_of):
-        remedy = "Correct the sighting, or leave it out."
-    else:
-        reach = table.values[camera_of == camera_of[first]].max(axis=0)
-        remedy = (
-            f"Were the images taken at the resolution of {inputs.cameras_file}? "
-            f"They reach to ({reach[0]:g}, {reach[1]:g})."
-        )
-    raise SessionError(what, where=where, remedy=remedy)
-
-
-def _never_seen(inputs: Inputs) -> Iterator[str]:
-    tables = list(inputs.sightings)
-    seen = np.zeros(len(inputs.taken.labels), bool)
-    for table in tables:
-        seen[table.index["pose"]] = True
-    blind = [pose for pose, found in zip(inputs.taken.labels, seen, strict=True) if not found]
-    # An arm on its way from pose to pose passes out of view.
-    if len(blind) > (0 if isinstance(inputs.joints, JointTable) else _MOST * len(seen)):
-        yield (
-            f"{inputs.taken.path}: {len(blind)} of {len(seen)} poses have no sighting and do not count: {listed(blind)}"
-        )
-    leds = set(np.concatenate([table.index["led"] for table in tables]).tolist())
-    dark = [led.name for i, led in enumerate(inputs.leds) if i not in leds]
-    if dark:
-        yield f"{inputs.document.place('leds')}: never seen: {listed(dark)}"
-    if inputs.detections is not None and inputs.rig is not None:
-        yield from _idle_cameras(inputs, inputs.rig.names, inputs.detections)
-
-
-def _idle_cameras(inputs: Inputs, names: Sequence[str], table: SightingTable) -> Iterator[str]:
-    used = set(table.index["camera"].tolist())
-    idle = [name for i, name in enumerate(names) if i not in used]
-    if idle:
-        yield f"{inputs.document.place('cameras')}: these cameras see nothing: {listed(idle)}"

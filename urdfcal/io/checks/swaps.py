@@ -1,4 +1,4 @@
-"""Do the cameras' rays meet as the tables name them? If not: would they with something exchanged?"""
+"""Swap check: whether the cameras' rays meet as the tables name them, or with two names swapped."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from urdfcal.arrays import Floats
-    from urdfcal.io.tables import SightingTable
+    from urdfcal.io.tables import MeasurementTable
 
 # Two hundred points decide as well as a hundred thousand.
 _SAMPLE = 200
 _FEWEST = 3
 # True sigmas give a whitened rms of about 0.5; cameras that are a little off give a few units.
 _GOOD_RMS = 3.0
-# Exchanging something explains the sightings if it makes the residual this many times smaller.
+# Exchanging something explains the detections if it makes the residual this many times smaller.
 _BETTER = 10.0
 _MOST = 0.5
 
 
 class Rays(Enum):
-    """What triangulation says about the sightings."""
+    """What triangulation says about the detections."""
 
     MEET = "they meet"
     MISS = "they miss each other, whatever is exchanged"
@@ -60,8 +60,8 @@ class _Score:
         return f"the rays miss each other by {self.rms:.3g} sigma"
 
 
-def check_names_by_rays(rig: Rig, table: SightingTable) -> tuple[Rays, list[str]]:
-    """Triangulate the sightings as named, and with cameras or u and v exchanged.
+def check_names_by_rays(rig: Rig, table: MeasurementTable) -> tuple[Rays, list[str]]:
+    """Triangulate the detections as named, and with cameras or u and v exchanged.
 
     Returns:
         What the rays do, and warnings.
@@ -100,8 +100,8 @@ def _exchanges(rig: Rig, uv: Floats, sigma: Floats) -> Iterator[tuple[str, Float
     yield "u and v", uv[:, :, ::-1], sigma
 
 
-def _by_point(table: SightingTable, cameras: int) -> tuple[Floats, Floats]:
-    """Sightings of one LED in one pose side by side: uv (M, C, 2) with NaN where unseen, sigma (M, C)."""
+def _by_point(table: MeasurementTable, cameras: int) -> tuple[Floats, Floats]:
+    """Detections of one LED in one pose side by side: uv (M, C, 2) with NaN where unseen, sigma (M, C)."""
     pose, camera, led = (table.index[key] for key in ("pose", "camera", "led"))
     keys, point = np.unique(pose * (led.max() + 1) + led, return_inverse=True)
     uv, sigma = np.full((len(keys), cameras, 2), np.nan), np.ones((len(keys), cameras))

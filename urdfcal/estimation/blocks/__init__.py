@@ -1,0 +1,1 @@
+"""The unknowns of an estimate, one file for each kind (METHOD 7)."""

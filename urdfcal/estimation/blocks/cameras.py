@@ -1,0 +1,115 @@
+"""Where a camera is and what its lens does, as two unknowns."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from urdfcal.cameras.camera import Camera
+from urdfcal.estimation.blocks.base import POSE_AXES, POSE_UNITS, Block, LeftPoseBlock
+from urdfcal.estimation.state import Key, State
+
+if TYPE_CHECKING:
+    from urdfcal.arrays import Floats
+    from urdfcal.session.attachments import Attachments
+
+
+def pose_key(camera: str) -> Key[Floats]:
+    """Key of a camera's pose (4, 4): T_cam_frame of a reference camera, T_cam_reference of the others. [m]."""
+    return Key(f"{camera}.pose")
+
+
+def lens_key(camera: str) -> Key[Camera]:
+    """Key of a camera's intrinsics and distortion."""
+    return Key(f"{camera}.lens")
+
+
+class CameraPoseBlock(LeftPoseBlock):
+    """The pose of a camera in the frame that it is attached to, or relative to its reference camera."""
+
+    @classmethod
+    def of(cls, camera: str, nominal: Floats, sigma: Floats) -> CameraPoseBlock:
+        """Take all six coordinates; those of standard deviation 0 are fixed."""
+        return cls(
+            key=pose_key(camera),
+            names=tuple(f"{camera}.{axis}" for axis in POSE_AXES),
+            units=POSE_UNITS,
+            nominal=nominal,
+            sigma=np.where(sigma > 0.0, sigma, np.inf),
+            fixed=_exact(sigma),
+            phrase=f"where {camera} is attached",
+        )
+
+    def document(self, value: Floats, sigma: Floats) -> tuple[dict[str, Any], ...]:
+        """Cameras have a section of their own."""
+        del value, sigma
+        return ()
+
+
+class LensBlock(Block[Camera]):
+    """The intrinsics and distortion coefficients of a camera."""
+
+    @classmethod
+    def of(cls, nominal: Camera, sigma: Floats) -> LensBlock:
+        """Take all parameters; those of standard deviation 0 are fixed."""
+        names = nominal.parameter_names
+        return cls(
+            key=lens_key(nominal.name),
+            names=tuple(f"{nominal.name}.{name}" for name in names),
+            units=("px",) * 4 + ("1",) * (len(names) - 4),
+            nominal=nominal,
+            sigma=np.where(sigma > 0.0, sigma, np.inf),
+            fixed=_exact(sigma),
+            phrase=f"the lens of {nominal.name}",
+        )
+
+    def retract(self, value: Camera, step: Floats) -> Camera:
+        """Add the step to the parameters."""
+        return value.with_parameters(value.parameters + step)
+
+    def local(self, value: Camera) -> tuple[Floats, Floats]:
+        """Return the difference from the nominal parameters, and the identity."""
+        return value.parameters - self.nominal.parameters, np.eye(len(self))
+
+    def scale(self, value: Camera) -> Floats:
+        """Pixels count in focal lengths."""
+        fx, fy = value.intrinsics[:2]
+        return np.concatenate([[fx, fy, fx, fy], np.ones(len(self) - 4)])
+
+    def document(self, value: Camera, sigma: Floats) -> tuple[dict[str, Any], ...]:
+        """Cameras have a section of their own."""
+        del value, sigma
+        return ()
+
+
+def camera_values(attachments: Attachments, state: State) -> tuple[Camera, ...]:
+    """Lenses of all cameras, in the rig's order; none where the state holds none."""
+    return tuple(state[lens_key(name)] for name in attachments.cameras if lens_key(name) in state)
+
+
+def camera_poses(attachments: Attachments, state: State) -> Floats:
+    """T_cam_frame (C, 4, 4) of all cameras: the frame each is attached to, in the camera. [m]."""
+    poses: list[Floats] = []
+    for name, reference in zip(attachments.cameras, attachments.reference.tolist(), strict=True):
+        if pose_key(name) not in state:
+            break
+        T = state[pose_key(name)]
+        poses.append(T if reference == len(poses) else T @ poses[reference])
+    return np.array(poses).reshape(-1, 4, 4)
+
+
+def has_cameras(state: State) -> bool:
+    """Return whether a state holds cameras."""
+    return any(isinstance(state[key], Camera) for key in state)
+
+
+def without_cameras(state: State) -> State:
+    """Return the same state where cameras have no part, as where it is estimated from points."""
+    names = [state[key].name for key in state if isinstance(state[key], Camera)]
+    gone = {key for name in names for key in (pose_key(name), lens_key(name))}
+    return State({key: state[key] for key in state if key not in gone})
+
+
+def _exact(sigma: Floats) -> dict[int, str]:
+    return {int(k): "its calibration gives it as exact" for k in np.flatnonzero(sigma == 0.0)}

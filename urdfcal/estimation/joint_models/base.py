@@ -1,0 +1,80 @@
+"""The interface of a joint model: what stands between a joint reading and the joint's true value."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from urdfcal.estimation.blocks.arm import no_offsets
+from urdfcal.estimation.blocks.base import VectorBlock
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+    from urdfcal.arrays import Bools, Floats, Ints
+    from urdfcal.estimation.blocks.arm import ArmParameterization
+    from urdfcal.session.model import Positions
+    from urdfcal.session.motion import Motion
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """Joint readings at the poses of some measurements, and what else a joint model may depend on.
+
+    Attributes:
+        q: (N, n) readings of all joints of the mechanism, mimic joints included. [rad or m]
+        pose: (N,) index of each pose in the session.
+        motion: of the arm at these poses: at rest, or moving while it is filmed.
+    """
+
+    q: Floats
+    pose: Ints
+    motion: Motion
+
+    def at(self, poses: slice | Bools | Ints) -> Readings:
+        """Return the readings of some of the poses."""
+        return Readings(self.q[poses], self.pose[poses], self.motion.at(np.arange(len(self.q))[poses]))
+
+
+class JointModel(VectorBlock):
+    """A correction of joint readings: q_true = q_read + sum of the models' values (METHOD 7).
+
+    A model is a block: its parameters are estimated like all others. Register the class in
+    ``urdfcal.estimation.joint_models``.
+    """
+
+    name: ClassVar[str]
+
+    @classmethod
+    @abstractmethod
+    def of(cls, session: Positions) -> Self | None:
+        """Return the model with its prior for a session; None where it does not apply."""
+
+    @classmethod
+    def enabled(cls, session: Positions, geometry: str) -> bool:
+        """Return whether its parameters are estimated with a kind of arm geometry (dh, offsets, full or none).
+
+        By default where the session's ``joint_models`` say so, and the arm is not nominal.
+        """
+        return session.joint_models.get(cls.name, False) and geometry != "none"
+
+    @abstractmethod
+    def values(self, readings: Readings, p: Floats) -> Floats:
+        """Return what the model adds (N, n) to the joint readings. [rad or m].
+
+        Args:
+            readings: N of them.
+            p: its parameters, of the nominal value's shape.
+        """
+
+    @abstractmethod
+    def jacobian(self, readings: Readings, p: Floats) -> Floats:
+        """Return the derivative (N, n, k) of :meth:`values` by the k parameters; it may be broadcast over N."""
+
+    def offsets(self, arm: ArmParameterization, p: Floats) -> Floats:
+        """Return as much of the model as offsets (rows, columns) of the arm can hold; by default nothing. [rad, m]."""
+        del p
+        return no_offsets(arm)

@@ -1,0 +1,85 @@
+"""Time offsets: the clocks of the cameras that film a moving arm differ from the robot's."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from urdfcal.estimation.joint_models.base import JointModel
+from urdfcal.estimation.state import Key
+from urdfcal.session.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from typing_extensions import Self
+
+    from urdfcal.arrays import Floats
+    from urdfcal.estimation.joint_models.base import Readings
+    from urdfcal.estimation.state import State
+    from urdfcal.session.model import Positions
+
+TIME_OFFSETS: Key[Floats] = Key("time_offset")
+"""(C,) of the cameras' clocks, t_robot = t_camera + offset; zeros where the arm stood still. [s]"""
+
+CLOCK = 1.0
+"""Standard deviation of a camera's time offset: driver and transport delay a frame by 10 to 100 ms, clocks that are set
+by hand or seldom differ by a second; a moving arm determines it to a fraction of a millisecond whatever it is. [s]"""
+
+
+class TimeOffsets(JointModel):
+    """The joints have run on by the time that a camera's clock differs from the robot's."""
+
+    name: ClassVar[str] = "time_offset"
+    order: ClassVar[int] = 2
+
+    @classmethod
+    def of(cls, session: Positions) -> Self | None:
+        """Take one offset of each camera, where the arm moved."""
+        if not isinstance(session.motion, Trajectory):
+            return None
+        names = session.rig.names
+        return cls(
+            key=TIME_OFFSETS,
+            names=tuple(f"{name}.time_offset" for name in names),
+            units=("s",) * len(names),
+            nominal=np.zeros(len(names)),
+            sigma=np.full(len(names), CLOCK),
+            phrase="the cameras' time offsets",
+        )
+
+    @classmethod
+    def enabled(cls, session: Positions, geometry: str) -> bool:
+        """Return whether the session leaves the time offsets free."""
+        del geometry
+        return session.estimate.time_offset != "fixed"
+
+    def values(self, readings: Readings, p: Floats) -> Floats:
+        """Return how far the joints move between the frame's time on the two clocks."""
+        return readings.motion.joint_values(readings.q, p) - readings.q
+
+    def jacobian(self, readings: Readings, p: Floats) -> Floats:
+        """Return the joints' velocities, for the camera that took the frame."""
+        motion = readings.motion
+        J = np.zeros((*readings.q.shape, len(p)))
+        if isinstance(motion, Trajectory):
+            each = np.arange(len(motion.camera))
+            J[each, :, motion.camera] = motion.velocities(p)
+        return J
+
+    def unidentifiable(self, index: int, partners: Sequence[int]) -> str | None:
+        """A camera in whose frames the arm stands still does not determine its time offset."""
+        if partners:
+            return None
+        return f"{self.label(index)} is unidentifiable: the arm does not move in that camera's frames"
+
+    def document(self, value: Floats, sigma: Floats) -> tuple[dict[str, Any], ...]:
+        """Each camera's section holds its time offset."""
+        del value, sigma
+        return ()
+
+
+def time_offsets(state: State) -> Floats:
+    """Return the time offsets (C,) of a state; none where the arm stood still. [s]."""
+    return state[TIME_OFFSETS] if TIME_OFFSETS in state else np.zeros(0)

@@ -1,0 +1,247 @@
+"""Detections: the pixels at which cameras saw LEDs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from urdfcal.arrays import Floats, Ints, inverse
+from urdfcal.cameras.rig import Rig
+from urdfcal.estimation.blocks.base_pose import BASE
+from urdfcal.estimation.blocks.cameras import (
+    CameraPoseBlock,
+    LensBlock,
+    camera_poses,
+    camera_values,
+    lens_key,
+    pose_key,
+)
+from urdfcal.estimation.blocks.leds import LEDS
+from urdfcal.estimation.camera_prior import CameraPrior
+from urdfcal.estimation.camera_start import Views
+from urdfcal.estimation.measurements.base import BlockSet, ByFrame, Measurement, WorldPoints
+from urdfcal.estimation.measurements.point_geometry import (
+    by_frames,
+    by_rotation,
+    carry,
+    led_points,
+    put_leds,
+    seen_from,
+)
+from urdfcal.estimation.measurements.points import TriangulatedPoints
+
+if TYPE_CHECKING:
+    from urdfcal.estimation.linearize import Jacobian
+    from urdfcal.estimation.links import Links
+    from urdfcal.estimation.model_spec import ModelSpec
+    from urdfcal.estimation.observations import Observations
+    from urdfcal.estimation.start import Start
+    from urdfcal.estimation.state import Key, State
+    from urdfcal.session.attachments import Attachments
+    from urdfcal.session.model import Session
+
+
+@dataclass(frozen=True, eq=False)
+class Detections(Measurement):
+    """LEDs seen by cameras, sorted by pose, camera and LED.
+
+    Attributes:
+        pose: (S,) index of the pose.
+        camera: (S,) index of the camera.
+        led: (S,) index of the LED.
+        uv: (S, 2) where it was seen. [px]
+        sigma: (S,) standard deviation of u and of v; one number serves all. [px]
+    """
+
+    kind: ClassVar[str] = "detections"
+    keys: ClassVar[tuple[str, ...]] = ("pose", "camera", "led")
+    columns: ClassVar[tuple[str, ...]] = ("u", "v")
+    array: ClassVar[str] = "uv"
+    noise: ClassVar[str] = "pixel"
+    usual: ClassVar[float] = 0.1
+    unit: ClassVar[str] = "px"
+    report: ClassVar[tuple[str, float]] = ("px", 1.0)
+
+    camera: Ints
+    led: Ints
+    uv: Floats
+    sigma: Floats
+
+    def predict(self, observed: Observations, links: Links, state: State) -> Floats:
+        """Project the LEDs into their cameras, (N, m, 2); NaN behind a camera, zero for padding. [px]."""
+        _, p_view = self.points(observed, links, state)
+        camera, predicted = _camera(observed), np.zeros((*observed.row.shape, 2))
+        for c, (lens, T_cam_view) in enumerate(_cameras(links.attachments, state)):
+            seen = camera == c
+            predicted[seen] = lens.project(p_view[seen] @ T_cam_view[:3, :3].T + T_cam_view[:3, 3])
+        return predicted
+
+    def linearise(self, observed: Observations, links: Links, state: State, J: Jacobian) -> ByFrame:
+        """Differentiate the projections by the frames, the LEDs, the camera poses and the lenses."""
+        attachments = links.attachments
+        lever, p_base = led_points(observed, links, state)
+        p_seen, m, camera = p_base.reshape(-1, 3), observed.row.shape[1], _camera(observed)
+        predicted, E = np.zeros((len(p_seen), 2)), np.zeros((len(p_seen), 2, 3))
+        for c, (lens, T_cam_view) in enumerate(_cameras(attachments, state)):
+            seen, frame = np.flatnonzero(camera == c), int(attachments.camera[c])
+            R, p = links.R[frame], links.p[frame]
+            if frame == 0:  # the same at every pose
+                p_view = (p_seen[seen] - p[0]) @ R[0]
+            else:
+                p_view = ((p_seen[seen] - p[seen // m])[:, None] @ R[seen // m])[:, 0]
+            p_cam = p_view @ T_cam_view[:3, :3].T + T_cam_view[:3, 3]
+            if J.wants(lens_key(lens.name)):
+                predicted[seen], d_point, d_lens = lens.project_with_derivatives(p_cam)
+                J.put(lens_key(lens.name), d_lens, seen)
+            else:
+                predicted[seen], d_point = lens.project_with_jacobian(p_cam)
+            if frame == 0:
+                E[seen] = carry(d_point, T_cam_view[:3, :3] @ R[0].T)
+            else:
+                E[seen] = d_point @ (T_cam_view[:3, :3] @ np.swapaxes(R[seen // m], 1, 2))
+            self._put_poses(J, c, d_point, p_cam, seen, attachments, state)
+        put_leds(J, observed, links, E)
+        led_frame, view_frame = attachments.led[observed.index["led"]], _view_frame(observed, attachments)
+        by_frame = by_frames(links, E, lever, p_base, led_frame, view_frame)
+        return ByFrame(predicted.reshape(*observed.row.shape, 2), by_frame)
+
+    @staticmethod
+    def _put_poses(
+        J: Jacobian, c: int, d_point: Floats, p_cam: Floats, seen: Ints, attachments: Attachments, state: State
+    ) -> None:
+        """Put the derivatives by a camera's pose, and by that of its reference camera."""
+        name, reference = attachments.cameras[c], int(attachments.reference[c])
+        if J.wants(pose_key(name)):
+            J.put(pose_key(name), np.concatenate([d_point, by_rotation(d_point, p_cam)], axis=-1), seen)
+        of_reference = pose_key(attachments.cameras[reference])
+        if reference != c and J.wants(of_reference):
+            T_cam_reference = state[pose_key(name)]
+            p_reference = (p_cam - T_cam_reference[:3, 3]) @ T_cam_reference[:3, :3]
+            d_reference = carry(d_point, T_cam_reference[:3, :3])
+            d_pose = np.concatenate([d_reference, by_rotation(d_reference, p_reference)], axis=-1)
+            J.put(of_reference, d_pose, seen)
+
+    def metres_per_unit(self, observed: Observations, links: Links, state: State) -> Floats:
+        """Return the metres at the LED, across the ray, that one pixel spans."""
+        _, p_view = self.points(observed, links, state)
+        result, camera = np.ones(observed.row.shape), _camera(observed)
+        for c, (lens, T_cam_view) in enumerate(_cameras(links.attachments, state)):
+            seen = camera == c
+            depth = p_view[seen] @ T_cam_view[2, :3] + T_cam_view[2, 3]
+            result[seen] = depth / np.sqrt(lens.intrinsics[0] * lens.intrinsics[1])
+        return result
+
+    def points(self, observed: Observations, links: Links, state: State) -> tuple[Ints, Floats]:
+        """Return the frames that the cameras are fixed in, and the LEDs' positions in them."""
+        _, p_base = led_points(observed, links, state)
+        frame = _view_frame(observed, links.attachments)
+        return frame, seen_from(links, p_base, frame)
+
+    @classmethod
+    def defines_world(cls, attachments: Attachments) -> bool:
+        """Return whether a camera is fixed in the world."""
+        return len(attachments.eye_to_hand) > 0
+
+    def blocks(self, session: Session, spec: ModelSpec, state: State) -> BlockSet:
+        """Return the poses, then the lenses, of the cameras that are to be estimated."""
+        attachments = session.attachments
+        world = attachments.eye_to_hand[:1]  # where the first eye-to-hand camera is, is what the world is
+        moving = [c for c, freedom in enumerate(spec.extrinsics) if c not in world and freedom != "fixed"]
+        lenses = [c for c, freedom in enumerate(spec.intrinsics) if freedom != "fixed"]
+        known = CameraPrior.of(session, spec, moving, lenses)
+        nominal = nominal_cameras(session, state)
+        blocks: list[CameraPoseBlock | LensBlock] = []
+        end = 0
+        for c in moving:
+            key = pose_key(attachments.cameras[c])
+            end += 6
+            blocks.append(CameraPoseBlock.of(attachments.cameras[c], nominal[key], known.sigma[end - 6 : end]))
+        for c in lenses:
+            lens = session.rig.cameras[c]
+            end += len(lens.parameters)
+            blocks.append(LensBlock.of(lens, known.sigma[end - len(lens.parameters) : end]))
+        return BlockSet(tuple(blocks), known.correlation, known.measured)
+
+    def world_points(self, session: Session) -> WorldPoints | None:
+        """Return where the rays of eye-to-hand cameras of known pose meet."""
+        found = triangulate(session)
+        return None if found is None else WorldPoints(found.pose, found.led, found.xyz, complete=False)
+
+    def start(self, at: Start, state: State) -> State:
+        """Place the base if need be, then the cameras, by PnP, and unknown LEDs where the cameras' rays meet."""
+        attachments, views = at.session.attachments, Views(at.session, at.links, self)
+        T_cam_frame = list(attachments.T_cam_frame)
+        leds = state[LEDS]
+        if BASE in state:
+            T_world_base = state[BASE]
+        else:
+            T_world_base = views.base(T_cam_frame, leds) if len(attachments.eye_to_hand) else np.eye(4)
+        for c, T in enumerate(T_cam_frame):
+            if T is None:
+                reference = T_cam_frame[int(attachments.reference[c])]
+                known = attachments.T_cam_reference[c]
+                by_reference = None if known is None or reference is None else known @ reference
+                T_cam_frame[c] = views.place(c, T_world_base, leds, by_reference)
+        leds = views.meet(T_world_base, T_cam_frame, leds, at.unknown_leds)
+        values: dict[Key[Floats], Floats] = {BASE: T_world_base, LEDS: leds}
+        return state.replace({**values, **camera_state(at.session, np.array(T_cam_frame))})
+
+
+def camera_state(session: Session, T_cam_frame: Floats) -> dict[Key, object]:  # type: ignore[type-arg]
+    """Return the values of all cameras' unknowns: lenses as given, and poses (C, 4, 4) of frames in cameras. [m]."""
+    values: dict[Key, object] = {}  # type: ignore[type-arg]
+    for c, lens in enumerate(session.rig.cameras):
+        reference = int(session.attachments.reference[c])
+        T = T_cam_frame[c] if reference == c else T_cam_frame[c] @ inverse(T_cam_frame[reference])
+        values |= {lens_key(lens.name): lens, pose_key(lens.name): T}
+    return values
+
+
+def nominal_cameras(session: Session, state: State) -> dict[Key, Floats]:  # type: ignore[type-arg]
+    """Return the pose of each camera as given, as a value of its block; where none is given, the state's. [m]."""
+    attachments = session.attachments
+    poses: dict[Key, Floats] = {}  # type: ignore[type-arg]
+    for c, name in enumerate(attachments.cameras):
+        given = attachments.T_cam_reference[c]
+        if attachments.reference[c] == c:
+            given = attachments.T_reference_frame[c]
+        poses[pose_key(name)] = state[pose_key(name)] if given is None else given
+    return poses
+
+
+def triangulate(session: Session) -> TriangulatedPoints | None:
+    """Find the points of all LEDs seen by two or more eye-to-hand cameras of known pose, with their covariances."""
+    detections, attachments = session.find(Detections), session.attachments
+    cameras = attachments.eye_to_hand
+    if detections is None or not len(cameras):
+        return None
+    rig = Rig(tuple(session.rig.cameras[c] for c in cameras), tuple(attachments.T_cam_frame[c] for c in cameras))
+    leds = int(detections.led.max()) + 1
+    rows = np.flatnonzero(np.isin(detections.camera, cameras))
+    key, group = np.unique(detections.pose[rows] * leds + detections.led[rows], return_inverse=True)
+    uv, sigma = np.full((len(key), len(cameras), 2), np.nan), np.ones((len(key), len(cameras)))
+    column = np.searchsorted(cameras, detections.camera[rows])
+    uv[group, column], sigma[group, column] = detections.uv[rows], detections.sigma[rows]
+    result = rig.triangulate(uv, sigma)
+    good = np.isfinite(result.points[:, 0])
+    if not np.any(good):
+        return None
+    covariance = result.covariances[good]
+    spread = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 3.0)
+    return TriangulatedPoints(key[good] // leds, key[good] % leds, result.points[good], spread, covariance)
+
+
+def _cameras(attachments: Attachments, state: State):  # type: ignore[no-untyped-def]
+    return zip(camera_values(attachments, state), camera_poses(attachments, state), strict=True)
+
+
+def _camera(observed: Observations) -> Ints:
+    """Camera (N, m) of each slot; -1 for padding, which no camera sees."""
+    return np.where(observed.valid, observed.index["camera"], -1)
+
+
+def _view_frame(observed: Observations, attachments: Attachments) -> Ints:
+    """Frame (N, m) that each slot's camera is fixed in."""
+    return attachments.camera[observed.index["camera"]]

@@ -1,0 +1,118 @@
+"""The estimation problem: an arm, joint models, and measurements that follow from them (METHOD 7)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from urdfcal.estimation.blocks.arm import ARM, no_offsets
+from urdfcal.estimation.blocks.base_pose import BASE
+from urdfcal.estimation.joint_models import JOINT_MODELS
+from urdfcal.estimation.links import Links
+from urdfcal.estimation.measurements import Measurement
+from urdfcal.estimation.observations import arrange
+from urdfcal.robot.kinematics import link_poses
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from urdfcal.arrays import Bools, Floats, Ints
+    from urdfcal.estimation.blocks.arm import ArmParameterization
+    from urdfcal.estimation.joint_models import JointModel, Readings
+    from urdfcal.estimation.observations import Observations
+    from urdfcal.estimation.state import State
+    from urdfcal.session.attachments import Attachments
+    from urdfcal.session.model import Session
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What is estimated, and from which measurements; predicts them from a state.
+
+    Attributes:
+        arm: the parameters of the arm's geometry.
+        joint_models: between joint readings and true joint values.
+        attachments: what LEDs and cameras are attached to.
+        observations: the measurements, one for each kind.
+        joint_sigma: standard deviation of the joint readings. [rad or m]
+    """
+
+    arm: ArmParameterization
+    joint_models: tuple[JointModel, ...]
+    attachments: Attachments
+    observations: tuple[Observations, ...]
+    joint_sigma: float
+
+    @classmethod
+    def of(cls, session: Session, arm: ArmParameterization, tables: Iterable[Measurement] | None = None) -> Problem:
+        """Take a session's measurements, or other tables of its poses."""
+        if tables is None:
+            tables = (table for table in session.measurements if isinstance(table, Measurement))
+        models = (model.of(session) for model in JOINT_MODELS)
+        return cls(
+            arm,
+            tuple(model for model in models if model is not None),
+            session.attachments,
+            tuple(arrange(session, table) for table in tables),
+            session.noise.joint,
+        )
+
+    def with_observations(self, observations: Sequence[Observations]) -> Problem:
+        """Return the same with other measurements."""
+        return replace(self, observations=tuple(observations))
+
+    def spread(self, most: int) -> Problem:
+        """Return the same with an even selection of poses, at most so many for each combination of LED and camera."""
+        return self.with_observations([observed.at(observed.spread(most)) for observed in self.observations])
+
+    @property
+    def poses(self) -> Ints:
+        """Indices of the session's poses that have measurements, in ascending order."""
+        return np.unique(np.concatenate([observed.pose for observed in self.observations]))
+
+    def offsets(self, state: State) -> Floats:
+        """Return the arm's offsets (rows, columns), with what it can hold of the joint models. [rad, m]."""
+        parts = [model.offsets(self.arm, state[model.key]) for model in self.joint_models if model.key in state]
+        return sum(parts, start=state[ARM])
+
+    def nominal_offsets(self) -> Floats:
+        """Return offsets (rows, columns) of zero."""
+        return no_offsets(self.arm)
+
+    def joint_values(self, readings: Readings, state: State) -> Floats:
+        """Return the joints' true values (N, n): the readings, and what the joint models add. [rad or m]."""
+        q = readings.q
+        for model in self.joint_models:
+            if model.key in state:
+                q = q + model.values(readings, state[model.key])
+        return q
+
+    def links(self, readings: Readings, state: State) -> Links:
+        """Return where the frames of LEDs and cameras are."""
+        q, tips = self.joint_values(readings, state), self.attachments.tips
+        T = link_poses(self.arm.chain, q, tips, self.arm.placements(state[ARM]))
+        return Links.of(self.attachments, state[BASE], [of[:, :3, :3] for of in T], [of[:, :3, 3] for of in T])
+
+    def predict(self, observed: Observations, state: State) -> Floats:
+        """Return what should be measured (N, m, D); NaN where it is impossible, as behind a camera."""
+        return observed.table.predict(observed, self.links(observed.readings, state), state)
+
+    def residual(self, observed: Observations, state: State) -> Floats:
+        """Return predicted minus measured (N, m, D), zero for padding. [unit of the table]."""
+        return np.where(observed.valid[..., None], self.predict(observed, state) - observed.value, 0.0)
+
+    def metres_per_unit(self, observed: Observations, state: State) -> Floats:
+        """Return what one unit of residual is worth at the LED, (N, m). [m]."""
+        return observed.table.metres_per_unit(observed, self.links(observed.readings, state), state)
+
+    def suspect(self, observed: Observations, outlier: Sequence[Bools]) -> Bools:
+        """Return which slots (N, m) concern an LED at a pose where a measurement of it is an outlier."""
+        marked = {
+            (int(pose), int(led))
+            for of, cut in zip(self.observations, outlier, strict=True)
+            for pose, led in zip(of.pose[np.nonzero(cut)[0]], of.index["led"][cut], strict=True)
+        }
+        pairs = zip(np.repeat(observed.pose, observed.row.shape[1]), observed.index["led"].ravel(), strict=True)
+        return np.array([(int(pose), int(led)) in marked for pose, led in pairs], bool).reshape(observed.row.shape)

@@ -1,0 +1,51 @@
+"""The values of a state under plain names, for what draws or writes them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from urdfcal.arrays import frozen
+from urdfcal.estimation.blocks.base_pose import BASE
+from urdfcal.estimation.blocks.cameras import camera_poses, camera_values
+from urdfcal.estimation.blocks.leds import LEDS
+from urdfcal.estimation.joint_models.time_offset import time_offsets
+
+if TYPE_CHECKING:
+    from urdfcal.arrays import Floats
+    from urdfcal.cameras.camera import Camera
+    from urdfcal.estimation.problem import Problem
+    from urdfcal.estimation.state import State
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """A robot, its LEDs and its cameras at one state.
+
+    Attributes:
+        offsets: (rows, columns) of the arm's parameterization, with what it can hold of the joint models. [rad, m]
+        T_world_base: (4, 4) the base link in the world. [m]
+        leds: (L, 3) LED positions, each in the frame that it is attached to. [m]
+        cameras: lenses, in the rig's order; none where cameras have no part.
+        T_cam_frame: (C, 4, 4) in each camera the frame that it is fixed in: the world, or a link. [m]
+        time_offsets: (C,) of the cameras' clocks, t_robot = t_camera + offset; empty where the arm stood still. [s]
+    """
+
+    offsets: Floats
+    T_world_base: Floats
+    leds: Floats
+    cameras: tuple[Camera, ...]
+    T_cam_frame: Floats
+    time_offsets: Floats
+
+    @classmethod
+    def of(cls, problem: Problem, state: State) -> Snapshot:
+        """Look the values up."""
+        return cls(
+            offsets=frozen(problem.offsets(state)),
+            T_world_base=state[BASE],
+            leds=state[LEDS],
+            cameras=camera_values(problem.attachments, state),
+            T_cam_frame=frozen(camera_poses(problem.attachments, state)),
+            time_offsets=time_offsets(state),
+        )
