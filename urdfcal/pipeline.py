@@ -37,11 +37,11 @@ from urdfcal.robot.urdf.urdf import Urdf
 from urdfcal.session.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from urdfcal.estimation.measurements import Measurement
     from rerun import RecordingStream
 
     from urdfcal.estimation.blocks.arm import ArmParameterization
     from urdfcal.estimation.identifiability import Identifiability
+    from urdfcal.estimation.measurements import Measurement
     from urdfcal.estimation.solver import Progress, Solution
     from urdfcal.estimation.state import State
     from urdfcal.robot.mechanism import Mechanism
@@ -461,17 +461,19 @@ def calibrate(
         CalibrationError: there is no start, or the result fails its checks: no convergence, no better than the drawn
             arm on poses not seen, or lenses that the sightings refute.
     """
-    in_world = [table.kind for table in session.measurements if table.defines_world(session.attachments)]
+    table = rows_of(session.chain)
+    arm: ArmParameterization = PlacementTable(session.chain) if session.estimate.geometry == "full" else table
+    problem = Problem.of(session, arm)
+    in_world = [of.table.kind for of in problem.observations if of.table.defines_world(session.attachments)]
     if len(in_world) > 1:
         raise SessionError(
             f"{' and '.join(in_world)} are both named: the tracker's frame is not the first camera's",
             remedy="Name one of them; evaluate --points checks a result against the other.",
         )
-    table = rows_of(session.chain)
-    arm: ArmParameterization = PlacementTable(session.chain) if session.estimate.geometry == "full" else table
     start = start_state(session, arm, no_offsets(arm))
-    session = session.recorded(time_offsets(start))
-    problem = Problem.of(session, arm)
+    recorded = session.recorded(time_offsets(start))
+    if recorded is not session:
+        session, problem = recorded, Problem.of(recorded, arm)
     if method == "points":
         problem, start = Problem.of(session, arm, [_as_points(session)]), without_cameras(start)
     comparison = compare_models(session, problem, start, priors=priors, seed=seed, progress=progress)

@@ -91,7 +91,7 @@ def arrange(session: Session, table: Measurement) -> Observations:
     poses, counts = np.unique(table.pose, return_counts=True)
     group = np.repeat(np.arange(len(poses)), counts)  # tables are sorted by pose
     slot = np.arange(len(table)) - np.repeat(np.cumsum(counts) - counts, counts)
-    shape, D = (len(poses), int(counts.max())), len(table.columns)
+    shape, D = (len(poses), int(counts.max())), table.dimension
     row = np.full(shape, -1, dtype=np.intp)
     row[group, slot] = np.arange(len(table))
     index = {}

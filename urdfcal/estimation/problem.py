@@ -112,6 +112,7 @@ class Problem:
         marked = {
             (int(pose), int(led))
             for of, cut in zip(self.observations, outlier, strict=True)
+            if "led" in of.index
             for pose, led in zip(of.pose[np.nonzero(cut)[0]], of.index["led"][cut], strict=True)
         }
         pairs = zip(np.repeat(observed.pose, observed.row.shape[1]), observed.index["led"].ravel(), strict=True)

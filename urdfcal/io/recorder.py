@@ -16,11 +16,11 @@ from urdfcal.session.finite import finite_array
 from urdfcal.session.model import Positions, Session, Setup
 
 if TYPE_CHECKING:
-    from urdfcal.arrays import Floats
     from collections.abc import Sequence
 
     from numpy.typing import ArrayLike
 
+    from urdfcal.arrays import Floats
     from urdfcal.estimation.measurements import Measurement
 
 

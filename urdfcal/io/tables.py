@@ -73,7 +73,8 @@ class MeasurementTable:
     def measurements(self) -> Measurement:
         """The measurements of the table."""
         own = {key: names for key, names in self.names.items() if key not in _KNOWN}
-        return self.kind(**{**self.index, self.kind.array: self.values, "sigma": self.sigma, "names": own})  # type: ignore[arg-type]
+        values = {self.kind.array: self.values} if self.kind.array else {}
+        return self.kind(**{**self.index, **values, "sigma": self.sigma, "names": own})  # type: ignore[arg-type]
 
 
 def read_joints(path: Path, chain: Mechanism, robot_joints: Collection[str]) -> JointTable:
@@ -168,8 +169,9 @@ def sorted_measurements(
     Raises:
         SessionError: a number is none, or there are two measurements of the same, with the place in the file.
     """
-    numbers = table.numbers(kind.columns, _MISSING)
-    spread = table.positive("sigma") if "sigma" in table.columns else np.full(len(numbers), sigma)
+    count = len(table.lines) - 1
+    numbers = table.numbers(kind.columns, _MISSING) if kind.columns else np.zeros((count, kind.dimension))
+    spread = table.positive("sigma") if "sigma" in table.columns else np.full(count, sigma)
     order = np.lexsort([index[key] for key in reversed(list(index))])
     order = order[np.logical_and.reduce([index[key][order] >= 0 for key in index])]
     index = {key: frozen(column[order], np.intp) for key, column in index.items()}

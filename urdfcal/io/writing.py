@@ -92,7 +92,8 @@ def write_measurements(path: Path, positions: Positions, table: Measurements) ->
     own = [table.sigma.tolist()] if np.any(table.sigma != positions.noise.of(type(table))) else []
     columns = [[names[key][i] for i in index] for key, index in table.index.items()]
     header = [*table.keys, *table.columns, *(["sigma"] if own else [])]
-    write_table(path, header, [*columns, *table.values.T.tolist(), *own])
+    numbers = table.values.T.tolist() if table.columns else []
+    write_table(path, header, [*columns, *numbers, *own])
 
 
 def _already_there(path: Path) -> OutputError:

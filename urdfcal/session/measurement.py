@@ -14,6 +14,7 @@ from urdfcal.session.finite import finite_array
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
     from typing_extensions import Self
 
 
@@ -22,15 +23,17 @@ class Measurements(ABC):
     """Measurements of one kind, sorted by their keys; what was not measured is a missing row.
 
     A kind is a frozen dataclass with an index array (S,) for each of its ``keys``, the first one ``pose``, an array
-    (S, width) of what was measured, and ``sigma`` (S,), the standard deviation of each number.
+    (S, D) of what was measured, and ``sigma`` (S,), the standard deviation of each number. A kind that measures that
+    something is zero, such as a contact, has no such array.
 
     Attributes:
         pose: (S,) index of the pose.
         names: what the indices of a key stand for that only this table names, such as places.
         kind: the table's key in session.yaml, and the stem of its CSV file.
         keys: the columns that name things, which together are unique.
-        columns: the columns with what was measured.
-        array: the field that holds those numbers.
+        dimension: D, the numbers of one measurement.
+        columns: the columns that hold these; none where they are zero.
+        array: the field that holds these; empty where there is none.
         noise: the key of ``noise`` that says the usual standard deviation.
         usual: its default.
         unit: of the numbers.
@@ -39,8 +42,9 @@ class Measurements(ABC):
 
     kind: ClassVar[str]
     keys: ClassVar[tuple[str, ...]]
-    columns: ClassVar[tuple[str, ...]]
-    array: ClassVar[str]
+    dimension: ClassVar[int]
+    columns: ClassVar[tuple[str, ...]] = ()
+    array: ClassVar[str] = ""
     noise: ClassVar[str]
     usual: ClassVar[float]
     unit: ClassVar[str]
@@ -64,7 +68,6 @@ class Measurements(ABC):
         for key, column in index.items():
             if column.shape != (count,) or column.dtype.kind not in "iu" or column.min() < 0:
                 raise SessionError(f"{key} is not an array of {count} indices", where=self.kind)
-        numbers = finite_array(getattr(self, self.array), (count, len(self.columns)), self.array, self.kind)
         try:
             sigma = finite_array(np.broadcast_to(self._columns["sigma"], (count,)), (count,), "sigma", self.kind)
         except ValueError as error:
@@ -73,7 +76,9 @@ class Measurements(ABC):
             ) from error
         if sigma.min() <= 0.0:
             raise SessionError(f"sigma is {sigma.min():g}; it must be positive", where=self.kind)
-        columns = {**self._columns, **index, self.array: numbers, "sigma": sigma}
+        columns = {**self._columns, **index, "sigma": sigma}
+        if self.array:
+            columns[self.array] = finite_array(self.values, (count, self.dimension), self.array, self.kind)
         order = np.lexsort([index[key] for key in reversed(self.keys)])
         for name, column in columns.items():
             object.__setattr__(self, name, frozen(np.asarray(column)[order], np.intp if name in index else float))
@@ -90,8 +95,8 @@ class Measurements(ABC):
 
     @property
     def values(self) -> Floats:
-        """What was measured, (S, width)."""
-        result: Floats = getattr(self, self.array)
+        """What was measured, (S, D)."""
+        result: Floats = getattr(self, self.array) if self.array else np.zeros((len(self), self.dimension))
         return result
 
     @property

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, ClassVar, Protocol
 
 import numpy as np
 
@@ -91,6 +91,7 @@ class ArmBlock(VectorBlock):
 
     toleranced: ClassVar[bool] = True
     order: ClassVar[int] = 0
+    own_section: ClassVar[bool] = True
 
     @classmethod
     def of(cls, arm: ArmParameterization, tolerances: Tolerances, *, priors: bool) -> ArmBlock:
@@ -145,11 +146,6 @@ class ArmBlock(VectorBlock):
             return None
         others = " and ".join(self.label(k) for k in partners)
         return f"{self.label(index)} and {others} only appear as a sum (their axes are parallel)"
-
-    def document(self, value: Floats, sigma: Floats) -> tuple[dict[str, Any], ...]:
-        """The DH rows have a section of their own."""
-        del value, sigma
-        return ()
 
     @property
     def places(self) -> tuple[list[int], list[int]]:

@@ -35,6 +35,7 @@ class Block(ABC, Generic[V]):
         phrase: completes "cannot be distinguished from ..." where all coordinates of the block could take part.
         toleranced: whether the prior is a manufacturing tolerance, which can share out an unidentifiable direction.
         order: blocks of a lower number give up a coordinate first where a direction is unidentifiable.
+        own_section: whether the result document has a section for the block.
     """
 
     key: Key[V]
@@ -47,6 +48,7 @@ class Block(ABC, Generic[V]):
 
     toleranced: ClassVar[bool] = False
     order: ClassVar[int] = 1
+    own_section: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sigma", frozen(self.sigma))
@@ -87,12 +89,14 @@ class Block(ABC, Generic[V]):
         return None
 
     def document(self, value: V, sigma: Floats) -> tuple[dict[str, Any], ...]:
-        """Return the block's entries of the result document's ``parameters``; none where it has a section of its own.
+        """Return the block's entries of the result document's ``parameters``; none where it has its own section.
 
         Args:
             value: as estimated.
             sigma: (k,) standard deviations; NaN where a coordinate is fixed.
         """
+        if self.own_section:
+            return ()
         offsets, _ = self.local(value)
         return tuple(
             {"name": name, "unit": unit, "offset": float(offset), "sigma": float(s) if np.isfinite(s) else None}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import pinocchio as pin
@@ -19,6 +19,7 @@ class BaseBlock(Block[Floats]):
     """The rigid transform T_world_base, which moves by exp6(step) from the right, without a prior."""
 
     order: ClassVar[int] = 9
+    own_section: ClassVar[bool] = True
 
     @classmethod
     def of(cls, *, fixed: str | None) -> BaseBlock:
@@ -42,8 +43,3 @@ class BaseBlock(Block[Floats]):
         """Without a prior there is nothing to differ from."""
         del value
         return np.zeros(6), np.eye(6)
-
-    def document(self, value: Floats, sigma: Floats) -> tuple[dict[str, Any], ...]:
-        """T_world_base has a section of its own."""
-        del value, sigma
-        return ()

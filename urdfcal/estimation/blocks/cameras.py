@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -28,6 +28,8 @@ def lens_key(camera: str) -> Key[Camera]:
 class CameraPoseBlock(LeftPoseBlock):
     """The pose of a camera in the frame that it is attached to, or relative to its reference camera."""
 
+    own_section: ClassVar[bool] = True
+
     @classmethod
     def of(cls, camera: str, nominal: Floats, sigma: Floats) -> CameraPoseBlock:
         """Take all six coordinates; those of standard deviation 0 are fixed."""
@@ -41,14 +43,11 @@ class CameraPoseBlock(LeftPoseBlock):
             phrase=f"where {camera} is attached",
         )
 
-    def document(self, value: Floats, sigma: Floats) -> tuple[dict[str, Any], ...]:
-        """Cameras have a section of their own."""
-        del value, sigma
-        return ()
-
 
 class LensBlock(Block[Camera]):
     """The intrinsics and distortion coefficients of a camera."""
+
+    own_section: ClassVar[bool] = True
 
     @classmethod
     def of(cls, nominal: Camera, sigma: Floats) -> LensBlock:
@@ -76,11 +75,6 @@ class LensBlock(Block[Camera]):
         """Pixels count in focal lengths."""
         fx, fy = value.intrinsics[:2]
         return np.concatenate([[fx, fy, fx, fy], np.ones(len(self) - 4)])
-
-    def document(self, value: Camera, sigma: Floats) -> tuple[dict[str, Any], ...]:
-        """Cameras have a section of their own."""
-        del value, sigma
-        return ()
 
 
 def camera_values(attachments: Attachments, state: State) -> tuple[Camera, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -27,6 +27,8 @@ LED_TOLERANCE = 0.02
 class LedsBlock(VectorBlock):
     """The LEDs' positions, with what the session says of them as priors."""
 
+    own_section: ClassVar[bool] = True
+
     @classmethod
     def of(cls, leds: Sequence[Led], start: Floats, *, priors: bool) -> LedsBlock:
         """Take the coordinates of all LEDs; those given as exact are fixed.
@@ -47,11 +49,6 @@ class LedsBlock(VectorBlock):
             fixed={int(k): "its position is given as exact" for k in np.flatnonzero(sigma == 0.0)},
             phrase="where the LEDs sit",
         )
-
-    def document(self, value: Floats, sigma: Floats) -> tuple[dict[str, Any], ...]:
-        """The LEDs have a section of their own."""
-        del value, sigma
-        return ()
 
 
 def led_sigma(led: Led) -> float:

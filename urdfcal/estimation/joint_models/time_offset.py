@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -33,6 +33,7 @@ class TimeOffsets(JointModel):
 
     name: ClassVar[str] = "time_offset"
     order: ClassVar[int] = 2
+    own_section: ClassVar[bool] = True
 
     @classmethod
     def of(cls, session: Positions) -> Self | None:
@@ -73,11 +74,6 @@ class TimeOffsets(JointModel):
         if partners:
             return None
         return f"{self.label(index)} is unidentifiable: the arm does not move in that camera's frames"
-
-    def document(self, value: Floats, sigma: Floats) -> tuple[dict[str, Any], ...]:
-        """Each camera's section holds its time offset."""
-        del value, sigma
-        return ()
 
 
 def time_offsets(state: State) -> Floats:

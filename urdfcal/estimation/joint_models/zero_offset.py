@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -33,6 +33,7 @@ class ZeroOffsets(JointModel):
     name: ClassVar[str] = "zero_offset"
     toleranced: ClassVar[bool] = True
     order: ClassVar[int] = 0
+    own_section: ClassVar[bool] = True
 
     @classmethod
     def of(cls, session: Positions) -> Self:
@@ -79,8 +80,3 @@ class ZeroOffsets(JointModel):
             return f"{self.label(index)} moves nothing that is measured (an LED on the last axis hides it)"
         others = " and ".join(self.label(k) for k in partners)
         return f"{self.label(index)} and {others} only appear as a sum (their axes are parallel)"
-
-    def document(self, value: Floats, sigma: Floats) -> tuple[dict[str, Any], ...]:
-        """The offsets stand among the DH rows."""
-        del value, sigma
-        return ()

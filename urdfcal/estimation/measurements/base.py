@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -58,14 +58,14 @@ class WorldPoints:
 class Measurement(Measurements):
     """A kind of measurement, as a table and as a model of what it measures (METHOD 7).
 
-    S measurements of D = ``len(columns)`` numbers each are arranged by pose as (N, m) ``Observations``. Register the
+    S measurements of D = ``dimension`` numbers each are arranged by pose as (N, m) ``Observations``. Register the
     class in ``urdfcal.estimation.measurements``.
     """
 
     @property
     def covariances(self) -> Floats:
         """Covariance (S, D, D) of each measurement: by default independent numbers of standard deviation sigma."""
-        result: Floats = self.sigma[:, None, None] ** 2 * np.eye(len(self.columns))
+        result: Floats = self.sigma[:, None, None] ** 2 * np.eye(self.dimension)
         return result
 
     @abstractmethod

@@ -57,6 +57,7 @@ class Detections(Measurement):
 
     kind: ClassVar[str] = "detections"
     keys: ClassVar[tuple[str, ...]] = ("pose", "camera", "led")
+    dimension: ClassVar[int] = 2
     columns: ClassVar[tuple[str, ...]] = ("u", "v")
     array: ClassVar[str] = "uv"
     noise: ClassVar[str] = "pixel"

@@ -34,6 +34,7 @@ class Points(Measurement):
 
     kind: ClassVar[str] = "points"
     keys: ClassVar[tuple[str, ...]] = ("pose", "led")
+    dimension: ClassVar[int] = 3
     columns: ClassVar[tuple[str, ...]] = ("x", "y", "z")
     array: ClassVar[str] = "xyz"
     noise: ClassVar[str] = "point"

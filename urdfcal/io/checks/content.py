@@ -35,6 +35,8 @@ def frozen_recording(inputs: Inputs, table: MeasurementTable) -> Iterator[str]:
         SessionError: two poses show exactly the same.
     """
     repeated = 0
+    if not table.kind.columns:
+        return
     pose = table.index["pose"]
     what = np.column_stack([*(table.index[key] for key in table.index if key != "pose"), table.values + 0.0])
     starts: list[int] = np.flatnonzero(np.diff(pose, prepend=-1)).tolist()
