@@ -9,8 +9,7 @@ import pytest
 
 from urdfcal.errors import RobotError
 from urdfcal.robot.apply import apply_to_model, apply_to_urdf
-from urdfcal.robot.chain import Chain
-from urdfcal.robot.tree import Tree
+from urdfcal.robot.chain import Chain, Tree
 from urdfcal.robot.urdf.origins import origins_of, rewrite_origins
 from urdfcal.robot.urdf.urdf import Urdf
 

@@ -7,9 +7,8 @@ import pinocchio as pin
 import pytest
 
 from urdfcal.errors import RobotError
-from urdfcal.robot.chain import Chain
+from urdfcal.robot.chain import Chain, Tree, read_mechanism
 from urdfcal.robot.kinematics import link_motions, link_poses
-from urdfcal.robot.tree import Tree, read_mechanism
 from urdfcal.robot.urdf.packages import package_roots
 from urdfcal.robot.urdf.urdf import Urdf
 
@@ -108,9 +107,9 @@ def test_a_mimic_joint_may_follow_one_on_another_branch() -> None:
     np.testing.assert_array_equal(tree.joint_values([0.5]), [-0.5, 0.5])
 
 
-def test_a_link_that_nobody_asked_for_is_refused() -> None:
+def test_a_link_that_is_no_tip_is_refused() -> None:
     tree, _ = read("tiago")
-    with pytest.raises(RobotError, match=r"'head_1_link' is none that was asked for.*arm_tool_link"):
+    with pytest.raises(RobotError, match=r"'head_1_link' is none of the tip links.*arm_tool_link"):
         tree.tip("head_1_link")
     with pytest.raises(RobotError, match="no link 'nose'"):
         Tree.from_urdf(Urdf.read(TIAGO), ["arm_tool_link", "nose"])

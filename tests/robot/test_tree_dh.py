@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from tests.robot.test_tree import TREES, read
+from urdfcal.robot.chain import Tree
 from urdfcal.robot.dh import PARAMETERS
 from urdfcal.robot.kinematics import link_motions, link_poses
 from urdfcal.robot.placements import PlacementTable
-from urdfcal.robot.tree import Tree
 from urdfcal.robot.tree_dh import TreeTable
 from urdfcal.robot.urdf.urdf import Urdf
 

@@ -14,8 +14,7 @@ from urdfcal.errors import OutputError, RobotError, SessionError
 from urdfcal.io.folder import read_rig, read_session
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.io.writing import write_session
-from urdfcal.robot.chain import Chain
-from urdfcal.robot.tree import Tree
+from urdfcal.robot.chain import Chain, Tree
 from urdfcal.session.attachments import CameraMount, fasten
 from urdfcal.session.model import Led
 from urdfcal.simulation.simulate import write_simulated

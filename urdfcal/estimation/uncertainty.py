@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import Floats, skew
 from urdfcal.robot.kinematics import tip_motion
+from urdfcal.rotations import skew
 
 if TYPE_CHECKING:
+    from urdfcal.arrays import Floats
     from urdfcal.estimation.parameters import Geometry
     from urdfcal.estimation.solver import Solution
 

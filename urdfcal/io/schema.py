@@ -23,7 +23,7 @@ from pydantic import (
 from urdfcal.errors import SessionError
 from urdfcal.names import flaw, listed, suggest
 from urdfcal.robot.dh import Parameter  # noqa: TC001  # pydantic needs it at run time
-from urdfcal.robot.urdf.rpy import rpy_to_matrix
+from urdfcal.rotations import rpy_to_matrix
 from urdfcal.session.attachments import CameraMount
 from urdfcal.session.model import Estimate, Freedom, Geometry, Led, LedDistance, Noise, TimeOffset, Tolerances
 from urdfcal.source import Source

@@ -9,8 +9,8 @@ import pinocchio as pin
 
 from urdfcal.arrays import Floats, inverse
 from urdfcal.errors import RobotError
+from urdfcal.robot.chain import read_mechanism
 from urdfcal.robot.mechanism import BASE, se3
-from urdfcal.robot.tree import read_mechanism
 from urdfcal.robot.urdf.origins import origins_of, rewrite_origins
 
 if TYPE_CHECKING:

@@ -10,6 +10,7 @@ import numpy as np
 from urdfcal.arrays import Bools, Floats, frozen
 from urdfcal.errors import RobotError
 from urdfcal.robot.kinematics import joint_axes, tip_motion, tip_poses
+from urdfcal.rotations import matrix_to_rotation_vector
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -113,7 +114,8 @@ def _reach(chain: Mechanism, T: Floats, start: Floats, lower: Floats, upper: Flo
     going = np.arange(len(q))
     for _ in range(_STEPS):
         motion = tip_motion(chain, model, chain.joint_values(q[going]))
-        error = np.concatenate([T[going, :3, 3] - motion.p, _rotation_vectors(T[going, :3, :3], motion.R)], axis=1)
+        turn = matrix_to_rotation_vector(T[going, :3, :3] @ np.swapaxes(motion.R, 1, 2))
+        error = np.concatenate([T[going, :3, 3] - motion.p, turn], axis=1)
         nearer = _worth(error, chain) < _worth(error_left[going], chain)
         best[going[nearer]], error_left[going[nearer]] = q[going[nearer]], error[nearer]
         far = _worth(error, chain) > _ARRIVED
@@ -167,14 +169,4 @@ def _worth(error: Floats, chain: Mechanism) -> Floats:
     result: Floats = np.linalg.norm(error[:, :3], axis=1) / chain.reach + _ORIENTATION * np.linalg.norm(
         error[:, 3:], axis=1
     )
-    return result
-
-
-def _rotation_vectors(target: Floats, R: Floats) -> Floats:
-    """The small turns (N, 3) in the base frame that carry rotations R onto the target."""
-    D = target @ np.swapaxes(R, 1, 2)
-    v = 0.5 * np.stack([D[:, 2, 1] - D[:, 1, 2], D[:, 0, 2] - D[:, 2, 0], D[:, 1, 0] - D[:, 0, 1]], axis=1)
-    sine = np.linalg.norm(v, axis=1, keepdims=True)
-    angle = np.arctan2(sine, 0.5 * (np.trace(D, axis1=1, axis2=2)[:, None] - 1.0))
-    result: Floats = v * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 1.0)
     return result

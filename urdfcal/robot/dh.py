@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import pinocchio as pin
 
-from urdfcal.arrays import Floats, Ints, frozen, inverse, skew
+from urdfcal.arrays import Floats, Ints, frozen, inverse
 from urdfcal.errors import RobotError
+from urdfcal.rotations import skew
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -15,10 +15,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.arrays import Floats, frozen, inverse
-from urdfcal.robot.chain import Chain
+from urdfcal.robot.chain import Chain, Tree
 from urdfcal.robot.dh import PARAMETERS, DHTable, Parameter, line_row, parameter_twists, row_transform
 from urdfcal.robot.mechanism import BASE
-from urdfcal.robot.tree import Tree
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

@@ -364,8 +364,8 @@ BROKEN = {
     "unknown type": (robot(joint(kind="ball")), "its type 'ball' is not known. URDF has: revolute, cont"),
     "no parent": (robot(joint().replace('<parent link="a"/>', "")), "it has no parent link"),
     "no child": (robot(joint().replace('<child link="b"/>', "<child/>")), "it has no child link"),
-    "unknown parent": (robot(joint(parent="base")), "no parent link 'base'. There are: a, b."),
-    "unknown child": (robot(joint(child="tool")), "no child link 'tool'. There are: a, b."),
+    "unknown parent": (robot(joint(parent="base")), "no parent link 'base'. The links are: a, b."),
+    "unknown child": (robot(joint(child="tool")), "no child link 'tool'. The links are: a, b."),
     "two parents": (
         robot(joint(child="c") + joint(name="k", parent="b", child="c"), "abc"),
         "'k': link 'c' hangs on joint 'j' already",
@@ -449,10 +449,12 @@ def test_the_place_of_an_error_is_the_offending_element(tmp_path):
     )
 
 
-def test_of_many_names_the_likeliest_are_told():
+def test_of_many_names_the_likeliest_are_listed_first():
     links = [f"finger_{i}" for i in range(60)] + ["tool0"]
     document = f'<robot name="r">{"".join(f"<link name={n!r}/>" for n in links)}{joint(parent="tool_0")}</robot>'
-    with pytest.raises(RobotError, match=r"There are: tool0, finger_0, .*, \.\.\. \(61 in all\)\.") as told:
+    with pytest.raises(
+        RobotError, match=r"Did you mean 'tool0'\? The links are: tool0, .*, \.\.\. \(61 in all\)\."
+    ) as told:
         read(document)
     assert len(str(told.value)) < 250
 

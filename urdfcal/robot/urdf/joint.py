@@ -17,12 +17,12 @@ import numpy as np
 from urdfcal.arrays import Floats, frozen
 from urdfcal.errors import RobotError
 from urdfcal.robot.urdf import markup
-from urdfcal.robot.urdf.rpy import rpy_to_matrix
+from urdfcal.rotations import quaternion_to_matrix, rpy_to_matrix
 
 if TYPE_CHECKING:
     from urdfcal.robot.urdf.markup import Element
 
-JointType = Literal["revolute", "continuous", "prismatic", "fixed", "floating", "planar"]
+UrdfJointType = Literal["revolute", "continuous", "prismatic", "fixed", "floating", "planar"]
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class UrdfJoint:
     """
 
     name: str
-    type: JointType
+    type: UrdfJointType
     parent: str
     child: str
     T_parent_joint: Floats
@@ -108,7 +108,7 @@ def read_joint(name: str, element: Element, version: str, source: str) -> UrdfJo
     )
 
 
-_TYPES: dict[str, JointType] = {kind: kind for kind in get_args(JointType)}
+_TYPES: dict[str, UrdfJointType] = {kind: kind for kind in get_args(UrdfJointType)}
 
 
 def _link(element: Element | None, tag: str, where: str) -> str:
@@ -134,22 +134,11 @@ def _placement(origin: Element | None, version: str, where: str) -> Floats:
         )
     if "rpy" in origin.attributes:
         raise RobotError("the origin has both rpy and quat_xyzw", where=where, remedy="Remove one.")
-    T[:3, :3] = _quaternion_to_matrix(_vector(origin, "quat_xyzw", where, count=4), where)
-    return T
-
-
-def _quaternion_to_matrix(xyzw: Floats, where: str) -> Floats:
-    norm = math.hypot(*xyzw)
-    if not norm > 0.0:
+    xyzw = _vector(origin, "quat_xyzw", where, count=4)
+    if not np.any(xyzw):
         raise RobotError("quat_xyzw is zero, which is no rotation", where=where, remedy='No rotation is "0 0 0 1".')
-    x, y, z, w = xyzw / norm
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    T[:3, :3] = quaternion_to_matrix(xyzw)
+    return T
 
 
 def _axis(element: Element | None, where: str) -> Floats:
@@ -160,7 +149,7 @@ def _axis(element: Element | None, where: str) -> Floats:
     return axis / norm if norm > 0.0 else axis
 
 
-def _limits(kind: JointType, limit: Element | None, where: str) -> tuple[float, float]:
+def _limits(kind: UrdfJointType, limit: Element | None, where: str) -> tuple[float, float]:
     if limit is None:
         if kind in ("revolute", "prismatic"):
             raise RobotError(

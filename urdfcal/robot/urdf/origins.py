@@ -9,10 +9,11 @@ import numpy as np
 
 from urdfcal.arrays import inverse
 from urdfcal.errors import RobotError
+from urdfcal.names import suggest
 from urdfcal.robot.urdf import markup
-from urdfcal.robot.urdf.rpy import matrix_to_rpy
-from urdfcal.robot.urdf.tags import Edit, apply_edits, changed_attributes, start_tag
-from urdfcal.robot.urdf.urdf import Urdf, UrdfJoint, alternatives
+from urdfcal.robot.urdf.markup import Edit, apply_edits, changed_attributes, start_tag
+from urdfcal.robot.urdf.urdf import Urdf, UrdfJoint
+from urdfcal.rotations import matrix_to_rpy
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -71,7 +72,7 @@ def rewrite_origins(urdf: Urdf, placements: Mapping[str, ArrayLike]) -> bytes:
     wanted = {name: np.asarray(T, dtype=float) for name, T in placements.items()}
     for name, T in wanted.items():
         if name not in urdf.joints:
-            raise RobotError(f"there is no joint {name!r}", where=source, remedy=alternatives(name, urdf.joints))
+            raise RobotError(f"there is no joint {name!r}", where=source, remedy=suggest(name, urdf.joints, "joints"))
         _check_rigid(T, name)
     elements = {element.attributes["name"]: element for element in markup.parse(urdf.data, source).joints}
     edits = [

@@ -11,8 +11,9 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from urdfcal.errors import RobotError
+from urdfcal.names import suggest
 from urdfcal.robot.urdf import markup
-from urdfcal.robot.urdf.joint import JointType, Mimic, UrdfJoint, read_joint
+from urdfcal.robot.urdf.joint import Mimic, UrdfJoint, read_joint
 from urdfcal.robot.urdf.packages import find_urdf, package_roots
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
     from urdfcal.robot.urdf.markup import Element
 
-__all__ = ["JointType", "Mimic", "Urdf", "UrdfJoint", "alternatives", "find_urdf", "package_roots"]
+__all__ = ["Mimic", "Urdf", "UrdfJoint", "find_urdf", "package_roots"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,15 +94,6 @@ class Urdf:
         return Urdf.parse, (self.data, self.path)
 
 
-def alternatives(wanted: str, names: Collection[str]) -> str:
-    """Name what there is, the likeliest first, for a message that ``wanted`` is not there."""
-    from difflib import get_close_matches
-
-    near = get_close_matches(wanted, names, n=5, cutoff=0.5)
-    shown = list(dict.fromkeys([*near, *names]))[:12]
-    return f"There are: {', '.join(shown)}{f', ... ({len(names)} in all)' if len(names) > 12 else ''}."
-
-
 def _robot(root: Element, source: str) -> tuple[str, str]:
     """Return the robot's name and the version of URDF it is written in."""
     where = f"{source}:{root.line}"
@@ -143,7 +135,7 @@ def _root(links: tuple[str, ...], joints: Mapping[str, UrdfJoint], source: str) 
         where = f"{source}:{joint.line}, joint {joint.name!r}"
         for role, link in (("parent", joint.parent), ("child", joint.child)):
             if link not in known:
-                raise RobotError(f"there is no {role} link {link!r}", where=where, remedy=alternatives(link, links))
+                raise RobotError(f"there is no {role} link {link!r}", where=where, remedy=suggest(link, links, "links"))
         if joint.child in above:
             raise RobotError(
                 f"link {joint.child!r} hangs on joint {above[joint.child].name!r} already",
