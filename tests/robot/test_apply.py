@@ -114,6 +114,43 @@ def test_joints_are_found_by_name_in_any_order(simulated: Callable) -> None:
     assert_same_frames(applied, reference)
 
 
+def gripper_by_hand() -> pin.Model:
+    """Two fingers whose joints have no frames, as ``addJoint`` alone makes them."""
+    gripper = pin.Model()
+    for side in ("left", "right"):
+        joint = gripper.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), f"finger_{side}")
+        gripper.addBodyFrame(f"{side}_finger", joint, pin.SE3.Identity(), 0)
+    return gripper
+
+
+def test_a_gripper_whose_joints_have_no_frames_is_no_obstacle(simulated: Callable) -> None:
+    arm = Arm(simulated("ur5"))
+    models = [pin.buildModelFromXML(text) for text in (arm.drawn_text, arm.text)]
+    whole = [
+        pin.appendModel(model, gripper_by_hand(), model.getFrameId("tool0"), pin.SE3.Identity()) for model in models
+    ]
+    reduced = [pin.buildReducedModel(model, [2], pin.neutral(model)) for model in whole]
+    assert whole[0].getFrameId("finger_left", pin.FrameType.JOINT) == whole[0].nframes
+    for applied, reference in (whole, reduced):
+        apply_to_model(applied, arm.chain, arm.built)
+        assert_same_frames(applied, reference)
+
+
+def test_what_may_hang_on_a_locked_joint_is_refused(simulated: Callable) -> None:
+    arm = Arm(simulated("ur5"))
+    model = pin.buildModelFromXML(arm.drawn_text)
+    model = pin.appendModel(model, gripper_by_hand(), model.getFrameId("tool0"), pin.SE3.Identity())
+    reduced = pin.buildReducedModel(model, [6], pin.neutral(model))
+    kept = reduced.copy()
+    with pytest.raises(RobotError, match=r"what 'finger_left' hangs on: .*whole model first"):
+        apply_to_model(reduced, arm.chain, arm.built)
+    assert reduced == kept
+    reduced = pin.buildReducedModel(pin.buildModelFromXML(arm.drawn_text), [6], pin.neutral(model)[:6])
+    reduced.addFrame(pin.Frame("tcp", 5, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    with pytest.raises(RobotError, match=r"what 'tcp' hangs on: .*whole model first"):
+        apply_to_model(reduced, arm.chain, arm.built)
+
+
 def test_a_model_that_is_not_the_drawing_is_refused_and_left_alone(simulated: Callable) -> None:
     arm = Arm(simulated("panda"))
     model = pin.buildModelFromXML(arm.drawn_text)

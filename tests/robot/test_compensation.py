@@ -95,8 +95,8 @@ def test_a_tip_out_of_reach_says_by_how_much(simulated: Callable) -> None:
 @pytest.mark.parametrize(
     ("wanted", "message"),
     [
-        ([[0.0, 90.0, 0.0, 0.0, 0.0, 0.0]], "shoulder_lift_joint.*outside its limits"),
-        ([[0.0, np.nan, 0.0, 0.0, 0.0, 0.0]], "outside its limits"),
+        ([[0.0, 90.0, 0.0, 0.0, 0.0, 0.0]], "shoulder_lift_joint.*outside the joint.s limits"),
+        ([[0.0, np.nan, 0.0, 0.0, 0.0, 0.0]], "outside the joint.s limits"),
         ([[0.0, 0.0]], r"not \(\.\.\., 6\)"),
     ],
 )

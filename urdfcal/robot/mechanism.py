@@ -23,6 +23,9 @@ JointType = Literal["revolute", "continuous", "prismatic"]
 BASE = -1
 """The base link, where a joint's index is expected."""
 
+# Values this close to a limit are at it: files round. [rad or m]
+_LIMIT_ROUNDING = 1e-6
+
 
 @dataclass(frozen=True, eq=False)
 class Joint:
@@ -163,7 +166,7 @@ class Mechanism:
         lower, upper = np.array([(joint.lower, joint.upper) for joint in self.actuated_joints]).T
         return lower, upper
 
-    def outside_limits(self, readings: ArrayLike, margin: float = 0.0) -> list[LimitViolation]:
+    def outside_limits(self, readings: ArrayLike, margin: float = _LIMIT_ROUNDING) -> list[LimitViolation]:
         """Find the readings that are outside their joint's limits, or not finite.
 
         Args:
