@@ -1,4 +1,4 @@
-"""Denavit-Hartenberg rows of joints that branch: serial tables, each mounted on a link of an earlier one.
+"""Denavit-Hartenberg rows of a tree of joints: serial tables, each mounted on a link of an earlier one (METHOD 2).
 
 Where a joint carries more than one other, or two arms stand on one base, the further branches begin with a row of
 their own, the mount: it leads from an axis of the carrying link's frame to the branch's first joint axis, four numbers
@@ -25,19 +25,19 @@ if TYPE_CHECKING:
     from urdfcal.robot.mechanism import Mechanism
 
 MOUNT = ".mount"
-"""Ends the name of a mount's row; before it stands the branch's first joint."""
+"""Suffix of a mount's label, after the name of the branch's first joint."""
 
 
 @dataclass(frozen=True, eq=False)
 class Mount:
-    """The row from a link to the first axis of the branch that it carries.
+    """The DH row from a link to the first axis of the branch that it carries.
 
     Attributes:
         joint: the branch's first.
         T_link_start: (4, 4) a turn of the carrying link's frame that puts its chosen axis along z.
-        values: (5,) of the row as drawn, columns as ``PARAMETERS``. [rad, m]
+        values: (5,) of the nominal row, columns as ``PARAMETERS``. [rad, m]
         T_end_F0: (4, 4) from the row's end to the branch's first DH frame: both have z on the axis. [m]
-        directed: whether the first joint slides: its axis has a direction, but no place.
+        directed: whether the first joint slides: its axis has a direction, but no position.
     """
 
     joint: str
@@ -54,7 +54,7 @@ class Mount:
 
 @dataclass(frozen=True, eq=False)
 class Branch:
-    """A serial part of a tree.
+    """A serial part of a tree, with its DH rows.
 
     Attributes:
         joints: indices of its joints in the tree.
@@ -88,12 +88,12 @@ class TreeTable:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """What each column of an offsets array adds to."""
+        """The names of an offsets array's columns."""
         return PARAMETERS
 
     @cached_property
     def labels(self) -> tuple[str, ...]:
-        """What each row of an offsets array belongs to: a joint, or the mount of a branch."""
+        """The names of an offsets array's rows: of joints, and of the mounts of branches."""
         labels: list[str] = []
         for branch in self.branches:
             labels += [branch.mount.joint + MOUNT] if branch.mount else []
@@ -102,7 +102,7 @@ class TreeTable:
 
     @property
     def parameters(self) -> tuple[tuple[int, str], ...]:
-        """(row, name) of every parameter that a joint's placement can take up and its neighbours cannot."""
+        """(row, name) of every parameter that moves a joint and that no other parameter can replace."""
         found: list[tuple[int, str]] = []
         for branch, first in zip(self.branches, self._first_rows, strict=True):
             found += [(first - 1, name) for name in branch.mount.free] if branch.mount else []
@@ -120,7 +120,7 @@ class TreeTable:
 
     @property
     def nominal(self) -> Floats:
-        """The rows as drawn, (R, 5), columns as ``PARAMETERS``. [rad, m]."""
+        """The nominal rows (R, 5), columns as ``PARAMETERS``. [rad, m]."""
         rows: list[Floats] = []
         for branch in self.branches:
             rows += [branch.mount.values[None]] if branch.mount else []
@@ -128,7 +128,7 @@ class TreeTable:
         return np.concatenate(rows)
 
     def reason(self, row: int, name: str) -> str:
-        """Why a parameter of a row is never a candidate."""
+        """Say why a parameter of a row is never estimated."""
         for branch, first in zip(self.branches, self._first_rows, strict=True):
             if row < first:
                 break
@@ -137,7 +137,7 @@ class TreeTable:
         return "a mount is a line in space: four numbers, or two for the direction of a sliding joint's"
 
     def placements(self, offsets: Floats) -> Floats:
-        """Joint placements (n, 4, 4) under offsets (R, 5); joints without offsets keep theirs bit for bit.
+        """Turn row offsets (R, 5) into joint placements (n, 4, 4); joints without offsets keep theirs bit for bit.
 
         Raises:
             RobotError: an offset after the last joint of a branch.
@@ -154,7 +154,7 @@ class TreeTable:
         return result
 
     def twists(self, offsets: Floats, parameters: Iterable[tuple[int, str]]) -> Floats:
-        """Body twists (6 n, p) of the placements for each parameter, as :meth:`DHTable.twists`."""
+        """Compute the body twists (6 n, p) of the placements for each parameter, as :meth:`DHTable.twists`."""
         offsets, parameters = np.asarray(offsets, dtype=float), list(parameters)
         G = np.zeros((len(self.chain.joints), 6, len(parameters)))
         for branch, first in zip(self.branches, self._first_rows, strict=True):
@@ -184,7 +184,7 @@ class TreeTable:
 
 
 def rows_of(mechanism: Mechanism) -> DHTable | TreeTable:
-    """The DH rows of a chain, or of a tree (DESIGN section 3)."""
+    """Derive the DH rows of a chain, or of a tree (METHOD 2)."""
     if isinstance(mechanism, Chain):
         return DHTable.from_chain(mechanism)
     if isinstance(mechanism, Tree):
