@@ -246,7 +246,7 @@ class Mechanism:
         return model
 
     def random_values(self, count: int, rng: np.random.Generator) -> Floats:
-        """Draw ``count`` joint vectors uniformly within the limits, (count, n).
+        """Draw ``count`` vectors of joint values uniformly within the limits, (count, n).
 
         Joints without limits turn within +-pi or slide within +-0.5 m.
         """

@@ -48,7 +48,7 @@ class Mount:
 
     @property
     def free(self) -> tuple[Parameter, ...]:
-        """The parameters that place the axis."""
+        """The parameters that determine the axis."""
         return ("theta", "alpha") if self.directed else ("theta", "d", "a", "alpha")
 
 
@@ -83,7 +83,7 @@ class TreeTable:
 
     @classmethod
     def from_tree(cls, tree: Tree) -> TreeTable:
-        """Derive the rows from the axis lines at zero joint values (DESIGN section 3)."""
+        """Derive the rows from the axis lines at zero joint values (METHOD 2)."""
         return cls(tree, tuple(_branch(tree, joints) for joints in tree.branches))
 
     @property
@@ -104,7 +104,7 @@ class TreeTable:
     def parameters(self) -> tuple[tuple[int, str], ...]:
         """(row, name) of every parameter that moves a joint and that no other parameter can replace."""
         found: list[tuple[int, str]] = []
-        for branch, first in zip(self.branches, self._first_rows, strict=True):
+        for branch, first in self._parts:
             found += [(first - 1, name) for name in branch.mount.free] if branch.mount else []
             found += [(first + row, name) for row, name in branch.table.parameters]
         return tuple(found)
@@ -112,11 +112,7 @@ class TreeTable:
     @property
     def zeros(self) -> tuple[tuple[int, str], ...]:
         """(row, name) of every joint's zero offset."""
-        return tuple(
-            (first + row, name)
-            for branch, first in zip(self.branches, self._first_rows, strict=True)
-            for row, name in branch.table.zeros
-        )
+        return tuple((first + row, name) for branch, first in self._parts for row, name in branch.table.zeros)
 
     @property
     def nominal(self) -> Floats:
@@ -129,10 +125,8 @@ class TreeTable:
 
     def reason(self, row: int, name: str) -> str:
         """Say why a parameter of a row is never estimated."""
-        for branch, first in zip(self.branches, self._first_rows, strict=True):
-            if row < first:
-                break
-            if row < first + len(branch.joints):
+        for branch, first in self._parts:
+            if first <= row < first + len(branch.joints):
                 return branch.table.reason(row - first, name)
         return "a mount is a line in space: four numbers, or two for the direction of a sliding joint's"
 
@@ -144,43 +138,43 @@ class TreeTable:
         """
         offsets = np.asarray(offsets, dtype=float)
         result = np.array(self.chain.placements)
-        for branch, first in zip(self.branches, self._first_rows, strict=True):
-            built = np.array(branch.table.placements(offsets[first : first + len(branch.joints)]))
+        for branch, first in self._parts:
+            moved = np.array(branch.table.placements(offsets[first : first + len(branch.joints)]))
             mount = branch.mount
             if mount is not None and np.any(offsets[first - 1]):
                 T_link_F0 = mount.T_link_start @ row_transform(mount.values + offsets[first - 1]) @ mount.T_end_F0
-                built[0] = T_link_F0 @ inverse(branch.table.base) @ built[0]
-            result[list(branch.joints)] = built
+                moved[0] = T_link_F0 @ inverse(branch.table.base) @ moved[0]
+            result[list(branch.joints)] = moved
         return result
 
     def twists(self, offsets: Floats, parameters: Iterable[tuple[int, str]]) -> Floats:
         """Compute the body twists (6 n, p) of the placements for each parameter, as :meth:`DHTable.twists`."""
         offsets, parameters = np.asarray(offsets, dtype=float), list(parameters)
         G = np.zeros((len(self.chain.joints), 6, len(parameters)))
-        for branch, first in zip(self.branches, self._first_rows, strict=True):
+        for branch, first in self._parts:
             mine = [k for k, (row, _) in enumerate(parameters) if first <= row < first + len(branch.joints)]
             own = offsets[first : first + len(branch.joints)]
             rows = [(parameters[k][0] - first, parameters[k][1]) for k in mine]
             G[np.ix_(branch.joints, range(6), mine)] = branch.table.twists(own, rows).reshape(len(own), 6, len(mine))
             mount = branch.mount
-            moving = [k for k, (row, _) in enumerate(parameters) if mount is not None and row == first - 1]
-            if mount is not None and moving:
+            if mount is not None:
                 # To the right of the mount's row: the way to F0, the first joint's zero offset, and its own frame.
                 Q = mount.T_end_F0 @ inverse(branch.table.base) @ branch.table.placements(own)[0]
                 xi = parameter_twists(mount.values + offsets[first - 1], Q)
-                for k in moving:
-                    G[branch.joints[0], :, k] = xi[PARAMETERS.index(parameters[k][1])]
+                for k, (row, name) in enumerate(parameters):
+                    if row == first - 1:
+                        G[branch.joints[0], :, k] = xi[PARAMETERS.index(name)]
         return G.reshape(6 * len(self.chain.joints), -1)
 
     @cached_property
-    def _first_rows(self) -> tuple[int, ...]:
-        """The row of each branch's first joint."""
-        rows, count = [], 0
+    def _parts(self) -> tuple[tuple[Branch, int], ...]:
+        """Each branch with the row of its first joint."""
+        parts, first = [], 0
         for branch in self.branches:
-            count += branch.mount is not None
-            rows.append(count)
-            count += len(branch.joints)
-        return tuple(rows)
+            first += branch.mount is not None
+            parts.append((branch, first))
+            first += len(branch.joints)
+        return tuple(parts)
 
 
 def rows_of(mechanism: Mechanism) -> DHTable | TreeTable:
@@ -195,7 +189,6 @@ def rows_of(mechanism: Mechanism) -> DHTable | TreeTable:
 def _branch(tree: Tree, joints: Sequence[int]) -> Branch:
     """Derive a run of joints' rows, and the mount that carries it."""
     ends = [tip for tip in tree.tips if tip.joint == joints[-1]]
-    T_last_tip = ends[0].T_joint_link if ends else np.eye(4)
     parent = tree.parents[joints[0]]
     chain = Chain(
         name=tree.name,
@@ -203,7 +196,7 @@ def _branch(tree: Tree, joints: Sequence[int]) -> Branch:
         tip_link=ends[0].link if ends else tree.names[joints[-1]],
         joints=tuple(tree.joints[i] for i in joints),
         placements=tree.placements[list(joints)],
-        T_last_tip=T_last_tip,
+        T_last_tip=ends[0].T_joint_link if ends else np.eye(4),
     )
     table = DHTable.from_chain(chain)
     return Branch(tuple(joints), table, None if joints[0] == 0 else _mount(table))
@@ -217,5 +210,5 @@ def _mount(table: DHTable) -> Mount:
     start[:3, :3] = np.roll(np.eye(3), 2 - across, axis=1)  # its z is the link's axis `across`
     point = np.zeros(3) if joint.prismatic else table.base[:3, 3]
     values = line_row(start[:3, :3].T @ point, start[:3, :3].T @ axis)
-    T_link_end = start @ row_transform(values)
-    return Mount(joint.name, frozen(start), frozen(values), frozen(inverse(T_link_end) @ table.base), joint.prismatic)
+    T_end_F0 = inverse(start @ row_transform(values)) @ table.base
+    return Mount(joint.name, frozen(start), frozen(values), frozen(T_end_F0), joint.prismatic)

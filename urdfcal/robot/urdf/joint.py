@@ -1,4 +1,4 @@
-"""One ``<joint>`` of a URDF: what it says, checked the way urdfdom, Pinocchio's reader, checks it.
+"""One ``<joint>`` of a URDF, checked the way urdfdom, Pinocchio's reader, checks it.
 
 Joints that it would refuse are refused here, with the place and the way out. Of several elements of a kind
 in a joint, the first counts.
@@ -43,7 +43,7 @@ class Mimic:
 
 @dataclass(frozen=True, eq=False)
 class UrdfJoint:
-    """One joint.
+    """One joint of a URDF.
 
     Attributes:
         name: its name.
@@ -162,9 +162,7 @@ def _limits(kind: UrdfJointType, limit: Element | None, where: str) -> tuple[flo
     for needed in ("effort", "velocity"):
         if needed not in limit.attributes:
             raise RobotError(
-                f"its <limit> has no {needed}: Pinocchio refuses it without",
-                where=where,
-                remedy=f'Add {needed}="0".',
+                f"its <limit> has no {needed}: Pinocchio refuses it without", where=where, remedy=f'Add {needed}="0".'
             )
         _scalar(limit, needed, where)
     lower, upper = _scalar(limit, "lower", where), _scalar(limit, "upper", where)
@@ -211,8 +209,6 @@ def _number(text: str, what: str, where: str) -> float:
         raise markup.xacro_error(f"{what} is {reprlib.repr(text)}", where)
     if not _NUMBER.fullmatch(text) or not math.isfinite(value := float(text)):
         raise RobotError(
-            f"{what} is {reprlib.repr(text)}, not a finite number",
-            where=where,
-            remedy="Write it like 0.1 or 1e-3.",
+            f"{what} is {reprlib.repr(text)}, not a finite number", where=where, remedy="Write it like 0.1 or 1e-3."
         )
     return value

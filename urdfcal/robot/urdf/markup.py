@@ -173,9 +173,7 @@ _ENCODING = re.compile(rb"(?:\xef\xbb\xbf)?<\?xml[^>]*?encoding\s*=\s*[\"']([^\"
 def too_large(size: int, source: str) -> RobotError:
     """Make the error that a file is larger than any robot description."""
     return RobotError(
-        f"the file has {size / 2**20:.0f} MB, more than {MAX_BYTES // 2**20} MB",
-        where=source,
-        remedy="Is it a URDF?",
+        f"the file has {size / 2**20:.0f} MB, more than {MAX_BYTES // 2**20} MB", where=source, remedy="Is it a URDF?"
     )
 
 

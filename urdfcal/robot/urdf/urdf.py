@@ -1,4 +1,4 @@
-"""A URDF as its readers see it: links, joints, the tree they form, and the bytes they were read from.
+"""The URDF: its links, its joints, the tree they form, and the bytes they were read from.
 
 As for urdfdom, Pinocchio's reader, only ``<link>`` and ``<joint>`` directly below ``<robot>`` count. Files it
 would refuse are refused here, with the place and the way out.
@@ -7,6 +7,7 @@ would refuse are refused here, with the place and the way out.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from graphlib import CycleError, TopologicalSorter
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -90,7 +91,7 @@ class Urdf:
         return cls(path, data, name, links, MappingProxyType(joints), root)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # A description is its bytes: it travels to other processes as such.
+        # Its bytes are all that other processes need.
         return Urdf.parse, (self.data, self.path)
 
 
@@ -143,21 +144,15 @@ def _root(links: tuple[str, ...], joints: Mapping[str, UrdfJoint], source: str) 
                 remedy="A link has one parent: a closed loop cannot be written in URDF.",
             )
         above[joint.child] = joint
-    connected: set[str] = set()
-    for start in links:
-        path: dict[str, None] = {}
-        link = start
-        while link in above and link not in connected:
-            if link in path:
-                loop = list(path)[list(path).index(link) :]
-                raise RobotError(
-                    f"its links form a loop: {' -> '.join([link, *reversed(loop)])}",
-                    where=f"{source}:{above[link].line}, joint {above[link].name!r}",
-                    remedy="A URDF is a tree.",
-                )
-            path[link] = None
-            link = above[link].parent
-        connected.update(path)
+    try:
+        TopologicalSorter({child: [joint.parent] for child, joint in above.items()}).prepare()
+    except CycleError as error:
+        loop = error.args[1]
+        raise RobotError(
+            f"its links form a loop: {' -> '.join(loop)}",
+            where=f"{source}:{above[loop[-1]].line}, joint {above[loop[-1]].name!r}",
+            remedy="A URDF is a tree.",
+        ) from error
     roots = [link for link in links if link not in above]
     if len(roots) > 1:
         raise RobotError(
