@@ -196,24 +196,6 @@ class Tree(Mechanism):
         """The first tip's name."""
         return self.tips[0].link
 
-    @property
-    def branches(self) -> tuple[tuple[int, ...], ...]:
-        """The joints cut into serial runs, each hanging on a joint of an earlier one, or on the base link.
-
-        A run begins where a joint is not the first to hang on its parent.
-        """
-        runs: dict[int, list[int]] = {}  # by their last joint
-        for joint, parent in enumerate(self.parents):
-            runs[joint] = [*runs.pop(parent, []), joint]
-        return tuple(map(tuple, sorted(runs.values())))
-
-
-def with_placements(mechanism: Mechanism, placements: Floats) -> Mechanism:
-    """Copy a chain or a tree with other joint placements (n, 4, 4). [m]."""
-    if isinstance(mechanism, (Chain, Tree)):
-        return replace(mechanism, placements=placements)
-    raise TypeError(f"{type(mechanism).__name__} is no mechanism that can be copied")
-
 
 def read_mechanism(urdf: Urdf, tip_links: Sequence[str], base_link: str | None = None) -> Mechanism:
     """Read a chain where one link is asked for, else a tree; see :meth:`Tree.from_urdf`."""

@@ -225,7 +225,7 @@ class DHTable:
                 where=f"joint {self.rows[-1].joint!r}",
                 remedy="Where the tip sits on the last link is not a joint's placement.",
             )
-        zero = self._zero_transforms(own, offsets)
+        zero = row_transform(offsets - shape)
         left = np.empty_like(self.K)
         left[0] = self.chain.placements[0] @ inverse(self.K[0])
         left[1:] = inverse(self.K[:-1]) @ row_transform(self.nominal[:-1] + shape[:-1])
@@ -248,23 +248,15 @@ class DHTable:
         """
         offsets = np.asarray(offsets, dtype=float)
         own, shape = self._split(offsets)
-        every = np.arange(len(self.rows))
         # To the right of a row's factors stand the next joint's zero offset and K; none has a use for the last row's.
-        Q = np.roll(self._zero_transforms(own, offsets) @ self.K, -1, axis=0)
+        Q = np.roll(row_transform(offsets - shape) @ self.K, -1, axis=0)
         xi = parameter_twists(self.nominal + shape, Q)  # of each row's parameters, in the placement that holds them
-        xi[every, own] = _carried(np.array([_MOTIONS[row.variable] for row in self.rows]), self.K)
+        xi[np.arange(len(own)), own] = _carried(np.array([_MOTIONS[row.variable] for row in self.rows]), self.K)
         parameters = list(parameters)
-        G = np.zeros((len(every), 6, len(parameters)))
+        G = np.zeros((len(own), 6, len(parameters)))
         for column, (i, name) in enumerate(parameters):
             G[i if name == self.rows[i].variable else i + 1, :, column] = xi[i, _COLUMN[name]]
-        return G.reshape(6 * len(every), -1)
-
-    def _zero_transforms(self, own: Ints, offsets: Floats) -> Floats:
-        """The motions (n, 4, 4) of the joints' zero offsets."""
-        zero = offsets[np.arange(len(own)), own]
-        slides = own == _COLUMN["d"]
-        result: Floats = _factor("theta", np.where(slides, 0.0, zero)) @ _factor("d", np.where(slides, zero, 0.0))
-        return result
+        return G.reshape(6 * len(own), -1)
 
     def _split(self, offsets: Floats) -> tuple[Ints, Floats]:
         """The column of each row's joint variable, and the offsets without those: the row's shape."""

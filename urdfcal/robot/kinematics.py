@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
-from urdfcal.robot.mechanism import BASE, se3
+from urdfcal.robot.mechanism import se3
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -42,27 +42,26 @@ def link_motions(mechanism: Mechanism, model: pin.Model, q: Floats, tips: Sequen
         q: (N, n) joint values. [rad or m]
         tips: the links.
     """
-    data, columns = model.createData(), 6 * len(mechanism.joints)
-    moving = [tip for tip in tips if tip.joint != BASE]
-    R, p = np.empty((len(moving), len(q), 3, 3)), np.empty((len(moving), len(q), 3))
-    regressor = np.empty((len(moving), len(q), 6, columns))
+    data = model.createData()
+    R, p = np.empty((len(tips), len(q), 3, 3)), np.empty((len(tips), len(q), 3))
+    regressor = np.zeros((len(tips), len(q), 6, 6 * len(mechanism.joints)))
     aligned = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-    links = [se3(tip.T_joint_link) for tip in moving]
+    links = [se3(tip.T_joint_link) for tip in tips]
     # Views of what every pass writes: asking Pinocchio for them each time costs a third of the loop.
     views = [
         (tip.joint + 1, link, *_live(data, tip), R[i], p[i], regressor[i])
-        for i, (tip, link) in enumerate(zip(moving, links, strict=True))
+        for i, (tip, link) in enumerate(zip(tips, links, strict=True))
     ]
     for k, q_k in enumerate(q):
         pin.forwardKinematics(model, data, q_k)
         for joint, link, rotation, translation, R_i, p_i, regressor_i in views:
-            regressor_i[k] = pin.computeJointKinematicRegressor(model, data, joint, aligned, link)
+            if joint:  # what is fixed to the base link does not move
+                regressor_i[k] = pin.computeJointKinematicRegressor(model, data, joint, aligned, link)
             R_i[k] = rotation
             p_i[k] = translation
-    motions = (
+    return tuple(
         LinkMotion(R[i] @ link.rotation, p[i] + R[i] @ link.translation, regressor[i]) for i, link in enumerate(links)
     )
-    return tuple(_fixed_to_base(tip, len(q), columns) if tip.joint == BASE else next(motions) for tip in tips)
 
 
 def tip_motion(mechanism: Mechanism, model: pin.Model, q: Floats) -> LinkMotion:
@@ -127,12 +126,3 @@ def joint_motion(joint: Joint, value: float) -> Floats:
 def _live(data: pin.Data, tip: Tip) -> tuple[Floats, Floats]:
     """Views of the rotation and translation of the joint that a link is on, which every pass rewrites."""
     return data.oMi[tip.joint + 1].rotation, data.oMi[tip.joint + 1].translation
-
-
-def _fixed_to_base(tip: Tip, count: int, columns: int) -> LinkMotion:
-    """The frames and the zero regressor of a link that is fixed to the base link."""
-    return LinkMotion(
-        np.broadcast_to(tip.T_joint_link[:3, :3], (count, 3, 3)),
-        np.broadcast_to(tip.T_joint_link[:3, 3], (count, 3)),
-        np.broadcast_to(0.0, (count, 6, columns)),
-    )

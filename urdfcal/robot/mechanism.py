@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
@@ -189,6 +189,17 @@ class Mechanism:
             joint = self.parents[joint]
         return tuple(path)
 
+    @property
+    def branches(self) -> tuple[tuple[int, ...], ...]:
+        """The joints cut into serial runs, each hanging on a joint of an earlier one, or on the base link.
+
+        A run begins where a joint is not the first to hang on its parent.
+        """
+        runs: dict[int, list[int]] = {}  # by their last joint
+        for joint, parent in enumerate(self.parents):
+            runs[joint] = [*runs.pop(parent, []), joint]
+        return tuple(map(tuple, sorted(runs.values())))
+
     @cached_property
     def reach(self) -> float:
         """An upper bound of any tip's distance from the base link's origin. [m]."""
@@ -231,6 +242,10 @@ class Mechanism:
         k = len(self.actuated)
         jacobian: Floats = (self.joint_values(np.eye(k)) - self.joint_values(np.zeros(k))).T
         return jacobian
+
+    def with_placements(self, placements: Floats) -> Mechanism:
+        """Copy the mechanism with other joint placements (n, 4, 4). [m]."""
+        return replace(self, placements=placements)  # type: ignore[type-var]  # subclasses are dataclasses
 
     def build_model(self, placements: ArrayLike | None = None) -> pin.Model:
         """Build the Pinocchio model of these joints, rooted at the base link, with q_i the i-th joint's value.

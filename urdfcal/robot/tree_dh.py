@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.arrays import Floats, frozen, inverse
-from urdfcal.robot.chain import Chain, Tree
+from urdfcal.robot.chain import Chain
 from urdfcal.robot.dh import PARAMETERS, DHTable, Parameter, line_row, parameter_twists, row_transform
 from urdfcal.robot.mechanism import BASE
 
@@ -78,11 +78,11 @@ class TreeTable:
         branches: its serial parts.
     """
 
-    chain: Tree
+    chain: Mechanism
     branches: tuple[Branch, ...]
 
     @classmethod
-    def from_tree(cls, tree: Tree) -> TreeTable:
+    def from_tree(cls, tree: Mechanism) -> TreeTable:
         """Derive the rows from the axis lines at zero joint values (METHOD 2)."""
         return cls(tree, tuple(_branch(tree, joints) for joints in tree.branches))
 
@@ -179,14 +179,10 @@ class TreeTable:
 
 def rows_of(mechanism: Mechanism) -> DHTable | TreeTable:
     """Derive the DH rows of a chain, or of a tree (METHOD 2)."""
-    if isinstance(mechanism, Chain):
-        return DHTable.from_chain(mechanism)
-    if isinstance(mechanism, Tree):
-        return TreeTable.from_tree(mechanism)
-    raise TypeError(f"{type(mechanism).__name__} is no mechanism with DH rows")
+    return DHTable.from_chain(mechanism) if isinstance(mechanism, Chain) else TreeTable.from_tree(mechanism)
 
 
-def _branch(tree: Tree, joints: Sequence[int]) -> Branch:
+def _branch(tree: Mechanism, joints: Sequence[int]) -> Branch:
     """Derive a run of joints' rows, and the mount that carries it."""
     ends = [tip for tip in tree.tips if tip.joint == joints[-1]]
     parent = tree.parents[joints[0]]

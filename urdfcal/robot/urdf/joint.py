@@ -142,11 +142,9 @@ def _placement(origin: Element | None, version: str, where: str) -> Floats:
 
 
 def _axis(element: Element | None, where: str) -> Floats:
-    if element is None:
-        return np.array([1.0, 0.0, 0.0])
-    axis = _vector(element, "xyz", where, default=(1.0, 0.0, 0.0))
-    norm = math.hypot(*axis)
-    return axis / norm if norm > 0.0 else axis
+    x = (1.0, 0.0, 0.0)
+    axis = np.array(x) if element is None else _vector(element, "xyz", where, default=x)
+    return axis / (math.hypot(*axis) or 1.0)
 
 
 def _limits(kind: UrdfJointType, limit: Element | None, where: str) -> tuple[float, float]:
