@@ -56,10 +56,10 @@ def test_the_true_tip_goes_where_the_nominal_one_would_as_well_as_the_arm_is_kno
     commands = np.array([row[1:-1][::-1] for row in rows[1:]], dtype=float)
     np.testing.assert_array_equal(commands, loaded.compensate(q).q)
 
-    wanted = positions(nominal, q)
-    uncompensated = np.linalg.norm(positions(true, q) - wanted, axis=1)
+    expected = positions(nominal, q)
+    uncompensated = np.linalg.norm(positions(true, q) - expected, axis=1)
     model = np.linalg.norm(positions(true, q) - positions(loaded.calibrated, q), axis=1)
-    compensated = np.linalg.norm(positions(true, commands) - wanted, axis=1)
+    compensated = np.linalg.norm(positions(true, commands) - expected, axis=1)
     for statistic in (np.mean, np.median, lambda error: np.quantile(error, 0.95)):
         assert statistic(compensated) < 1.2 * statistic(model) < 0.25 * statistic(uncompensated)
     # A few poses in a hundred are stretched out or beside a singularity: joints near their command cannot take the
@@ -121,13 +121,13 @@ def test_the_other_arm_is_said_not_to_be_compensated(
     assert run(["compensate", str(result), str(path), "-o", str(tmp_path / "out.csv")]) == 0
     (said,) = [line for line in capsys.readouterr().out.splitlines() if "is not compensated" in line]
     assert said.startswith("arm_right_tool_link ")
-    wanted = link_poses(chain, chain.joint_values(q), chain.tips)[1]
+    expected = link_poses(chain, chain.joint_values(q), chain.tips)[1]
     for commands, end in (
         (q, " mm rms with the nominal commands"),
         (loaded.compensate(q).q, " mm with the corrected ones"),
     ):
         real = link_poses(loaded.calibrated, chain.joint_values(commands), chain.tips)[1]
-        miss = np.sqrt(np.mean(np.sum((real - wanted)[:, :3, 3] ** 2, axis=1)))
+        miss = np.sqrt(np.mean(np.sum((real - expected)[:, :3, 3] ** 2, axis=1)))
         assert f"{1e3 * miss:.3g}{end}" in said
 
 

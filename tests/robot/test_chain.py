@@ -52,23 +52,23 @@ def test_a_chain_is_what_pinocchio_makes_of_the_urdf() -> None:
 
 
 def test_a_continuous_joint_has_one_value() -> None:
-    drawn = urdf(("spin", "continuous", "a b", '<axis xyz="0 -2 0"/>'), links="ab")
-    chain = Chain.from_urdf(drawn, "b")
+    description = urdf(("spin", "continuous", "a b", '<axis xyz="0 -2 0"/>'), links="ab")
+    chain = Chain.from_urdf(description, "b")
     assert chain.joints[0].type == "continuous"
     assert (chain.joints[0].lower, chain.joints[0].upper) == (-np.inf, np.inf)
     np.testing.assert_array_equal(chain.joints[0].axis, [0, -1, 0])
     assert chain.build_model().nq == 1
-    from_model = Chain.from_model(pin.buildModelFromXML(drawn.data.decode()), "b")
+    from_model = Chain.from_model(pin.buildModelFromXML(description.data.decode()), "b")
     assert from_model.joints[0].type == "continuous"
 
 
 def test_a_mimic_joint_follows_its_master() -> None:
-    drawn = urdf(
+    description = urdf(
         turning("lead", "a b"),
         turning("free", "b c"),
         turning("follow", "c d", '<mimic joint="lead" multiplier="-2" offset="0.5"/>'),
     )
-    chain = Chain.from_urdf(drawn, "d")
+    chain = Chain.from_urdf(description, "d")
     assert chain.actuated == ("lead", "free")
     np.testing.assert_allclose(chain.joint_values([[0.1, 0.2], [0.3, 0.4]]), [[0.1, 0.2, 0.3], [0.3, 0.4, -0.1]])
 
@@ -94,10 +94,10 @@ def test_the_reach_bounds_the_tip() -> None:
 
 
 def test_random_values_keep_limits_and_mimic() -> None:
-    drawn = urdf(
+    description = urdf(
         turning("lead", "a b"), turning("follow", "b c", '<mimic joint="lead" multiplier="0.5"/>'), links="abc"
     )
-    q = Chain.from_urdf(drawn, "c").random_values(200, np.random.default_rng(0))
+    q = Chain.from_urdf(description, "c").random_values(200, np.random.default_rng(0))
     assert q[:, 0].min() >= -1.0
     assert q[:, 0].max() <= 2.0
     np.testing.assert_allclose(q[:, 1], 0.5 * q[:, 0])
@@ -138,8 +138,8 @@ def test_what_is_no_chain_of_a_model_is_rejected_by_name() -> None:
     with pytest.raises(RobotError, match="JointModelFreeFlyer is not a revolute"):
         Chain.from_model(model, "tool0", "universe")
     assert len(Chain.from_model(model, "tool0", "base_link").joints) == 6
-    drawn = urdf(("j", "revolute", "a b", f'<axis xyz="0 0 0"/>{LIMIT}'), links="ab")
-    zero = pin.buildModelFromXML(drawn.data.decode())
+    description = urdf(("j", "revolute", "a b", f'<axis xyz="0 0 0"/>{LIMIT}'), links="ab")
+    zero = pin.buildModelFromXML(description.data.decode())
     with pytest.raises(RobotError, match="axis is zero"):
         Chain.from_model(zero, "b")
 
@@ -154,8 +154,10 @@ def test_a_base_beside_the_path_is_as_good_as_what_it_hangs_on() -> None:
 
 
 def test_a_mimic_joint_errs_with_its_master() -> None:
-    drawn = urdf(turning("lead", "a b"), turning("follow", "b c", '<mimic joint="lead" multiplier="-2"/>'), links="abc")
-    np.testing.assert_array_equal(Chain.from_urdf(drawn, "c").reading_jacobian, [[1.0], [-2.0]])
+    description = urdf(
+        turning("lead", "a b"), turning("follow", "b c", '<mimic joint="lead" multiplier="-2"/>'), links="abc"
+    )
+    np.testing.assert_array_equal(Chain.from_urdf(description, "c").reading_jacobian, [[1.0], [-2.0]])
 
 
 # --- limits

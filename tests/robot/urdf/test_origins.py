@@ -308,7 +308,7 @@ def test_an_origin_at_gimbal_lock_survives(pitch):
 # --- refused
 
 
-def test_an_unknown_joint_is_told_with_those_that_exist():
+def test_an_unknown_joint_is_reported_with_those_that_exist():
     urdf = Urdf.parse(one_joint("").encode())
     with pytest.raises(RobotError, match=r"there is no joint 'joint_1'. The joints are: j\."):
         rewrite_origins(urdf, {"joint_1": NEW})
