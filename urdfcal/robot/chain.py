@@ -142,13 +142,8 @@ class Tree(Mechanism):
         except (ValueError, RuntimeError) as error:
             raise RobotError(f"Pinocchio cannot load it: {error}", where=where) from error
         tree = cls.from_model(model, tip_links, base_link)
-        joints = []
-        for joint in tree.joints:
-            as_read = urdf.joints[joint.name]
-            joints.append(
-                Joint(joint.name, as_read.type, joint.axis, as_read.lower, as_read.upper, as_read.mimic)  # type: ignore[arg-type]  # the path holds movable ones
-            )
-        return replace(tree, name=urdf.name, joints=tuple(joints))
+        joints = tuple(replace(joint, mimic=urdf.joints[joint.name].mimic) for joint in tree.joints)
+        return replace(tree, name=urdf.name, joints=joints)
 
     @classmethod
     def from_model(cls, model: pin.Model, tip_links: Sequence[str], base_link: str | None = None) -> Tree:

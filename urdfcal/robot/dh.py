@@ -12,11 +12,12 @@ Sources: Rossi, Savino et al., eq. 2; Hayati & Mirmirani, J. Robotic Systems 2(4
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from functools import cached_property, reduce
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from urdfcal.arrays import Floats, Ints, frozen, inverse
+from urdfcal.arrays import Bools, Floats, frozen, inverse
 from urdfcal.errors import RobotError
 from urdfcal.rotations import skew, turn_z_to
 
@@ -218,20 +219,19 @@ class DHTable:
             RobotError: an offset after the last joint.
         """
         offsets = np.asarray(offsets, dtype=float)
-        own, shape = self._split(offsets)
+        own, shape = np.where(self._own, offsets, 0.0), np.where(self._own, 0.0, offsets)
         if np.any(shape[-1]):
             raise RobotError(
                 "the last row can only be offset in its joint variable",
                 where=f"joint {self.rows[-1].joint!r}",
                 remedy="Where the tip sits on the last link is not a joint's placement.",
             )
-        zero = row_transform(offsets - shape)
         left = np.empty_like(self.K)
         left[0] = self.chain.placements[0] @ inverse(self.K[0])
         left[1:] = inverse(self.K[:-1]) @ row_transform(self.nominal[:-1] + shape[:-1])
-        moved = offsets[np.arange(len(own)), own] != 0.0
-        moved[1:] |= np.any(shape[:-1] != 0.0, axis=1)
-        result: Floats = np.where(moved[:, None, None], left @ zero @ self.K, self.chain.placements)
+        moved = np.any(own, axis=1)
+        moved[1:] |= np.any(shape[:-1], axis=1)
+        result: Floats = np.where(moved[:, None, None], left @ row_transform(own) @ self.K, self.chain.placements)
         return result
 
     def twists(self, offsets: ArrayLike, parameters: Iterable[tuple[int, str]]) -> Floats:
@@ -247,23 +247,21 @@ class DHTable:
             G (6 n, p), rows as the columns of Pinocchio's joint kinematic regressor.
         """
         offsets = np.asarray(offsets, dtype=float)
-        own, shape = self._split(offsets)
+        own, shape = np.where(self._own, offsets, 0.0), np.where(self._own, 0.0, offsets)
         # To the right of a row's factors stand the next joint's zero offset and K; none has a use for the last row's.
-        Q = np.roll(row_transform(offsets - shape) @ self.K, -1, axis=0)
+        Q = np.roll(row_transform(own) @ self.K, -1, axis=0)
         xi = parameter_twists(self.nominal + shape, Q)  # of each row's parameters, in the placement that holds them
-        xi[np.arange(len(own)), own] = _carried(np.array([_MOTIONS[row.variable] for row in self.rows]), self.K)
+        xi[self._own] = _carried(np.array([_MOTIONS[row.variable] for row in self.rows]), self.K)
         parameters = list(parameters)
         G = np.zeros((len(own), 6, len(parameters)))
         for column, (i, name) in enumerate(parameters):
             G[i if name == self.rows[i].variable else i + 1, :, column] = xi[i, _COLUMN[name]]
         return G.reshape(6 * len(own), -1)
 
-    def _split(self, offsets: Floats) -> tuple[Ints, Floats]:
-        """The column of each row's joint variable, and the offsets without those: the row's shape."""
-        own = np.array([PARAMETERS.index(row.variable) for row in self.rows])
-        shape = offsets.copy()
-        shape[np.arange(len(own)), own] = 0.0
-        return own, shape
+    @cached_property
+    def _own(self) -> Bools:
+        """Which parameter of each row, (n, 5), is its joint's variable; the others are the row's shape."""
+        return np.array([[name == row.variable for name in PARAMETERS] for row in self.rows])
 
     def to_dict(self, convention: Convention = "standard") -> dict[str, Any]:
         """Return the table as plain data: rows, and how they compose to the forward kinematics.
@@ -301,10 +299,7 @@ class DHTable:
 def row_transform(values: ArrayLike) -> Floats:
     """Compute B(theta, d, a, alpha, beta) of rows in this order: (..., 5) to (..., 4, 4)."""
     values = np.asarray(values, dtype=float)
-    T = _factor(PARAMETERS[0], values[..., 0])
-    for name in PARAMETERS[1:]:
-        T = T @ _factor(name, values[..., _COLUMN[name]])
-    return T
+    return reduce(np.matmul, [_factor(name, values[..., column]) for column, name in enumerate(PARAMETERS)])
 
 
 def parameter_twists(values: Floats, Q: Floats) -> Floats:
