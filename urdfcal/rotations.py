@@ -60,7 +60,8 @@ def matrix_to_rpy(R: ArrayLike) -> Floats:
 
 def quaternion_to_matrix(xyzw: ArrayLike) -> Floats:
     """Turn a quaternion (4,), x y z w, of any length but zero, into a rotation matrix (3, 3)."""
-    x, y, z, w = np.asarray(xyzw, dtype=float) / hypot(*np.asarray(xyzw, dtype=float))
+    q = np.asarray(xyzw, dtype=float)
+    x, y, z, w = q / hypot(*q)
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],

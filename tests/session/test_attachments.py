@@ -76,7 +76,7 @@ def test_something_must_be_on_the_robot() -> None:
     rig = read_rig(find_rig("ur5"))
     with pytest.raises(SessionError, match="neither an LED nor a camera is on the robot"):
         replace(rig, leds=(Led("led", np.zeros(3), link="world"),))
-    with pytest.raises(RobotError, match="'forearm_link' is none that was asked for"):
+    with pytest.raises(RobotError, match="'forearm_link' is none of the tip links"):
         replace(rig, leds=(Led("led", np.zeros(3), link="forearm_link"),))
     with pytest.raises(SessionError, match="there is no camera 'cam9'"):
         replace(rig, mounts=(CameraMount("cam9", "tool0"),))

@@ -237,7 +237,7 @@ class DHTable:
     def twists(self, offsets: ArrayLike, parameters: Iterable[tuple[int, str]]) -> Floats:
         """Compute the body twists of the joints' placements for each DH parameter: M_j <- M_j exp6(xi_j).
 
-        Each parameter is one factor of one placement: with Q what stands to its right, xi = Ad(Q^-1) e.
+        Each parameter is one factor of one placement: with Q the transform to its right, xi = Ad(Q^-1) e.
 
         Args:
             offsets: (n, 5) where the derivative is taken.
@@ -248,10 +248,10 @@ class DHTable:
         """
         offsets = np.asarray(offsets, dtype=float)
         own, shape = np.where(self._own, offsets, 0.0), np.where(self._own, 0.0, offsets)
-        # To the right of a row's factors stand the next joint's zero offset and K; none has a use for the last row's.
+        # To the right of a row's factors are the next joint's zero offset and K; the last row's Q is not used.
         Q = np.roll(row_transform(own) @ self.K, -1, axis=0)
         xi = parameter_twists(self.nominal + shape, Q)  # of each row's parameters, in the placement that holds them
-        xi[self._own] = _carried(np.array([_MOTIONS[row.variable] for row in self.rows]), self.K)
+        xi[self._own] = _through(np.array([_MOTIONS[row.variable] for row in self.rows]), self.K)
         parameters = list(parameters)
         G = np.zeros((len(own), 6, len(parameters)))
         for column, (i, name) in enumerate(parameters):
@@ -305,11 +305,11 @@ def row_transform(values: ArrayLike) -> Floats:
 def parameter_twists(values: Floats, Q: Floats) -> Floats:
     """Compute the body twists (linear, angular) of B(values) Q: (..., 5) and (..., 4, 4) to (..., 5, 6).
 
-    Each parameter is one factor; with Q' what stands to its right, xi = Ad(Q'^-1) e.
+    Each parameter is one factor; with Q' the transform to its right, xi = Ad(Q'^-1) e.
     """
     xi = np.empty((*values.shape, 6))
     for factor in reversed(PARAMETERS):
-        xi[..., _COLUMN[factor], :] = _carried(_MOTIONS[factor], Q)
+        xi[..., _COLUMN[factor], :] = _through(_MOTIONS[factor], Q)
         Q = _factor(factor, values[..., _COLUMN[factor]]) @ Q
     return xi
 
@@ -329,8 +329,8 @@ def _factor(name: Parameter, value: Floats | float) -> Floats:
     return T
 
 
-def _carried(motion: Floats, Q: Floats) -> Floats:
-    """Ad(Q^-1) of twists (linear, angular), both batched."""
+def _through(motion: Floats, Q: Floats) -> Floats:
+    """Transform twists (linear, angular) by Ad(Q^-1), both batched."""
     v, w = motion[..., :3], motion[..., 3:]
     R_T = np.swapaxes(Q[..., :3, :3], -1, -2)
     p = Q[..., :3, 3]

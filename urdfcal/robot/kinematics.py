@@ -104,7 +104,7 @@ def tip_poses(mechanism: Mechanism, q: Floats, placements: Floats | None = None)
 def joint_axes(mechanism: Mechanism) -> Floats:
     """The joints' unit body twists (linear, angular), block by block: (6 n, n).
 
-    A joint's motion stands to the right of its placement, so ``regressor @ joint_axes`` is a link's Jacobian.
+    A joint's motion multiplies its placement from the right, so ``regressor @ joint_axes`` is a link's Jacobian.
     """
     S = np.zeros((6 * len(mechanism.joints), len(mechanism.joints)))
     for i, joint in enumerate(mechanism.joints):

@@ -158,7 +158,7 @@ class TreeTable:
             G[np.ix_(branch.joints, range(6), mine)] = branch.table.twists(own, rows).reshape(len(own), 6, len(mine))
             mount = branch.mount
             if mount is not None:
-                # To the right of the mount's row: the way to F0, the first joint's zero offset, and its own frame.
+                # To the right of the mount's row: T_end_F0, the first joint's zero offset, and its own frame.
                 Q = mount.T_end_F0 @ inverse(branch.table.base) @ branch.table.placements(own)[0]
                 xi = parameter_twists(mount.values + offsets[first - 1], Q)
                 for k, (row, name) in enumerate(parameters):
