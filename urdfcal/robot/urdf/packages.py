@@ -11,6 +11,7 @@ from stat import S_ISDIR, S_ISREG
 from typing import TYPE_CHECKING
 
 from urdfcal.errors import RobotError
+from urdfcal.names import listed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -165,5 +166,4 @@ def _no_file(path: Path) -> RobotError:
     if not _is(folder, S_ISDIR):
         return RobotError(what, where=str(path), remedy=f"There is no folder {folder} either.")
     others = sorted(file.name for file in folder.glob("*.urdf"))
-    shown = f"{', '.join(others[:10])}{', ...' if len(others) > 10 else ''}"
-    return RobotError(what, where=str(path), remedy=f"That folder has: {shown}." if others else "")
+    return RobotError(what, where=str(path), remedy=f"That folder has: {listed(others)}." if others else "")

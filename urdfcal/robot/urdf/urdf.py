@@ -12,7 +12,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from urdfcal.errors import RobotError
-from urdfcal.names import suggest
+from urdfcal.names import listed, suggest
 from urdfcal.robot.urdf import markup
 from urdfcal.robot.urdf.joint import Mimic, UrdfJoint, read_joint
 from urdfcal.robot.urdf.packages import find_urdf, package_roots
@@ -156,7 +156,7 @@ def _root(links: tuple[str, ...], joints: Mapping[str, UrdfJoint], source: str) 
     roots = [link for link in links if link not in above]
     if len(roots) > 1:
         raise RobotError(
-            f"it has {len(roots)} root links: {', '.join(roots[:10])}{', ...' if len(roots) > 10 else ''}",
+            f"it has {len(roots)} root links: {listed(roots)}",
             where=source,
             remedy="Every link but one must be the child of a joint.",
         )
