@@ -14,8 +14,8 @@ from urdfcal.errors import CalibrationError, RobotError
 from urdfcal.estimation.linearize import predict
 from urdfcal.pipeline import calibrate
 from urdfcal.result.calibration import Calibration
+from urdfcal.robot.chain import Tree, read_mechanism
 from urdfcal.robot.kinematics import link_poses
-from urdfcal.robot.tree import Tree, read_mechanism
 from urdfcal.robot.urdf.urdf import Urdf
 from urdfcal.session.attachments import CameraMount
 from urdfcal.session.model import Estimate, Led

@@ -65,11 +65,3 @@ def inverse(T: Floats) -> Floats:
     result[..., :3, 3] = -(Rt @ T[..., :3, 3, None])[..., 0]
     result[..., 3, 3] = 1.0
     return result
-
-
-def skew(v: Floats) -> Floats:
-    """Cross-product matrices: ``skew(v) @ w == cross(v, w)``; (..., 3) -> (..., 3, 3)."""
-    result = np.zeros((*v.shape, 3))
-    result[..., 0, 1], result[..., 0, 2], result[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
-    result[..., 1, 0], result[..., 2, 0], result[..., 2, 1] = v[..., 2], -v[..., 1], v[..., 0]
-    return result

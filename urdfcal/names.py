@@ -50,7 +50,7 @@ def listed(names: Collection[str]) -> str:
 
 
 def suggest(wanted: str, known: Collection[str], kind: str) -> str:
-    """Name what there is, and the one that ``wanted`` is a misspelling of.
+    """Say which names there are, and which one ``wanted`` is probably a misspelling of.
 
     Args:
         wanted: the name that was not found.
@@ -59,13 +59,15 @@ def suggest(wanted: str, known: Collection[str], kind: str) -> str:
     """
     from difflib import get_close_matches
 
-    there_are = f"The {kind} are: {listed(known)}."
+    near = get_close_matches(wanted, known, n=5, cutoff=0.5)
+    # Of many names the likely ones are among those shown.
+    there_are = f"The {kind} are: {listed(dict.fromkeys([*near, *known]) if len(known) > _SHOWN else known)}."
     for name in known:
         if name.casefold() == wanted.casefold():
             return f"Did you mean {name!r}? Upper and lower case differ. {there_are}"
         if _same_number(name, wanted):
             return f"Did you mean {name!r}? Labels are text. {there_are}"
-    near = get_close_matches(wanted, known, n=1)
+    near = get_close_matches(wanted, near, n=1)
     return f"Did you mean {near[0]!r}? {there_are}" if near else there_are
 
 

@@ -26,14 +26,14 @@ from urdfcal.estimation.snapshot import Snapshot
 from urdfcal.estimation.time_offset_start import start_state
 from urdfcal.estimation.uncertainty import tip_covariance
 from urdfcal.result.calibration import FORMAT, Calibration, corrected_name, describe
+from urdfcal.robot.chain import read_mechanism
 from urdfcal.robot.dh import DHTable
 from urdfcal.robot.kinematics import link_poses
 from urdfcal.robot.placements import PlacementTable
-from urdfcal.robot.tree import read_mechanism
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.robot.urdf.origins import origins_of
-from urdfcal.robot.urdf.rpy import matrix_to_rpy
 from urdfcal.robot.urdf.urdf import Urdf
+from urdfcal.rotations import matrix_to_rpy
 from urdfcal.session.trajectory import Trajectory
 
 if TYPE_CHECKING:

@@ -25,7 +25,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from urdfcal.arrays import skew
 from urdfcal.estimation.evaluation import compare
 from urdfcal.estimation.identifiability import identify
 from urdfcal.estimation.linearize import Tangent
@@ -39,6 +38,7 @@ from urdfcal.pipeline import calibrate
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.dh import DHTable
 from urdfcal.robot.kinematics import tip_motion
+from urdfcal.rotations import skew
 from urdfcal.session.model import Estimate
 from urdfcal.simulation.geometric_errors import draw_offsets
 from urdfcal.simulation.simulate import Simulated, simulate

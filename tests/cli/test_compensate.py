@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import csv
+from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -8,7 +9,10 @@ import pytest
 
 import urdfcal
 from urdfcal.cli import run
+from urdfcal.cli.compensate import _errors
+from urdfcal.robot.chain import Tree
 from urdfcal.robot.kinematics import link_poses, tip_poses
+from urdfcal.robot.urdf.packages import package_roots
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -52,10 +56,10 @@ def test_the_true_tip_goes_where_the_nominal_one_would_as_well_as_the_arm_is_kno
     commands = np.array([row[1:-1][::-1] for row in rows[1:]], dtype=float)
     np.testing.assert_array_equal(commands, loaded.compensate(q).q)
 
-    wanted = positions(nominal, q)
-    uncompensated = np.linalg.norm(positions(true, q) - wanted, axis=1)
+    expected = positions(nominal, q)
+    uncompensated = np.linalg.norm(positions(true, q) - expected, axis=1)
     model = np.linalg.norm(positions(true, q) - positions(loaded.calibrated, q), axis=1)
-    compensated = np.linalg.norm(positions(true, commands) - wanted, axis=1)
+    compensated = np.linalg.norm(positions(true, commands) - expected, axis=1)
     for statistic in (np.mean, np.median, lambda error: np.quantile(error, 0.95)):
         assert statistic(compensated) < 1.2 * statistic(model) < 0.25 * statistic(uncompensated)
     # A few poses in a hundred are stretched out or beside a singularity: joints near their command cannot take the
@@ -117,8 +121,18 @@ def test_the_other_arm_is_said_not_to_be_compensated(
     assert run(["compensate", str(result), str(path), "-o", str(tmp_path / "out.csv")]) == 0
     (said,) = [line for line in capsys.readouterr().out.splitlines() if "is not compensated" in line]
     assert said.startswith("arm_right_tool_link ")
-    wanted = link_poses(chain, chain.joint_values(q), chain.tips)[1]
-    for commands, end in ((q, " mm rms as given"), (loaded.compensate(q).q, " mm with these commands")):
+    expected = link_poses(chain, chain.joint_values(q), chain.tips)[1]
+    for commands, end in (
+        (q, " mm rms with the nominal commands"),
+        (loaded.compensate(q).q, " mm with the corrected ones"),
+    ):
         real = link_poses(loaded.calibrated, chain.joint_values(commands), chain.tips)[1]
-        miss = np.sqrt(np.mean(np.sum((real - wanted)[:, :3, 3] ** 2, axis=1)))
+        miss = np.sqrt(np.mean(np.sum((real - expected)[:, :3, 3] ** 2, axis=1)))
         assert f"{1e3 * miss:.3g}{end}" in said
+
+
+def test_links_fixed_to_the_base_link_have_no_error_to_report() -> None:
+    ur5 = package_roots()[-1] / "example-robot-data" / "robots" / "ur_description" / "urdf" / "ur5_robot.urdf"
+    tree = Tree.from_urdf(ur5, ["tool0", "base"], "base_link")
+    q = tree.random_values(3, np.random.default_rng(3))
+    assert _errors(SimpleNamespace(chain=tree, calibrated=tree), q, q) == {"tool0": 0.0}

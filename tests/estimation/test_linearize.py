@@ -13,8 +13,8 @@ from urdfcal.estimation.model_spec import Freedoms
 from urdfcal.estimation.observations import arrange, observe
 from urdfcal.estimation.parameters import choose_parameters
 from urdfcal.estimation.state import State
+from urdfcal.robot.chain import read_mechanism
 from urdfcal.robot.dh import DHTable
-from urdfcal.robot.tree import read_mechanism
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.session.attachments import CameraMount
 from urdfcal.session.model import Led, Points

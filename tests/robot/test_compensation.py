@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @pytest.fixture(params=["ur5", "panda", "elbow3r", "so101", "stanford"])
 def arms(request: pytest.FixtureRequest, simulated: Callable) -> tuple[Chain, Chain]:
-    """An arm as drawn and as built."""
+    """An arm nominal and calibrated."""
     data = simulated(request.param)
     nominal = data.session.chain
     return nominal, replace(nominal, placements=data.truth.placements)
@@ -30,8 +30,8 @@ def readings(chain: Chain, count: int) -> np.ndarray:
     return values[:, [name in chain.actuated for name in chain.names]]
 
 
-def left(nominal: Chain, real: Chain, wanted: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    T = tip_poses(nominal, nominal.joint_values(wanted))
+def left(nominal: Chain, real: Chain, expected: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    T = tip_poses(nominal, nominal.joint_values(expected))
     T_real = tip_poses(real, real.joint_values(commands))
     angle = [np.linalg.norm(pin.log3(a[:3, :3] @ b[:3, :3].T)) for a, b in zip(T, T_real, strict=True)]
     return np.linalg.norm((T - T_real)[:, :3, 3], axis=1), np.array(angle)
@@ -39,10 +39,10 @@ def left(nominal: Chain, real: Chain, wanted: np.ndarray, commands: np.ndarray) 
 
 def test_the_real_tip_goes_where_the_nominal_one_would(arms: tuple[Chain, Chain]) -> None:
     nominal, real = arms
-    wanted = readings(nominal, 500)
-    before, _ = left(nominal, real, wanted, wanted)
-    found = compensate(nominal, real, wanted)
-    position, angle = left(nominal, real, wanted, found.q)
+    expected = readings(nominal, 500)
+    before, _ = left(nominal, real, expected, expected)
+    found = compensate(nominal, real, expected)
+    position, angle = left(nominal, real, expected, found.q)
     np.testing.assert_allclose(found.position, position, atol=1e-12)
     np.testing.assert_allclose(found.angle, angle, atol=1e-7)
     assert np.median(before) > 5e-4
@@ -55,29 +55,29 @@ def test_the_real_tip_goes_where_the_nominal_one_would(arms: tuple[Chain, Chain]
 
 def test_limits_hold_and_joints_stay_near_their_command(arms: tuple[Chain, Chain]) -> None:
     nominal, real = arms
-    wanted = readings(nominal, 300)
+    expected = readings(nominal, 300)
     joints = [joint for joint in nominal.joints if joint.mimic is None]
     lower, upper = np.array([j.lower for j in joints]), np.array([j.upper for j in joints])
-    wanted[::3] = np.where(np.isfinite(lower), lower, wanted[::3])
-    wanted[1::3] = np.where(np.isfinite(upper), upper, wanted[1::3])
-    found = compensate(nominal, real, wanted)
+    expected[::3] = np.where(np.isfinite(lower), lower, expected[::3])
+    expected[1::3] = np.where(np.isfinite(upper), upper, expected[1::3])
+    found = compensate(nominal, real, expected)
     assert np.all((found.q >= lower) & (found.q <= upper))
-    assert np.abs(found.q - wanted).max() < 0.31
+    assert np.abs(found.q - expected).max() < 0.31
 
 
-def test_an_arm_as_drawn_needs_no_compensation(arms: tuple[Chain, Chain]) -> None:
+def test_a_nominal_arm_needs_no_compensation(arms: tuple[Chain, Chain]) -> None:
     nominal, _ = arms
-    wanted = readings(nominal, 50)
-    found = compensate(nominal, nominal, wanted)
-    np.testing.assert_array_equal(found.q, wanted)
+    expected = readings(nominal, 50)
+    found = compensate(nominal, nominal, expected)
+    np.testing.assert_array_equal(found.q, expected)
     assert found.position.max() < 1e-15
 
 
 def test_poses_do_not_depend_on_their_company(arms: tuple[Chain, Chain]) -> None:
     nominal, real = arms
-    wanted = readings(nominal, 8)
-    together = compensate(nominal, real, wanted).q
-    alone = np.array([compensate(nominal, real, one).q for one in wanted])
+    expected = readings(nominal, 8)
+    together = compensate(nominal, real, expected).q
+    alone = np.array([compensate(nominal, real, one).q for one in expected])
     np.testing.assert_allclose(together, alone, atol=1e-9)
 
 
@@ -93,14 +93,14 @@ def test_a_tip_out_of_reach_says_by_how_much(simulated: Callable) -> None:
 
 
 @pytest.mark.parametrize(
-    ("wanted", "message"),
+    ("expected", "message"),
     [
-        ([[0.0, 90.0, 0.0, 0.0, 0.0, 0.0]], "shoulder_lift_joint.*outside its limits"),
-        ([[0.0, np.nan, 0.0, 0.0, 0.0, 0.0]], "outside its limits"),
+        ([[0.0, 90.0, 0.0, 0.0, 0.0, 0.0]], "shoulder_lift_joint.*outside the joint.s limits"),
+        ([[0.0, np.nan, 0.0, 0.0, 0.0, 0.0]], "outside the joint.s limits"),
         ([[0.0, 0.0]], r"not \(\.\.\., 6\)"),
     ],
 )
-def test_commands_that_are_none_are_refused(wanted: list[list[float]], message: str, simulated: Callable) -> None:
+def test_commands_that_are_none_are_refused(expected: list[list[float]], message: str, simulated: Callable) -> None:
     chain = simulated("ur5").session.chain
     with pytest.raises(RobotError, match=message):
-        compensate(chain, chain, wanted)
+        compensate(chain, chain, expected)

@@ -3,11 +3,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.robot.test_tree import TREES, read
+from tests.robot.test_chain import TREES, read
+from urdfcal.robot.chain import Tree
 from urdfcal.robot.dh import PARAMETERS
 from urdfcal.robot.kinematics import link_motions, link_poses
 from urdfcal.robot.placements import PlacementTable
-from urdfcal.robot.tree import Tree
 from urdfcal.robot.tree_dh import TreeTable
 from urdfcal.robot.urdf.urdf import Urdf
 
@@ -39,7 +39,7 @@ def random_offsets(table: TreeTable, seed: int) -> np.ndarray:
     return offsets
 
 
-def test_an_arm_as_drawn_keeps_its_placements_bit_for_bit(tree: Tree) -> None:
+def test_a_nominal_arm_keeps_its_placements_bit_for_bit(tree: Tree) -> None:
     table = TreeTable.from_tree(tree)
     np.testing.assert_array_equal(table.placements(np.zeros((len(table.labels), 5))), tree.placements)
 
@@ -69,7 +69,7 @@ def test_twists_agree_with_finite_differences(tree: Tree) -> None:
             np.testing.assert_allclose((motion.regressor @ G)[:, :3, column], expected, atol=1e-8, err_msg=name)
 
 
-def test_rows_lose_nothing_that_whole_placements_can_tell(tree: Tree) -> None:
+def test_rows_lose_nothing_that_whole_placements_identify(tree: Tree) -> None:
     """With base and LEDs free, the rows span every motion of the LEDs that any misplaced joints can cause."""
     table, placements = TreeTable.from_tree(tree), PlacementTable(tree)
     q = tree.random_values(60, np.random.default_rng(3))

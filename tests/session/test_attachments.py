@@ -14,8 +14,7 @@ from urdfcal.errors import OutputError, RobotError, SessionError
 from urdfcal.io.folder import read_rig, read_session
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.io.writing import write_session
-from urdfcal.robot.chain import Chain
-from urdfcal.robot.tree import Tree
+from urdfcal.robot.chain import Chain, Tree
 from urdfcal.session.attachments import CameraMount, fasten
 from urdfcal.session.model import Led
 from urdfcal.simulation.simulate import write_simulated
@@ -77,7 +76,7 @@ def test_something_must_be_on_the_robot() -> None:
     rig = read_rig(find_rig("ur5"))
     with pytest.raises(SessionError, match="neither an LED nor a camera is on the robot"):
         replace(rig, leds=(Led("led", np.zeros(3), link="world"),))
-    with pytest.raises(RobotError, match="'forearm_link' is none that was asked for"):
+    with pytest.raises(RobotError, match="'forearm_link' is none of the tip links"):
         replace(rig, leds=(Led("led", np.zeros(3), link="forearm_link"),))
     with pytest.raises(SessionError, match="there is no camera 'cam9'"):
         replace(rig, mounts=(CameraMount("cam9", "tool0"),))

@@ -1,4 +1,4 @@
-"""``urdfcal apply``: the calibrated origins in another, or a regenerated, URDF of the same robot."""
+"""``urdfcal apply``: write the calibrated origins into another, or a regenerated, URDF of the same robot."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import click
     "-o", "--output", type=click.Path(path_type=Path), help="URDF to write.  [default: OTHER_calibrated.urdf beside it]"
 )
 def command(result: Path, urdf: str, output: Path | None) -> None:
-    """Write the calibrated origins into OTHER.urdf, a description of the same robot as drawn.
+    """Write the calibrated origins into OTHER.urdf, a nominal description of the same robot.
 
     OUT is a folder that calibrate has written, or its calibration.json. A joint whose nominal origin is not the one
     that was calibrated is refused by name.

@@ -1,4 +1,4 @@
-"""``urdfcal dh``: a robot's Denavit-Hartenberg table."""
+"""``urdfcal dh``: print a robot's Denavit-Hartenberg table."""
 
 from __future__ import annotations
 

@@ -94,7 +94,7 @@ def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
 
     from urdfcal.estimation.evaluation import explain
     from urdfcal.io.folder import read_points, read_session
-    from urdfcal.robot.tree import read_mechanism
+    from urdfcal.robot.chain import read_mechanism
     from urdfcal.robot.urdf.urdf import Urdf, find_urdf
 
     session = read_session(folder)

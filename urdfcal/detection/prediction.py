@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import Floats, skew
+from urdfcal.rotations import skew
 
 if TYPE_CHECKING:
-    from urdfcal.arrays import Ints
+    from urdfcal.arrays import Floats, Ints
     from urdfcal.cameras.camera import Camera
     from urdfcal.session.model import Led
 

@@ -6,13 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import Floats, skew
 from urdfcal.estimation.blocks.arm import ARM
 from urdfcal.estimation.joint_models import Readings
 from urdfcal.robot.kinematics import joint_axes, tip_motion
+from urdfcal.rotations import skew
 from urdfcal.session.motion import AT_REST
 
 if TYPE_CHECKING:
+    from urdfcal.arrays import Floats
     from urdfcal.estimation.problem import Problem
     from urdfcal.estimation.solver import Solution
 

@@ -15,7 +15,7 @@ from urdfcal.io import frame_tables, tables
 from urdfcal.io.checks.plausibility import Inputs, Taken, check, check_positions
 from urdfcal.io.writing import write_session
 from urdfcal.names import suggest
-from urdfcal.robot.tree import read_mechanism
+from urdfcal.robot.chain import read_mechanism
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.robot.urdf.urdf import Urdf, find_urdf
 from urdfcal.session.attachments import WORLD

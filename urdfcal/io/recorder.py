@@ -181,15 +181,8 @@ class Recorder:
         return [joints[name] for name in chain.actuated]
 
     def _check_limits(self, readings: Floats, where: str) -> None:
-        joints = [joint for joint in self._setup.chain.joints if joint.mimic is None]
-        for joint, value in zip(joints, readings, strict=True):
-            if not joint.lower - OVERRUN <= value <= joint.upper + OVERRUN:
-                raise SessionError(
-                    f"{joint.name} = {value:g} {'m' if joint.prismatic else 'rad'} is outside the joint's limits "
-                    f"[{joint.lower:g}, {joint.upper:g}]",
-                    where=where,
-                    remedy="Readings are in radians and metres.",
-                )
+        for violation in self._setup.chain.outside_limits(readings[None], OVERRUN)[:1]:
+            raise SessionError(str(violation), where=where, remedy="Readings are in radians and metres.")
 
     def _index(self, name: str, known: Sequence[str], kind: str) -> int:
         if name not in known:

@@ -20,7 +20,7 @@ from urdfcal.estimation.joint_models import JOINT_MODELS
 from urdfcal.estimation.measurements import MEASUREMENTS, Measurement
 from urdfcal.names import flaw
 from urdfcal.robot.dh import Parameter  # noqa: TC001  # pydantic needs it at run time
-from urdfcal.robot.urdf.rpy import rpy_to_matrix
+from urdfcal.rotations import rpy_to_matrix
 from urdfcal.session.attachments import CameraMount
 from urdfcal.session.model import ArmGeometry, Estimate, Freedom, Led, LedDistance, Noise, TimeOffset, Tolerances
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from urdfcal.errors import OutputError
 from urdfcal.names import check_names
-from urdfcal.robot.urdf.rpy import matrix_to_rpy
+from urdfcal.rotations import matrix_to_rpy
 from urdfcal.session.model import Session
 from urdfcal.session.trajectory import Trajectory
 

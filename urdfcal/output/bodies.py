@@ -11,8 +11,8 @@ import numpy as np
 
 from urdfcal.arrays import Floats, frozen
 from urdfcal.errors import RobotError
-from urdfcal.robot.urdf.rpy import rpy_to_matrix
 from urdfcal.robot.urdf.urdf import find_urdf
+from urdfcal.rotations import rpy_to_matrix
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import Floats, Ints, inverse, skew
+from urdfcal.arrays import Floats, Ints, inverse
 from urdfcal.cameras.rig import Rig
 from urdfcal.output.placing import Places
 from urdfcal.output.rows import dh_frames, row_corners, row_offsets
+from urdfcal.rotations import skew
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

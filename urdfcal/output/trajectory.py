@@ -7,8 +7,6 @@ import io
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from urdfcal.arrays import Floats, frozen
 from urdfcal.errors import SessionError
 from urdfcal.io.csv_table import Table
@@ -17,9 +15,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from urdfcal.robot.mechanism import Mechanism
-
-# Files round: a value this close to a limit is at it. [rad or m]
-_LIMIT_ROUNDING = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,17 +72,12 @@ class Trajectory:
 
 
 def _check_limits(table: Table, chain: Mechanism, q: Floats) -> None:
-    joints = [joint for joint in chain.joints if joint.mimic is None]
-    lower, upper = np.array([(joint.lower, joint.upper) for joint in joints]).T
-    outside = np.argwhere((q < lower - _LIMIT_ROUNDING) | (q > upper + _LIMIT_ROUNDING))
-    if not outside.size:
+    if not (outside := chain.outside_limits(q)):
         return
-    row, column = (int(i) for i in outside[0])
-    joint, unit = joints[column], "m" if joints[column].prismatic else "rad"
+    first = outside[0]
     more = f" (and {len(outside) - 1} more commands)" if len(outside) > 1 else ""
     raise SessionError(
-        f"{joint.name} = {q[row, column]:g} {unit} is outside the joint's limits "
-        f"[{joint.lower:g}, {joint.upper:g}]{more}",
-        where=table.place(row, joint.name),
+        f"{first}{more}",
+        where=table.place(first.pose, first.joint.name),
         remedy="Commands are in radians and metres, of the robot that was calibrated.",
     )

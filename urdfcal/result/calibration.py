@@ -16,11 +16,10 @@ from urdfcal import files
 from urdfcal.arrays import Floats, frozen
 from urdfcal.errors import OutputError
 from urdfcal.robot.apply import apply_to_model, apply_to_urdf
-from urdfcal.robot.chain import Chain
+from urdfcal.robot.chain import Chain, Tree
 from urdfcal.robot.compensation import Compensation, compensate
 from urdfcal.robot.dh import PARAMETERS
 from urdfcal.robot.mechanism import BASE, Joint, Mechanism, Tip
-from urdfcal.robot.tree import Tree, with_placements
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.robot.urdf.urdf import Mimic
 
@@ -91,7 +90,7 @@ class Calibration(ABC):
     @cached_property
     def calibrated(self) -> Mechanism:
         """The joints with their calibrated placements."""
-        return with_placements(self.chain, self.placements)
+        return self.chain.with_placements(self.placements)
 
     @cached_property
     def dh_offsets(self) -> Floats | None:

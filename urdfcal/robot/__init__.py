@@ -1,1 +1,1 @@
-"""The robot as drawn: its URDF, the chain of joints that is calibrated, its DH rows, its kinematics."""
+"""The robot: its URDF, the chain or tree of joints that is calibrated, its DH rows and its kinematics."""

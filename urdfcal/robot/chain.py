@@ -1,22 +1,25 @@
-"""The serial chain of movable joints between two links, as drawn."""
+"""Chains and trees of movable joints, read from a URDF or a Pinocchio model."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
+import numpy as np
+import pinocchio as pin
+
 from urdfcal.arrays import Floats, frozen
 from urdfcal.errors import RobotError
-from urdfcal.robot.drawing import Drawing, draw_model, draw_urdf
-from urdfcal.robot.mechanism import Joint, Mechanism, Tip
+from urdfcal.names import suggest
+from urdfcal.robot.mechanism import BASE, Joint, Mechanism, Tip
+from urdfcal.robot.urdf.urdf import Urdf
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
-    import pinocchio as pin
-
-    from urdfcal.robot.urdf.urdf import Urdf
+    from urdfcal.robot.urdf.urdf import UrdfJoint
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,13 +43,7 @@ class Chain(Mechanism):
     T_last_tip: Floats
 
     def __post_init__(self) -> None:
-        if not self.joints:
-            raise RobotError(
-                f"no movable joint between {self.base_link!r} and {self.tip_link!r}",
-                where=self.name,
-                remedy="Name a base and a tip link with revolute, continuous or prismatic joints in between.",
-            )
-        object.__setattr__(self, "placements", frozen(self.placements))
+        super().__post_init__()
         object.__setattr__(self, "T_last_tip", frozen(self.T_last_tip))
 
     @classmethod
@@ -62,7 +59,7 @@ class Chain(Mechanism):
             RobotError: the file is no valid URDF, a link is unknown, the base is not above the tip, or a
                 joint in between cannot be calibrated (floating, planar, zero axis, mimic of a joint off the chain).
         """
-        return cls._from(draw_urdf(urdf, [tip_link], base_link))
+        return cls._of(Tree.from_urdf(urdf, [tip_link], base_link))
 
     @classmethod
     def from_model(cls, model: pin.Model, tip_link: str, base_link: str | None = None) -> Chain:
@@ -77,19 +74,212 @@ class Chain(Mechanism):
             RobotError: a link is unknown, the base is not above the tip, or a joint in between has not
                 exactly one degree of freedom, no axis, or is a mimic joint.
         """
-        return cls._from(draw_model(model, [tip_link], base_link))
+        return cls._of(Tree.from_model(model, [tip_link], base_link))
 
     @classmethod
-    def _from(cls, drawing: Drawing) -> Chain:
-        (tip,) = drawing.tips
-        return cls(drawing.name, drawing.base_link, tip.link, drawing.joints, drawing.placements, tip.T_joint_link)
+    def _of(cls, tree: Tree) -> Chain:
+        (tip,) = tree.tips
+        return cls(tree.name, tree.base_link, tip.link, tree.joints, tree.placements, tip.T_joint_link)
 
     @property
     def parents(self) -> tuple[int, ...]:  # type: ignore[override]  # nobody writes to it
-        """Each joint hangs on the one before it."""
+        """The index of the joint before each joint, ``BASE`` for the first."""
         return tuple(range(-1, len(self.joints) - 1))
 
     @cached_property
     def tips(self) -> tuple[Tip, ...]:  # type: ignore[override]
         """The tip link alone."""
         return (Tip(self.tip_link, len(self.joints) - 1, self.T_last_tip),)
+
+
+@dataclass(frozen=True, eq=False)
+class Tree(Mechanism):
+    """One-degree-of-freedom joints between a base link and several tip links.
+
+    Attributes:
+        name: the robot's.
+        base_link: link whose frame everything starts from; anywhere in the URDF's tree.
+        joints: those to the first tip, from the base outwards, then those to the second that are new, and so on.
+        parents: index of the joint that each hangs on, ``BASE`` for the base link.
+        placements: (n, 4, 4) T_parent_joint at zero joint value; of those that hang on the base link in its frame. [m]
+        tips: the tip links.
+    """
+
+    name: str
+    base_link: str
+    joints: tuple[Joint, ...]
+    parents: tuple[int, ...]
+    placements: Floats
+    tips: tuple[Tip, ...]
+
+    @classmethod
+    def from_urdf(cls, urdf: Urdf | str | Path, tip_links: Sequence[str], base_link: str | None = None) -> Tree:
+        """Read the joints between a base link and tip links from a URDF, through Pinocchio.
+
+        Args:
+            urdf: a parsed URDF, or its path or ``package://`` reference.
+            tip_links: the most important one first.
+            base_link: an ancestor of them all; the root link by default.
+
+        Raises:
+            RobotError: the file is no valid URDF, a link is unknown, the base is not above a tip, or a joint in between
+                cannot be calibrated (floating, planar, zero axis, mimic of a joint that is not in between).
+        """
+        if not isinstance(urdf, Urdf):
+            urdf = Urdf.read(urdf)
+        where = str(urdf.path or urdf.name)
+        base_link = base_link or urdf.root
+        paths = [_joint_path(urdf, link, base_link, where) for link in tip_links]
+        _check(list(dict.fromkeys(joint for path in paths for joint in path)), base_link, tip_links, urdf, where)
+        try:
+            text = urdf.data.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            text = urdf.data.decode("latin-1")
+        try:
+            # Mimic joints are loaded as ordinary ones: multiplier and offset are applied to the readings, and each
+            # has a placement of its own to calibrate.
+            model = pin.buildModelFromXML(text)
+        except (ValueError, RuntimeError) as error:
+            raise RobotError(f"Pinocchio cannot load it: {error}", where=where) from error
+        tree = cls.from_model(model, tip_links, base_link)
+        joints = tuple(replace(joint, mimic=urdf.joints[joint.name].mimic) for joint in tree.joints)
+        return replace(tree, name=urdf.name, joints=joints)
+
+    @classmethod
+    def from_model(cls, model: pin.Model, tip_links: Sequence[str], base_link: str | None = None) -> Tree:
+        """Copy the joints between a base link and tip links out of a Pinocchio model; the model is left alone.
+
+        Args:
+            model: any model; other joints do not matter.
+            tip_links: body frames, the most important one first.
+            base_link: body frame above them all; the universe's first body by default.
+
+        Raises:
+            RobotError: a link is unknown, the base is not above a tip, or a joint in between has not exactly one degree
+                of freedom, no axis, or is a mimic joint.
+        """
+        base = _body(model, base_link if base_link is not None else [*_bodies(model), "universe"][0])
+        T_base_universe, data = base.placement.inverse().homogeneous, model.createData()
+        index = {base.parentJoint: BASE}
+        joints: list[Joint] = []
+        parents: list[int] = []
+        placements: list[Floats] = []
+        tips: list[Tip] = []
+        for link in tip_links:
+            tip = _body(model, link)
+            path: list[int] = []
+            joint_id = tip.parentJoint
+            while joint_id not in index and joint_id:
+                path.insert(0, joint_id)
+                joint_id = model.parents[joint_id]
+            if joint_id not in index:
+                raise RobotError(
+                    f"base link {base.name!r} is not above tip link {link!r} in the tree", where=model.name
+                )
+            for joint_id in path:
+                parent, T = index[model.parents[joint_id]], model.jointPlacements[joint_id].homogeneous
+                index[joint_id] = len(joints)
+                joints.append(_joint(model, data, joint_id))
+                parents.append(parent)
+                placements.append(T_base_universe @ T if parent == BASE else T)
+            carrier, T = index[tip.parentJoint], tip.placement.homogeneous
+            tips.append(Tip(link, carrier, T_base_universe @ T if carrier == BASE else T))
+        return cls(model.name, base.name, tuple(joints), tuple(parents), np.array(placements), tuple(tips))
+
+    @property
+    def tip_link(self) -> str:  # type: ignore[override]  # nobody writes to it
+        """The first tip's name."""
+        return self.tips[0].link
+
+
+def read_mechanism(urdf: Urdf, tip_links: Sequence[str], base_link: str | None = None) -> Mechanism:
+    """Read a chain where one link is asked for, else a tree; see :meth:`Tree.from_urdf`."""
+    links = list(dict.fromkeys(tip_links))
+    return Chain.from_urdf(urdf, links[0], base_link) if len(links) == 1 else Tree.from_urdf(urdf, links, base_link)
+
+
+def _joint_path(urdf: Urdf, tip_link: str, base_link: str, where: str) -> list[UrdfJoint]:
+    """The joints of a URDF, fixed ones included, from a base link to a tip link."""
+    for link in (base_link, tip_link):
+        if link not in urdf.links:
+            raise RobotError(f"there is no link {link!r}", where=where, remedy=suggest(link, urdf.links, "links"))
+    above = {joint.child: joint for joint in urdf.joints.values()}
+    path: list[UrdfJoint] = []
+    links = [tip_link]
+    while links[-1] in above:
+        path.insert(0, above[links[-1]])
+        links.append(path[0].parent)
+    # What hangs on the path by fixed joints, as UR's `base`, is as good a base as the link that it hangs on.
+    start = base_link
+    while start not in links and start in above and above[start].type == "fixed":
+        start = above[start].parent
+    if start not in links:
+        raise RobotError(
+            f"base link {base_link!r} is not above tip link {tip_link!r} in the tree",
+            where=where,
+            remedy=f"The links above the tip are: {', '.join(joint.parent for joint in path)}.",
+        )
+    return path[len(path) - links.index(start) :]
+
+
+def _check(joints: Sequence[UrdfJoint], base_link: str, tip_links: Sequence[str], urdf: Urdf, where: str) -> None:
+    """Refuse joints that cannot be calibrated."""
+    ends = f"{base_link!r} and {' or '.join(map(repr, tip_links))}"
+    for joint in joints:
+        what = remedy = ""
+        master = urdf.joints.get(joint.mimic.joint) if joint.mimic else None
+        if joint.type in ("floating", "planar"):
+            what = f"a {joint.type} joint lies between {ends}"
+            remedy = "Name a base link below it: only joints with one degree of freedom can be calibrated."
+        elif joint.type != "fixed" and not np.any(joint.axis):
+            what, remedy = "the joint's axis is zero", "Give <axis xyz=...> the joint's direction."
+        elif joint.mimic and master not in joints:
+            what = f"it mimics {joint.mimic.joint!r}, which is not between {ends}"
+            remedy = "Choose a base and a tip link that have both joints between them."
+        elif joint.mimic and master and master.mimic:
+            what = f"it mimics {joint.mimic.joint!r}, itself a mimic joint"
+            remedy = "Let it mimic the driving joint."
+        if what:
+            raise RobotError(what, where=f"{where}:{joint.line}, joint {joint.name!r}", remedy=remedy)
+
+
+def _bodies(model: pin.Model) -> list[str]:
+    return [frame.name for frame in model.frames if frame.type == pin.FrameType.BODY]
+
+
+def _body(model: pin.Model, link: str) -> pin.Frame:
+    if model.existFrame(link, pin.FrameType.BODY):
+        return model.frames[model.getFrameId(link, pin.FrameType.BODY)]
+    if link == "universe":
+        return model.frames[0]
+    raise RobotError(f"there is no link {link!r}", where=model.name, remedy=suggest(link, _bodies(model), "links"))
+
+
+def _joint(model: pin.Model, data: pin.Data, joint_id: int) -> Joint:
+    jmodel, name = model.joints[joint_id], model.names[joint_id]
+    where = f"{model.name}, joint {name!r}"
+    kind = jmodel.shortname()
+    if "Mimic" in kind:
+        raise RobotError(
+            "a mimic joint", where=where, remedy="Build the model with mimic=False, or use Chain.from_urdf."
+        )
+    if jmodel.nv != 1 or "Helical" in kind:
+        raise RobotError(
+            f"{kind} is not a revolute, continuous or prismatic joint",
+            where=where,
+            remedy="Name a base link below it: only joints with one degree of freedom can be calibrated.",
+        )
+    subspace = np.asarray(data.joints[joint_id].S).ravel()
+    prismatic = bool(np.any(subspace[:3]))
+    axis = subspace[:3] if prismatic else subspace[3:]
+    if not np.any(axis) or not np.all(np.isfinite(axis)):
+        raise RobotError("the joint's axis is zero", where=where, remedy="Give <axis xyz=...> the joint's direction.")
+    continuous = jmodel.nq == 2
+    limits = slice(jmodel.idx_q, jmodel.idx_q + 1)
+    return Joint(
+        name=name,
+        type="prismatic" if prismatic else "continuous" if continuous else "revolute",
+        axis=frozen(axis),
+        lower=-np.inf if continuous else float(model.lowerPositionLimit[limits][0]),
+        upper=np.inf if continuous else float(model.upperPositionLimit[limits][0]),
+    )

@@ -1,4 +1,4 @@
-"""Joint commands that take the real arm where a nominal model believes it goes."""
+"""Joint commands that bring the calibrated arm's tip to the poses of the nominal arm's."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from urdfcal.arrays import Bools, Floats, frozen
 from urdfcal.errors import RobotError
 from urdfcal.robot.kinematics import joint_axes, tip_motion, tip_poses
+from urdfcal.rotations import matrix_to_rotation_vector
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -24,21 +25,21 @@ _ARRIVED = 1e-9
 # Damped least squares (Nakamura & Hanafusa, J. Dyn. Sys. 108, 1986) for directions that move the tip less than this a
 # radian, as a share of the reach: steps there shrink instead of growing without bound.
 _WEAK = 0.02
-# What a step may not undo of a better task, on the same scale: lost, not weak.
-_LOST = 1e-5
+# Damping of the projection onto the position's null space, on the same scale: only singular directions, not weak ones,
+# are left to the orientation.
+_SINGULAR = 1e-5
 # No joint is taken further from its nominal command: a calibration's corrections are smaller, and beside a singularity
 # a hair's breadth at the tip is not worth turning the wrist over. [rad or m]
 _FURTHEST = 0.3
-# Values this close to a limit are at it: files round. [rad or m]
-_LIMIT_ROUNDING = 1e-6
 # What a radian counts beside a reach where the two compete.
 _ORIENTATION = 1e-5
+# Poses that are solved together.
 _BLOCK = 1024
 
 
 @dataclass(frozen=True, eq=False)
 class Compensation:
-    """Joint commands, and how near they bring the real tip to where the nominal model puts it.
+    """Joint commands, and the pose error that they leave between the calibrated and the nominal tip.
 
     Attributes:
         q: (..., k) commands of the actuated joints. [rad or m]
@@ -55,55 +56,50 @@ class Compensation:
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
 
-def compensate(nominal: Mechanism, real: Mechanism, q: ArrayLike) -> Compensation:
-    """Find joint commands with which the real arm's tip goes where the nominal arm's would go.
+def compensate(nominal: Mechanism, calibrated: Mechanism, q: ArrayLike) -> Compensation:
+    """Find joint commands that bring the calibrated arm's tip to the nominal arm's poses.
 
-    Damped Gauss-Newton on the real arm from the nominal commands, position first: the orientation is corrected with
-    what freedom the position leaves (Siciliano & Slotine, ICAR 1991), so that arms of fewer than six joints place
+    Damped Gauss-Newton on the calibrated arm from the nominal commands, position first: the orientation is corrected
+    with what freedom the position leaves (Siciliano & Slotine, ICAR 1991), so that arms of fewer than six joints place
     their tip where they can. Joints stop at their limits.
 
     Args:
         nominal: the arm as the controller believes it is.
-        real: the same arm with calibrated placements.
+        calibrated: the same arm with calibrated placements.
         q: (..., k) commands of the actuated joints, made for the nominal arm. [rad or m]
 
     Raises:
         RobotError: a command is not finite, or beyond the joint's limits.
     """
     given = np.array(q, dtype=float)
-    lower, upper = _checked_limits(nominal, given)
-    wanted = given.reshape(-1, len(lower))
-    found, position, angle = np.empty_like(wanted), np.empty(len(wanted)), np.empty(len(wanted))
-    for first in range(0, len(wanted), _BLOCK):
+    _check(nominal, given)
+    lower, upper = nominal.limits
+    commands = given.reshape(-1, len(lower))
+    found, position, angle = np.empty_like(commands), np.empty(len(commands)), np.empty(len(commands))
+    for first in range(0, len(commands), _BLOCK):
         poses = slice(first, first + _BLOCK)
-        T = tip_poses(nominal, nominal.joint_values(wanted[poses]))
-        least, most = np.maximum(lower, wanted[poses] - _FURTHEST), np.minimum(upper, wanted[poses] + _FURTHEST)
-        found[poses], error = _reach(real, T, wanted[poses], least, most)
+        T = tip_poses(nominal, nominal.joint_values(commands[poses]))
+        least, most = np.maximum(lower, commands[poses] - _FURTHEST), np.minimum(upper, commands[poses] + _FURTHEST)
+        found[poses], error = _approach(calibrated, T, commands[poses], least, most)
         position[poses], angle[poses] = np.linalg.norm(error[:, :3], axis=1), np.linalg.norm(error[:, 3:], axis=1)
     shape = given.shape[:-1]
     return Compensation(found.reshape(given.shape), position.reshape(shape), angle.reshape(shape))
 
 
-def _checked_limits(chain: Mechanism, q: Floats) -> tuple[Floats, Floats]:
-    joints = [joint for joint in chain.joints if joint.mimic is None]
-    if not q.ndim or q.shape[-1] != len(joints):
-        raise RobotError(f"commands of shape {q.shape} are not (..., {len(joints)})", where=chain.name)
-    readings = q.reshape(-1, len(joints))
-    lower, upper = (np.array([getattr(joint, side) for joint in joints]) for side in ("lower", "upper"))
-    outside = (readings < lower - _LIMIT_ROUNDING) | (readings > upper + _LIMIT_ROUNDING) | ~np.isfinite(readings)
-    if outside.any():
-        row, column = np.argwhere(outside)[0]
+def _check(chain: Mechanism, q: Floats) -> None:
+    joints = len(chain.actuated)
+    if not q.ndim or q.shape[-1] != joints:
+        raise RobotError(f"commands of shape {q.shape} are not (..., {joints})", where=chain.name)
+    if outside := chain.outside_limits(q):
         raise RobotError(
-            f"command {readings[row, column]:g} of joint {joints[column].name!r} is outside its limits, "
-            f"{lower[column]:g} to {upper[column]:g}",
-            where=f"command {row}",
+            str(outside[0]),
+            where=f"command {outside[0].pose}",
             remedy="Commands are in radians and metres, of the robot that was calibrated.",
         )
-    return lower, upper
 
 
-def _reach(chain: Mechanism, T: Floats, start: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
-    """Bring the tip to the placements T (N, 4, 4); returns commands (N, k) and the error left (N, 6).
+def _approach(chain: Mechanism, T: Floats, start: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
+    """Find commands (N, k) that bring the tip to poses T (N, 4, 4), and the errors left (N, 6).
 
     ``start``, ``lower`` and ``upper`` are (N, k).
     """
@@ -113,10 +109,11 @@ def _reach(chain: Mechanism, T: Floats, start: Floats, lower: Floats, upper: Flo
     going = np.arange(len(q))
     for _ in range(_STEPS):
         motion = tip_motion(chain, model, chain.joint_values(q[going]))
-        error = np.concatenate([T[going, :3, 3] - motion.p, _rotation_vectors(T[going, :3, :3], motion.R)], axis=1)
-        nearer = _worth(error, chain) < _worth(error_left[going], chain)
+        turn = matrix_to_rotation_vector(T[going, :3, :3] @ np.swapaxes(motion.R, 1, 2))
+        error = np.concatenate([T[going, :3, 3] - motion.p, turn], axis=1)
+        nearer = _error_size(error, chain) < _error_size(error_left[going], chain)
         best[going[nearer]], error_left[going[nearer]] = q[going[nearer]], error[nearer]
-        far = _worth(error, chain) > _ARRIVED
+        far = _error_size(error, chain) > _ARRIVED
         if not far.any():
             break
         J = (motion.regressor[far].reshape(-1, len(axes)) @ axes).reshape(-1, 6, axes.shape[1])
@@ -124,9 +121,9 @@ def _reach(chain: Mechanism, T: Floats, start: Floats, lower: Floats, upper: Flo
         step = _step(J, error, np.ones(q[going].shape, dtype=bool), chain.reach)
         least, most = lower[going], upper[going]
         stuck = ((q[going] <= least) & (step < 0.0)) | ((q[going] >= most) & (step > 0.0))
-        held = stuck.any(axis=1)
-        if held.any():  # the others make up for joints that stand at their limit
-            step[held] = _step(J[held], error[held], ~stuck[held], chain.reach)
+        limited = stuck.any(axis=1)
+        if limited.any():  # the others make up for joints that stand at their limit
+            step[limited] = _step(J[limited], error[limited], ~stuck[limited], chain.reach)
         moved = np.clip(q[going] + step, least, most)
         moving = np.abs(moved - q[going]).max(axis=1) > _ARRIVED
         q[going] = moved
@@ -137,11 +134,11 @@ def _reach(chain: Mechanism, T: Floats, start: Floats, lower: Floats, upper: Flo
 
 
 def _step(J: Floats, error: Floats, free: Bools, reach: float) -> Floats:
-    """A step towards the position, and towards the orientation as far as that leaves the position alone, (N, k)."""
+    """The step (N, k) towards the position, and towards the orientation in the position's null space."""
     J = J * free[:, None]
     J_p, J_o = J[:, :3] / reach, J[:, 3:]
     step = _weakly_damped_inverse(J_p) @ error[:, :3, None] / reach
-    J_left = J_o - J_o @ _inverse(J_p, np.full(len(J), _LOST**2)) @ J_p
+    J_left = J_o - J_o @ _inverse(J_p, np.full(len(J), _SINGULAR**2)) @ J_p
     step += _weakly_damped_inverse(J_left) @ (error[:, 3:, None] - J_o @ step)
     result: Floats = step[..., 0] * free
     return result
@@ -162,19 +159,9 @@ def _inverse(J: Floats, damping: Floats) -> Floats:
     return result
 
 
-def _worth(error: Floats, chain: Mechanism) -> Floats:
-    """Size of an error, position first: an orientation that cannot be had must not outweigh a position that can."""
+def _error_size(error: Floats, chain: Mechanism) -> Floats:
+    """The size of an error, position first: an unreachable orientation must not outweigh a reachable position."""
     result: Floats = np.linalg.norm(error[:, :3], axis=1) / chain.reach + _ORIENTATION * np.linalg.norm(
         error[:, 3:], axis=1
     )
-    return result
-
-
-def _rotation_vectors(target: Floats, R: Floats) -> Floats:
-    """The small turns (N, 3) in the base frame that carry rotations R onto the target."""
-    D = target @ np.swapaxes(R, 1, 2)
-    v = 0.5 * np.stack([D[:, 2, 1] - D[:, 1, 2], D[:, 0, 2] - D[:, 2, 0], D[:, 1, 0] - D[:, 0, 1]], axis=1)
-    sine = np.linalg.norm(v, axis=1, keepdims=True)
-    angle = np.arctan2(sine, 0.5 * (np.trace(D, axis1=1, axis2=2)[:, None] - 1.0))
-    result: Floats = v * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 1.0)
     return result

@@ -1,4 +1,4 @@
-"""Denavit-Hartenberg rows of a chain, and the way back from row offsets to joint placements.
+"""Denavit-Hartenberg rows of a chain, and joint placements from row offsets (METHOD 2 to 4).
 
 Standard (distal) rows extended by Hayati's beta for parallel axes,
 
@@ -11,14 +11,15 @@ Sources: Rossi, Savino et al., eq. 2; Hayati & Mirmirani, J. Robotic Systems 2(4
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from functools import cached_property, reduce
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-import pinocchio as pin
 
-from urdfcal.arrays import Floats, Ints, frozen, inverse, skew
+from urdfcal.arrays import Bools, Floats, frozen, inverse
 from urdfcal.errors import RobotError
+from urdfcal.rotations import skew, turn_z_to
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -45,20 +46,13 @@ _COINCIDENT = 1e-12
 _TIE = 1e-6
 
 _COLUMN: dict[str, int] = {name: column for column, name in enumerate(PARAMETERS)}
-
-_MOTIONS: dict[str, Floats] = {
-    "theta": frozen([0, 0, 0, 0, 0, 1]),
-    "d": frozen([0, 0, 1, 0, 0, 0]),
-    "a": frozen([1, 0, 0, 0, 0, 0]),
-    "alpha": frozen([0, 0, 0, 1, 0, 0]),
-    "beta": frozen([0, 0, 0, 0, 1, 0]),
-}
-"""The twist (linear, angular) each factor of B moves along."""
+# The twist (linear, angular) that each factor of B moves along.
+_MOTIONS: dict[str, Floats] = dict(zip(PARAMETERS, frozen(np.eye(6)[[5, 2, 0, 3, 4]]), strict=True))
 
 
 @dataclass(frozen=True, eq=False)
 class DHRow:
-    """One row of the table: from a joint's axis to the next joint's, the last one to the tip's z axis.
+    """One row of a DH table, from a joint's axis to the next joint's; the last one leads to the tip's z axis.
 
     Attributes:
         joint: the joint that moves this row's frame.
@@ -69,7 +63,7 @@ class DHRow:
         alpha: rotation about x. [rad]
         beta: rotation about y, non-zero only where this axis and the next are almost parallel. [rad]
         parallel: whether the next axis is within ``PARALLEL_ANGLE`` of (anti-)parallel.
-        directed: whether the next axis is a prismatic joint's, which has a direction but no place.
+        directed: whether the next axis is a prismatic joint's, which has a direction but no position.
     """
 
     joint: str
@@ -89,12 +83,12 @@ class DHRow:
 
     @property
     def variable(self) -> Parameter:
-        """The parameter that the joint's motion adds to: its offset is the joint's zero offset."""
+        """The parameter that the joint's value is added to; its offset is the joint's zero offset."""
         return "d" if self.type == "prismatic" else "theta"
 
     @property
     def free(self) -> tuple[Parameter, ...]:
-        """The parameters that can be told from their neighbours' (DESIGN section 3)."""
+        """The parameters that the neighbouring rows' cannot replace (METHOD 3)."""
         if self.directed:
             shape: tuple[Parameter, ...] = ("alpha", "beta") if self.parallel else ("theta", "alpha")
         elif self.parallel:
@@ -106,7 +100,7 @@ class DHRow:
 
 @dataclass(frozen=True, eq=False)
 class DHTable:
-    """The DH rows of a chain: FK(q) = base * prod(Rz(q_i) or Tz(q_i), B_i) * tool.
+    """The DH rows of a chain: FK(q) = base * prod((Rz(q_i) or Tz(q_i)) B_i) * tool.
 
     Attributes:
         chain: the chain that the rows describe.
@@ -124,7 +118,7 @@ class DHTable:
 
     @classmethod
     def from_chain(cls, chain: Chain) -> DHTable:
-        """Derive the rows from the chain's axis lines at zero joint values (DESIGN section 3)."""
+        """Derive the rows from the chain's axis lines at zero joint values (METHOD 2)."""
         L = np.empty((len(chain.joints) + 1, 4, 4))
         T = np.eye(4)
         for i, placement in enumerate(chain.placements):
@@ -132,7 +126,8 @@ class DHTable:
         L[-1] = T @ chain.T_last_tip
         axes = [L[i, :3, :3] @ joint.axis for i, joint in enumerate(chain.joints)] + [L[-1, :3, 2]]
 
-        base = L[0] @ _align_z(chain.joints[0].axis)
+        base = L[0].copy()
+        base[:3, :3] = L[0, :3, :3] @ turn_z_to(chain.joints[0].axis)
         base[:3, 3] = L[0, :3, 3] + axes[0] * (axes[0] @ -L[0, :3, 3])
         F, rows, K = base, [], []
         for i, joint in enumerate(chain.joints):
@@ -152,12 +147,12 @@ class DHTable:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """What each column of an offsets array adds to."""
+        """The names of an offsets array's columns."""
         return PARAMETERS
 
     @property
     def parameters(self) -> tuple[tuple[int, Parameter], ...]:
-        """(row, name) of every parameter that a joint's placement can take up and its neighbours cannot."""
+        """(row, name) of every parameter that moves a joint and that no other parameter can replace."""
         last = len(self.rows) - 1
         return tuple((i, p) for i, row in enumerate(self.rows) for p in row.free if i < last or p == row.variable)
 
@@ -168,27 +163,27 @@ class DHTable:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """What each row of an offsets array belongs to: the joints' names."""
+        """The names of an offsets array's rows: the joints'."""
         return self.chain.names
 
     def reason(self, row: int, name: str) -> str:
-        """Why a parameter of a row is never a candidate."""
+        """Say why a parameter of a row is never estimated."""
         shape = self.rows[row]
         if row == len(self.rows) - 1:
             return "it places the tip on the last link, which is no joint's origin"
         if shape.directed and (name in ("d", "a") or (name == "theta") == shape.parallel):
-            return "the next joint slides: its axis has a direction but no place"
+            return "the next joint slides: its axis has a direction but no position"
         if shape.parallel and name == "d":
             return "the next axis is parallel: d of the two rows only appears as a sum"
         return "the next axis is not parallel: the common normal needs no beta"
 
     @property
     def nominal(self) -> Floats:
-        """The rows as drawn, (n, 5), columns as ``PARAMETERS``; in rad and m."""
+        """The nominal rows (n, 5), columns as ``PARAMETERS``. [rad, m]."""
         return np.array([row.values for row in self.rows])
 
     def frames(self, q: ArrayLike, offsets: ArrayLike | None = None) -> Floats:
-        """Place every DH frame in the base link's frame.
+        """Compute every DH frame in the base link's frame.
 
         Args:
             q: (n,) joint values. [rad or m]
@@ -204,12 +199,12 @@ class DHTable:
         return np.array(frames)
 
     def forward(self, q: ArrayLike, offsets: ArrayLike | None = None) -> Floats:
-        """T_base_tip (4, 4) by the product of the rows: for checks and display; estimates use Pinocchio."""
+        """Compute T_base_tip (4, 4) as the product of the rows: for checks and display; estimates use Pinocchio."""
         result: Floats = self.frames(q, offsets)[-1] @ self.tool
         return result
 
     def placements(self, offsets: ArrayLike) -> Floats:
-        """Turn row offsets into joint placements (DESIGN section 3, "back to the model").
+        """Turn row offsets into joint placements (METHOD 4).
 
         A joint's zero offset moves the joint's own frame, the other parameters of its row place the next
         joint. The last row's other parameters would move the tip on its link, which no joint can: they must be zero.
@@ -224,26 +219,25 @@ class DHTable:
             RobotError: an offset after the last joint.
         """
         offsets = np.asarray(offsets, dtype=float)
-        own, shape = self._split(offsets)
+        own, shape = np.where(self._own, offsets, 0.0), np.where(self._own, 0.0, offsets)
         if np.any(shape[-1]):
             raise RobotError(
                 "the last row can only be offset in its joint variable",
                 where=f"joint {self.rows[-1].joint!r}",
                 remedy="Where the tip sits on the last link is not a joint's placement.",
             )
-        zero = self._zero_transforms(own, offsets)
         left = np.empty_like(self.K)
         left[0] = self.chain.placements[0] @ inverse(self.K[0])
         left[1:] = inverse(self.K[:-1]) @ row_transform(self.nominal[:-1] + shape[:-1])
-        moved = offsets[np.arange(len(own)), own] != 0.0
-        moved[1:] |= np.any(shape[:-1] != 0.0, axis=1)
-        result: Floats = np.where(moved[:, None, None], left @ zero @ self.K, self.chain.placements)
+        moved = np.any(own, axis=1)
+        moved[1:] |= np.any(shape[:-1], axis=1)
+        result: Floats = np.where(moved[:, None, None], left @ row_transform(own) @ self.K, self.chain.placements)
         return result
 
     def twists(self, offsets: ArrayLike, parameters: Iterable[tuple[int, str]]) -> Floats:
-        """Map DH parameters to body twists of the joints' placements: M_j <- M_j exp6(xi_j).
+        """Compute the body twists of the joints' placements for each DH parameter: M_j <- M_j exp6(xi_j).
 
-        Each parameter is one factor of one placement: with Q what stands to its right, xi = Ad(Q^-1) e.
+        Each parameter is one factor of one placement: with Q the transform to its right, xi = Ad(Q^-1) e.
 
         Args:
             offsets: (n, 5) where the derivative is taken.
@@ -253,55 +247,39 @@ class DHTable:
             G (6 n, p), rows as the columns of Pinocchio's joint kinematic regressor.
         """
         offsets = np.asarray(offsets, dtype=float)
-        own, shape = self._split(offsets)
-        every = np.arange(len(self.rows))
-        # To the right of a row's factors stand the next joint's zero offset and K; none has a use for the last row's.
-        Q = np.roll(self._zero_transforms(own, offsets) @ self.K, -1, axis=0)
+        own, shape = np.where(self._own, offsets, 0.0), np.where(self._own, 0.0, offsets)
+        # To the right of a row's factors are the next joint's zero offset and K; the last row's Q is not used.
+        Q = np.roll(row_transform(own) @ self.K, -1, axis=0)
         xi = parameter_twists(self.nominal + shape, Q)  # of each row's parameters, in the placement that holds them
-        xi[every, own] = _carried(np.array([_MOTIONS[row.variable] for row in self.rows]), self.K)
+        xi[self._own] = _through(np.array([_MOTIONS[row.variable] for row in self.rows]), self.K)
         parameters = list(parameters)
-        G = np.zeros((len(every), 6, len(parameters)))
+        G = np.zeros((len(own), 6, len(parameters)))
         for column, (i, name) in enumerate(parameters):
             G[i if name == self.rows[i].variable else i + 1, :, column] = xi[i, _COLUMN[name]]
-        return G.reshape(6 * len(every), -1)
+        return G.reshape(6 * len(own), -1)
 
-    def _zero_transforms(self, own: Ints, offsets: Floats) -> Floats:
-        """What each joint's zero offset does, (n, 4, 4)."""
-        zero = offsets[np.arange(len(own)), own]
-        slides = own == _COLUMN["d"]
-        result: Floats = _factor("theta", np.where(slides, 0.0, zero)) @ _factor("d", np.where(slides, zero, 0.0))
-        return result
-
-    def _split(self, offsets: Floats) -> tuple[Ints, Floats]:
-        """The column of each row's joint variable, and the offsets without those: the row's shape."""
-        own = np.array([PARAMETERS.index(row.variable) for row in self.rows])
-        shape = offsets.copy()
-        shape[np.arange(len(own)), own] = 0.0
-        return own, shape
+    @cached_property
+    def _own(self) -> Bools:
+        """Which parameter of each row, (n, 5), is its joint's variable; the others are the row's shape."""
+        return np.array([[name == row.variable for name in PARAMETERS] for row in self.rows])
 
     def to_dict(self, convention: Convention = "standard") -> dict[str, Any]:
-        """The table as plain data: rows, and how they compose to the forward kinematics.
+        """Return the table as plain data: rows, and how they compose to the forward kinematics.
 
         In the modified convention (Craig) the same five numbers are grouped the other way round: row i holds
         the a, alpha and beta that lead to axis i, and its own theta and d. The last frame sits where its x
         axis meets the last axis (Craig, section 3.4), so that the way to the tip is all in the tool.
         """
         rows, base, tool = self.nominal, self.base, self.tool
-        composition = (
-            "FK = base * prod(Rz(theta) Tz(d) Tx(a) Rx(alpha) Ry(beta)) * tool; "
-            "q is added to theta, for a prismatic joint to d"
-        )
+        factors = "Rz(theta) Tz(d) Tx(a) Rx(alpha) Ry(beta)"
         if convention == "modified":
-            composition = (
-                "FK = base * prod(Tx(a) Rx(alpha) Ry(beta) Rz(theta) Tz(d)) * tool; "
-                "q is added to theta, for a prismatic joint to d"
-            )
+            factors = "Tx(a) Rx(alpha) Ry(beta) Rz(theta) Tz(d)"
             tool = row_transform(rows[-1]) @ tool
             rows = np.hstack([rows[:, :2], np.roll(rows[:, 2:], 1, axis=0)])
             rows[0, 2:] = rows[-1, :2] = 0.0
         return {
             "convention": convention,
-            "composition": composition,
+            "composition": f"FK = base * prod({factors}) * tool; q is added to theta, for a prismatic joint to d",
             "base_link": self.chain.base_link,
             "tip_link": self.chain.tip_link,
             "base": base.tolist(),
@@ -311,11 +289,7 @@ class DHTable:
                     "joint": row.joint,
                     "type": row.type,
                     **{name: float(value) + 0.0 for name, value in zip(PARAMETERS, values, strict=True)},
-                    **(
-                        {"mimic": {"joint": m.joint, "multiplier": m.multiplier, "offset": m.offset}}
-                        if (m := joint.mimic)
-                        else {}
-                    ),
+                    **({"mimic": asdict(joint.mimic)} if joint.mimic else {}),
                 }
                 for row, joint, values in zip(self.rows, self.chain.joints, rows, strict=True)
             ],
@@ -323,27 +297,25 @@ class DHTable:
 
 
 def row_transform(values: ArrayLike) -> Floats:
-    """Multiply the factors of B(theta, d, a, alpha, beta), given in this order: (..., 5) to (..., 4, 4)."""
+    """Compute B(theta, d, a, alpha, beta) of rows in this order: (..., 5) to (..., 4, 4)."""
     values = np.asarray(values, dtype=float)
-    T = _factor(PARAMETERS[0], values[..., 0])
-    for name in PARAMETERS[1:]:
-        T = T @ _factor(name, values[..., _COLUMN[name]])
-    return T
+    return reduce(np.matmul, [_factor(name, values[..., column]) for column, name in enumerate(PARAMETERS)])
 
 
 def parameter_twists(values: Floats, Q: Floats) -> Floats:
-    """The body twists (linear, angular) of B(values) Q for each parameter: (..., 5) and (..., 4, 4) to (..., 5, 6).
+    """Compute the body twists (linear, angular) of B(values) Q: (..., 5) and (..., 4, 4) to (..., 5, 6).
 
-    Each parameter is one factor; with Q' what stands to its right, xi = Ad(Q'^-1) e.
+    Each parameter is one factor; with Q' the transform to its right, xi = Ad(Q'^-1) e.
     """
     xi = np.empty((*values.shape, 6))
     for factor in reversed(PARAMETERS):
-        xi[..., _COLUMN[factor], :] = _carried(_MOTIONS[factor], Q)
+        xi[..., _COLUMN[factor], :] = _through(_MOTIONS[factor], Q)
         Q = _factor(factor, values[..., _COLUMN[factor]]) @ Q
     return xi
 
 
 def _factor(name: Parameter, value: Floats | float) -> Floats:
+    """One factor of B, (..., 4, 4) of values (...)."""
     value = np.asarray(value, dtype=float)
     T: Floats = np.broadcast_to(np.eye(4), (*value.shape, 4, 4)).copy()
     axis = {"theta": 2, "d": 2, "a": 0, "alpha": 0, "beta": 1}[name]
@@ -357,8 +329,8 @@ def _factor(name: Parameter, value: Floats | float) -> Floats:
     return T
 
 
-def _carried(motion: Floats, Q: Floats) -> Floats:
-    """Ad(Q^-1) of twists (linear, angular), both batched."""
+def _through(motion: Floats, Q: Floats) -> Floats:
+    """Transform twists (linear, angular) by Ad(Q^-1), both batched."""
     v, w = motion[..., :3], motion[..., 3:]
     R_T = np.swapaxes(Q[..., :3, :3], -1, -2)
     p = Q[..., :3, 3]
@@ -367,15 +339,8 @@ def _carried(motion: Floats, Q: Floats) -> Floats:
     return result
 
 
-def _align_z(axis: Floats) -> Floats:
-    """The smallest rotation that takes z to ``axis``, as (4, 4)."""
-    T = np.eye(4)
-    T[:3, :3] = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), np.array(axis)).matrix()
-    return T
-
-
 def line_row(p: Floats, w: Floats) -> Floats:
-    """Row to the line through p along w, not parallel to z: d and a reach the common normal; intersecting, a = 0."""
+    """Compute the row (5,) to the line through p along w, not parallel to z; a = 0 where it intersects z."""
     x = np.array([-w[1], w[0], 0.0]) / np.hypot(w[0], w[1])
     d, a, _ = np.linalg.solve(np.column_stack([[0.0, 0.0, 1.0], x, -w]), p)
     if abs(a) < _COINCIDENT:
@@ -387,7 +352,7 @@ def line_row(p: Floats, w: Floats) -> Floats:
 
 
 def _hayati_row(p: Floats, w: Floats, d: float) -> Floats:
-    """Row to the line through p along w, almost parallel to z: the normal at height d, and beta."""
+    """Compute Hayati's row (5,) to the line through p along w, almost parallel to z, with the normal at height d."""
     foot = p + w * ((d - p[2]) / w[2])
     a = np.hypot(foot[0], foot[1])
     theta = np.arctan2(foot[1], foot[0])

@@ -1,4 +1,4 @@
-"""Poses to link placements and their derivatives: Pinocchio in the loop (DESIGN section 4)."""
+"""Forward kinematics of links and its derivatives, by Pinocchio (METHOD 5)."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
-from urdfcal.robot.mechanism import BASE, se3
+from urdfcal.robot.mechanism import se3
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from urdfcal.arrays import Floats
-    from urdfcal.robot.mechanism import Mechanism, Tip
+    from urdfcal.robot.mechanism import Joint, Mechanism, Tip
 
 
 @dataclass(frozen=True, eq=False)
 class LinkMotion:
-    """Where a link is at N poses, and how it moves with every joint's placement.
+    """A link's frame at N poses, and its derivatives with respect to every joint's placement.
 
     Attributes:
         R: (N, 3, 3) rotation part of T_base_link.
@@ -34,7 +34,7 @@ class LinkMotion:
 
 
 def link_motions(mechanism: Mechanism, model: pin.Model, q: Floats, tips: Sequence[Tip]) -> tuple[LinkMotion, ...]:
-    """Run forward kinematics, and Pinocchio's joint kinematic regressor for some links, at every pose.
+    """Compute the frames of some links and Pinocchio's joint kinematic regressors for them at every pose.
 
     Args:
         mechanism: the joints; their own placements are not used.
@@ -42,38 +42,37 @@ def link_motions(mechanism: Mechanism, model: pin.Model, q: Floats, tips: Sequen
         q: (N, n) joint values. [rad or m]
         tips: the links.
     """
-    data, columns = model.createData(), 6 * len(mechanism.joints)
-    moving = [tip for tip in tips if tip.joint != BASE]
-    R, p = np.empty((len(moving), len(q), 3, 3)), np.empty((len(moving), len(q), 3))
-    regressor = np.empty((len(moving), len(q), 6, columns))
+    data = model.createData()
+    R, p = np.empty((len(tips), len(q), 3, 3)), np.empty((len(tips), len(q), 3))
+    regressor = np.zeros((len(tips), len(q), 6, 6 * len(mechanism.joints)))
     aligned = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-    links = [se3(tip.T_joint_link) for tip in moving]
+    links = [se3(tip.T_joint_link) for tip in tips]
     # Views of what every pass writes: asking Pinocchio for them each time costs a third of the loop.
     views = [
         (tip.joint + 1, link, *_live(data, tip), R[i], p[i], regressor[i])
-        for i, (tip, link) in enumerate(zip(moving, links, strict=True))
+        for i, (tip, link) in enumerate(zip(tips, links, strict=True))
     ]
     for k, q_k in enumerate(q):
         pin.forwardKinematics(model, data, q_k)
         for joint, link, rotation, translation, R_i, p_i, regressor_i in views:
-            regressor_i[k] = pin.computeJointKinematicRegressor(model, data, joint, aligned, link)
+            if joint:  # what is fixed to the base link does not move
+                regressor_i[k] = pin.computeJointKinematicRegressor(model, data, joint, aligned, link)
             R_i[k] = rotation
             p_i[k] = translation
-    motions = (
+    return tuple(
         LinkMotion(R[i] @ link.rotation, p[i] + R[i] @ link.translation, regressor[i]) for i, link in enumerate(links)
     )
-    return tuple(_at_rest(tip, len(q), columns) if tip.joint == BASE else next(motions) for tip in tips)
 
 
 def tip_motion(mechanism: Mechanism, model: pin.Model, q: Floats) -> LinkMotion:
-    """The motion of the tip link; see :func:`link_motions`."""
+    """Compute the tip link's frames and regressor; see :func:`link_motions`."""
     return link_motions(mechanism, model, q, mechanism.tips[:1])[0]
 
 
 def link_poses(
     mechanism: Mechanism, q: Floats, tips: Sequence[Tip], placements: Floats | None = None
 ) -> tuple[Floats, ...]:
-    """T_base_link of some links at every pose, without derivatives.
+    """Compute the frames T_base_link of some links at every pose, without derivatives.
 
     Args:
         mechanism: the joints.
@@ -98,14 +97,14 @@ def link_poses(
 
 
 def tip_poses(mechanism: Mechanism, q: Floats, placements: Floats | None = None) -> Floats:
-    """T_base_tip (N, 4, 4) of the tip link at every pose; see :func:`link_poses`."""
+    """Compute the tip link's frame T_base_tip (N, 4, 4) at every pose; see :func:`link_poses`."""
     return link_poses(mechanism, q, mechanism.tips[:1], placements)[0]
 
 
 def joint_axes(mechanism: Mechanism) -> Floats:
-    """The body twists (linear, angular) of the joints' motions, block by block: (6 n, n).
+    """The joints' unit body twists (linear, angular), block by block: (6 n, n).
 
-    A joint's motion stands to the right of its placement, so ``regressor @ joint_axes`` is a link's Jacobian.
+    A joint's motion multiplies its placement from the right, so ``regressor @ joint_axes`` is a link's Jacobian.
     """
     S = np.zeros((6 * len(mechanism.joints), len(mechanism.joints)))
     for i, joint in enumerate(mechanism.joints):
@@ -114,15 +113,16 @@ def joint_axes(mechanism: Mechanism) -> Floats:
     return S
 
 
+def joint_motion(joint: Joint, value: float) -> Floats:
+    """Compute the transform (4, 4) of a joint's motion to a value [rad or m], in the joint's own frame. [m]."""
+    T = np.eye(4)
+    if joint.prismatic:
+        T[:3, 3] = value * joint.axis
+    else:
+        T[:3, :3] = pin.exp3(value * joint.axis)
+    return T
+
+
 def _live(data: pin.Data, tip: Tip) -> tuple[Floats, Floats]:
-    """Rotation and translation of the joint that a link is on, as every pass writes them; joint 0 is the base link."""
+    """Views of the rotation and translation of the joint that a link is on, which every pass rewrites."""
     return data.oMi[tip.joint + 1].rotation, data.oMi[tip.joint + 1].translation
-
-
-def _at_rest(tip: Tip, count: int, columns: int) -> LinkMotion:
-    """The motion of what is fastened to the base link: none."""
-    return LinkMotion(
-        np.broadcast_to(tip.T_joint_link[:3, :3], (count, 3, 3)),
-        np.broadcast_to(tip.T_joint_link[:3, 3], (count, 3)),
-        np.broadcast_to(0.0, (count, 6, columns)),
-    )

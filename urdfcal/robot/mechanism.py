@@ -1,16 +1,17 @@
-"""Movable joints that hang on one another, as drawn: what a chain and a tree of joints have in common."""
+"""Movable joints that hang on one another: what a chain and a tree of joints have in common."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
 from urdfcal.arrays import Floats, frozen
 from urdfcal.errors import RobotError
+from urdfcal.names import suggest
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -20,7 +21,10 @@ if TYPE_CHECKING:
 JointType = Literal["revolute", "continuous", "prismatic"]
 
 BASE = -1
-"""Stands for the base link where a joint's index is asked for."""
+"""The base link, where a joint's index is expected."""
+
+# Values this close to a limit are at it: files round. [rad or m]
+_LIMIT_ROUNDING = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,10 +52,34 @@ class Joint:
         """Whether the joint slides along its axis instead of turning about it."""
         return self.type == "prismatic"
 
+    @property
+    def unit(self) -> Literal["rad", "m"]:
+        """The unit of the joint's values."""
+        return "m" if self.prismatic else "rad"
+
+
+class LimitViolation(NamedTuple):
+    """A reading outside its joint's limits; as text, the finding of an error message.
+
+    Attributes:
+        pose: index of its row in the readings.
+        joint: the joint that it is of.
+        value: the reading. [rad or m]
+    """
+
+    pose: int
+    joint: Joint
+    value: float
+
+    def __str__(self) -> str:
+        joint = self.joint
+        limits = f"[{joint.lower:g}, {joint.upper:g}]"
+        return f"{joint.name} = {self.value:g} {joint.unit} is outside the joint's limits {limits}"
+
 
 @dataclass(frozen=True, eq=False)
 class Tip:
-    """A link that something is fastened to: where a chain ends, an LED's bracket, a camera's mount.
+    """A link at the end of a chain or a branch: the tool, an LED's bracket, a camera's mount.
 
     Attributes:
         link: its name.
@@ -68,7 +96,7 @@ class Tip:
 
 
 class Mechanism:
-    """Joints with one degree of freedom each, from a base link outwards.
+    """Base class of chains and trees of one-degree-of-freedom joints, from a base link outwards.
 
     Fixed joints in between are folded into the placements. Every joint has one scalar coordinate, continuous joints
     too. A joint comes after the one that it hangs on.
@@ -91,8 +119,17 @@ class Mechanism:
     tips: tuple[Tip, ...]
     tip_link: str
 
+    def __post_init__(self) -> None:
+        if not self.joints:
+            raise RobotError(
+                f"no movable joint between {self.base_link!r} and {', '.join(repr(tip.link) for tip in self.tips)}",
+                where=self.name,
+                remedy="Name a base and a tip link with revolute, continuous or prismatic joints in between.",
+            )
+        object.__setattr__(self, "placements", frozen(self.placements))
+
     def tip(self, link: str) -> Tip:
-        """One of the tips, or the base link, by name.
+        """Find one of the tips, or the base link, by name.
 
         Raises:
             RobotError: it is none of them.
@@ -103,9 +140,9 @@ class Mechanism:
             if tip.link == link:
                 return tip
         raise RobotError(
-            f"link {link!r} is none that was asked for",
+            f"link {link!r} is none of the tip links",
             where=self.name,
-            remedy=f"There are: {', '.join(tip.link for tip in self.tips)}.",
+            remedy=suggest(link, [tip.link for tip in self.tips], "tip links"),
         )
 
     @property
@@ -116,31 +153,67 @@ class Mechanism:
     @property
     def actuated(self) -> tuple[str, ...]:
         """The names of the joints that have a reading of their own: all but the mimic joints."""
-        return tuple(joint.name for joint in self.joints if joint.mimic is None)
+        return tuple(joint.name for joint in self.actuated_joints)
+
+    @property
+    def actuated_joints(self) -> tuple[Joint, ...]:
+        """The joints that have a reading of their own."""
+        return tuple(joint for joint in self.joints if joint.mimic is None)
+
+    @property
+    def limits(self) -> tuple[Floats, Floats]:
+        """Lower and upper limits of the actuated joints, (k,) each; infinite where there are none. [rad or m]."""
+        lower, upper = np.array([(joint.lower, joint.upper) for joint in self.actuated_joints]).T
+        return lower, upper
+
+    def outside_limits(self, readings: ArrayLike, margin: float = _LIMIT_ROUNDING) -> list[LimitViolation]:
+        """Find the readings that are outside their joint's limits, or not finite.
+
+        Args:
+            readings: (..., k) values of the actuated joints, in order. [rad or m]
+            margin: how far beyond a limit is still inside. [rad or m]
+
+        Returns:
+            Row by row of the readings as (N, k).
+        """
+        joints, (lower, upper) = self.actuated_joints, self.limits
+        q = np.asarray(readings, dtype=float).reshape(-1, len(joints))
+        outside = ~((q >= lower - margin) & (q <= upper + margin) & np.isfinite(q))
+        return [LimitViolation(int(pose), joints[i], float(q[pose, i])) for pose, i in np.argwhere(outside)]
 
     def path(self, joint: int) -> tuple[int, ...]:
-        """The joints from the base link to ``joint``, which is the last of them; none for ``BASE``."""
+        """List the joints from the base link to ``joint``, itself included; none for ``BASE``."""
         path: list[int] = []
         while joint != BASE:
             path.insert(0, joint)
             joint = self.parents[joint]
         return tuple(path)
 
+    @property
+    def branches(self) -> tuple[tuple[int, ...], ...]:
+        """The joints cut into serial runs, each hanging on a joint of an earlier one, or on the base link.
+
+        A run begins where a joint is not the first to hang on its parent.
+        """
+        runs: dict[int, list[int]] = {}  # by their last joint
+        for joint, parent in enumerate(self.parents):
+            runs[joint] = [*runs.pop(parent, []), joint]
+        return tuple(map(tuple, sorted(runs.values())))
+
     @cached_property
     def reach(self) -> float:
         """An upper bound of any tip's distance from the base link's origin. [m]."""
-        longest = 0.0
+        lengths = []
         for tip in self.tips:
             path = list(self.path(tip.joint))
-            length = np.linalg.norm(self.placements[path, :3, 3], axis=1).sum() + np.linalg.norm(
-                tip.T_joint_link[:3, 3]
-            )
             strokes = [max(abs(j.lower), abs(j.upper)) for j in (self.joints[i] for i in path) if j.prismatic]
-            longest = max(longest, float(length + sum(stroke for stroke in strokes if np.isfinite(stroke))))
-        return longest
+            length = np.linalg.norm(self.placements[path, :3, 3], axis=1).sum()
+            length += np.linalg.norm(tip.T_joint_link[:3, 3])
+            lengths.append(float(length + sum(stroke for stroke in strokes if np.isfinite(stroke))))
+        return max(lengths)
 
     def joint_values(self, readings: ArrayLike) -> Floats:
-        """Give every joint its value: mimic joints follow their master.
+        """Compute every joint's value from the readings: mimic joints follow their master.
 
         Args:
             readings: (..., k) values of the actuated joints, in order. [rad or m]
@@ -159,22 +232,26 @@ class Mechanism:
         )
 
     def readings(self, values: Floats) -> Floats:
-        """Of the values (..., n) of all joints those (..., k) of the actuated ones. [rad or m]."""
+        """Select the actuated joints' values (..., k) from all joints' values (..., n). [rad or m]."""
         result: Floats = values[..., [joint.mimic is None for joint in self.joints]]
         return result
 
     @cached_property
     def reading_jacobian(self) -> Floats:
-        """How all joints' values (n) follow from the actuated ones' (k): (n, k)."""
+        """The derivative (n, k) of all joints' values with respect to the actuated joints' readings."""
         k = len(self.actuated)
         jacobian: Floats = (self.joint_values(np.eye(k)) - self.joint_values(np.zeros(k))).T
         return jacobian
+
+    def with_placements(self, placements: Floats) -> Mechanism:
+        """Copy the mechanism with other joint placements (n, 4, 4). [m]."""
+        return replace(self, placements=placements)  # type: ignore[type-var]  # subclasses are dataclasses
 
     def build_model(self, placements: ArrayLike | None = None) -> pin.Model:
         """Build the Pinocchio model of these joints, rooted at the base link, with q_i the i-th joint's value.
 
         Args:
-            placements: (n, 4, 4) joint placements to use instead of the drawn ones.
+            placements: (n, 4, 4) joint placements to use instead of the nominal ones.
         """
         model = pin.Model()
         model.name = self.name
@@ -184,15 +261,14 @@ class Mechanism:
         return model
 
     def random_values(self, count: int, rng: np.random.Generator) -> Floats:
-        """Draw ``count`` joint vectors uniformly within the limits, (count, n).
+        """Draw ``count`` vectors of joint values uniformly within the limits, (count, n).
 
         Joints without limits turn within +-pi or slide within +-0.5 m.
         """
-        unlimited = {"revolute": np.pi, "continuous": np.pi, "prismatic": 0.5}
-        actuated = [joint for joint in self.joints if joint.mimic is None]
-        lower = [j.lower if np.isfinite(j.lower) else -unlimited[j.type] for j in actuated]
-        upper = [j.upper if np.isfinite(j.upper) else unlimited[j.type] for j in actuated]
-        return self.joint_values(rng.uniform(lower, upper, (count, len(actuated))))
+        lower, upper = self.limits
+        farthest = np.array([0.5 if joint.prismatic else np.pi for joint in self.actuated_joints])
+        lower, upper = np.where(np.isfinite(lower), lower, -farthest), np.where(np.isfinite(upper), upper, farthest)
+        return self.joint_values(rng.uniform(lower, upper, (count, len(farthest))))
 
 
 def se3(T: Floats) -> pin.SE3:

@@ -1,4 +1,4 @@
-"""Every joint's placement free in all six directions: what DH rows leave out, tamed by priors alone."""
+"""Joint placements parameterised in all six directions, instead of by DH rows."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 @dataclass(frozen=True, eq=False)
 class PlacementTable:
-    """A chain whose joint i is placed by M_i exp6(xi_i), xi_i = (x, y, z, rx, ry, rz) in the joint's own frame.
+    """The joints' placements M_i exp6(xi_i), xi_i = (x, y, z, rx, ry, rz) in each joint's own frame.
 
     The same interface as :class:`~urdfcal.robot.dh.DHTable`. Two directions of every revolute joint and four of every
-    prismatic one are redundant: only tolerances share them out.
+    prismatic one are redundant: only the tolerances make them unique.
 
     Attributes:
-        chain: as drawn.
+        chain: the nominal joints.
     """
 
     chain: Mechanism
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """What each column of an offsets array adds to."""
+        """The names of an offsets array's columns."""
         return AXES
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """What each row of an offsets array belongs to: the joints' names."""
+        """The names of an offsets array's rows: the joints'."""
         return self.chain.names
 
     @property
@@ -47,11 +47,11 @@ class PlacementTable:
 
     @property
     def zeros(self) -> tuple[tuple[int, str], ...]:
-        """No single one: a joint whose axis is no coordinate axis has its zero offset spread over three."""
+        """Empty: a joint whose axis is no coordinate axis has its zero offset spread over three parameters."""
         return ()
 
     def reason(self, row: int, name: str) -> str:
-        """Why a parameter of a row is never a candidate; every one is."""
+        """Say why a parameter is not estimated: only because it was left out."""
         return f"{name} of {self.labels[row]} is not asked for"
 
     def placements(self, offsets: Floats) -> Floats:
@@ -63,7 +63,7 @@ class PlacementTable:
         return result
 
     def twists(self, offsets: Floats, parameters: Iterable[tuple[int, str]]) -> Floats:
-        """Body twists (6 n, p) of the placements: a change of xi moves M exp6(xi) by exp6(Jexp6(xi) dxi)."""
+        """Compute the body twists (6 n, p) of the placements: dxi moves M exp6(xi) by exp6(Jexp6(xi) dxi)."""
         offsets = np.asarray(offsets, dtype=float)
         parameters = list(parameters)
         G = np.zeros((6 * len(offsets), len(parameters)))

@@ -1,4 +1,4 @@
-"""Denavit-Hartenberg rows of joints that branch: serial tables, each mounted on a link of an earlier one.
+"""Denavit-Hartenberg rows of a tree of joints: serial tables, each mounted on a link of an earlier one (METHOD 2).
 
 Where a joint carries more than one other, or two arms stand on one base, the further branches begin with a row of
 their own, the mount: it leads from an axis of the carrying link's frame to the branch's first joint axis, four numbers
@@ -18,7 +18,6 @@ from urdfcal.arrays import Floats, frozen, inverse
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.dh import PARAMETERS, DHTable, Parameter, line_row, parameter_twists, row_transform
 from urdfcal.robot.mechanism import BASE
-from urdfcal.robot.tree import Tree
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -26,19 +25,19 @@ if TYPE_CHECKING:
     from urdfcal.robot.mechanism import Mechanism
 
 MOUNT = ".mount"
-"""Ends the name of a mount's row; before it stands the branch's first joint."""
+"""Suffix of a mount's label, after the name of the branch's first joint."""
 
 
 @dataclass(frozen=True, eq=False)
 class Mount:
-    """The row from a link to the first axis of the branch that it carries.
+    """The DH row from a link to the first axis of the branch that it carries.
 
     Attributes:
         joint: the branch's first.
         T_link_start: (4, 4) a turn of the carrying link's frame that puts its chosen axis along z.
-        values: (5,) of the row as drawn, columns as ``PARAMETERS``. [rad, m]
+        values: (5,) of the nominal row, columns as ``PARAMETERS``. [rad, m]
         T_end_F0: (4, 4) from the row's end to the branch's first DH frame: both have z on the axis. [m]
-        directed: whether the first joint slides: its axis has a direction, but no place.
+        directed: whether the first joint slides: its axis has a direction, but no position.
     """
 
     joint: str
@@ -49,13 +48,13 @@ class Mount:
 
     @property
     def free(self) -> tuple[Parameter, ...]:
-        """The parameters that place the axis."""
+        """The parameters that determine the axis."""
         return ("theta", "alpha") if self.directed else ("theta", "d", "a", "alpha")
 
 
 @dataclass(frozen=True, eq=False)
 class Branch:
-    """A serial part of a tree.
+    """A serial part of a tree, with its DH rows.
 
     Attributes:
         joints: indices of its joints in the tree.
@@ -79,22 +78,22 @@ class TreeTable:
         branches: its serial parts.
     """
 
-    chain: Tree
+    chain: Mechanism
     branches: tuple[Branch, ...]
 
     @classmethod
-    def from_tree(cls, tree: Tree) -> TreeTable:
-        """Derive the rows from the axis lines at zero joint values (DESIGN section 3)."""
+    def from_tree(cls, tree: Mechanism) -> TreeTable:
+        """Derive the rows from the axis lines at zero joint values (METHOD 2)."""
         return cls(tree, tuple(_branch(tree, joints) for joints in tree.branches))
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """What each column of an offsets array adds to."""
+        """The names of an offsets array's columns."""
         return PARAMETERS
 
     @cached_property
     def labels(self) -> tuple[str, ...]:
-        """What each row of an offsets array belongs to: a joint, or the mount of a branch."""
+        """The names of an offsets array's rows: of joints, and of the mounts of branches."""
         labels: list[str] = []
         for branch in self.branches:
             labels += [branch.mount.joint + MOUNT] if branch.mount else []
@@ -103,9 +102,9 @@ class TreeTable:
 
     @property
     def parameters(self) -> tuple[tuple[int, str], ...]:
-        """(row, name) of every parameter that a joint's placement can take up and its neighbours cannot."""
+        """(row, name) of every parameter that moves a joint and that no other parameter can replace."""
         found: list[tuple[int, str]] = []
-        for branch, first in zip(self.branches, self._first_rows, strict=True):
+        for branch, first in self._parts:
             found += [(first - 1, name) for name in branch.mount.free] if branch.mount else []
             found += [(first + row, name) for row, name in branch.table.parameters]
         return tuple(found)
@@ -113,15 +112,11 @@ class TreeTable:
     @property
     def zeros(self) -> tuple[tuple[int, str], ...]:
         """(row, name) of every joint's zero offset."""
-        return tuple(
-            (first + row, name)
-            for branch, first in zip(self.branches, self._first_rows, strict=True)
-            for row, name in branch.table.zeros
-        )
+        return tuple((first + row, name) for branch, first in self._parts for row, name in branch.table.zeros)
 
     @property
     def nominal(self) -> Floats:
-        """The rows as drawn, (R, 5), columns as ``PARAMETERS``. [rad, m]."""
+        """The nominal rows (R, 5), columns as ``PARAMETERS``. [rad, m]."""
         rows: list[Floats] = []
         for branch in self.branches:
             rows += [branch.mount.values[None]] if branch.mount else []
@@ -129,74 +124,67 @@ class TreeTable:
         return np.concatenate(rows)
 
     def reason(self, row: int, name: str) -> str:
-        """Why a parameter of a row is never a candidate."""
-        for branch, first in zip(self.branches, self._first_rows, strict=True):
-            if row < first:
-                break
-            if row < first + len(branch.joints):
+        """Say why a parameter of a row is never estimated."""
+        for branch, first in self._parts:
+            if first <= row < first + len(branch.joints):
                 return branch.table.reason(row - first, name)
         return "a mount is a line in space: four numbers, or two for the direction of a sliding joint's"
 
     def placements(self, offsets: Floats) -> Floats:
-        """Joint placements (n, 4, 4) under offsets (R, 5); joints without offsets keep theirs bit for bit.
+        """Turn row offsets (R, 5) into joint placements (n, 4, 4); joints without offsets keep theirs bit for bit.
 
         Raises:
             RobotError: an offset after the last joint of a branch.
         """
         offsets = np.asarray(offsets, dtype=float)
         result = np.array(self.chain.placements)
-        for branch, first in zip(self.branches, self._first_rows, strict=True):
-            built = np.array(branch.table.placements(offsets[first : first + len(branch.joints)]))
+        for branch, first in self._parts:
+            moved = np.array(branch.table.placements(offsets[first : first + len(branch.joints)]))
             mount = branch.mount
             if mount is not None and np.any(offsets[first - 1]):
                 T_link_F0 = mount.T_link_start @ row_transform(mount.values + offsets[first - 1]) @ mount.T_end_F0
-                built[0] = T_link_F0 @ inverse(branch.table.base) @ built[0]
-            result[list(branch.joints)] = built
+                moved[0] = T_link_F0 @ inverse(branch.table.base) @ moved[0]
+            result[list(branch.joints)] = moved
         return result
 
     def twists(self, offsets: Floats, parameters: Iterable[tuple[int, str]]) -> Floats:
-        """Body twists (6 n, p) of the placements for each parameter, as :meth:`DHTable.twists`."""
+        """Compute the body twists (6 n, p) of the placements for each parameter, as :meth:`DHTable.twists`."""
         offsets, parameters = np.asarray(offsets, dtype=float), list(parameters)
         G = np.zeros((len(self.chain.joints), 6, len(parameters)))
-        for branch, first in zip(self.branches, self._first_rows, strict=True):
+        for branch, first in self._parts:
             mine = [k for k, (row, _) in enumerate(parameters) if first <= row < first + len(branch.joints)]
             own = offsets[first : first + len(branch.joints)]
             rows = [(parameters[k][0] - first, parameters[k][1]) for k in mine]
             G[np.ix_(branch.joints, range(6), mine)] = branch.table.twists(own, rows).reshape(len(own), 6, len(mine))
             mount = branch.mount
-            moving = [k for k, (row, _) in enumerate(parameters) if mount is not None and row == first - 1]
-            if mount is not None and moving:
-                # To the right of the mount's row: the way to F0, the first joint's zero offset, and its own frame.
+            if mount is not None:
+                # To the right of the mount's row: T_end_F0, the first joint's zero offset, and its own frame.
                 Q = mount.T_end_F0 @ inverse(branch.table.base) @ branch.table.placements(own)[0]
                 xi = parameter_twists(mount.values + offsets[first - 1], Q)
-                for k in moving:
-                    G[branch.joints[0], :, k] = xi[PARAMETERS.index(parameters[k][1])]
+                for k, (row, name) in enumerate(parameters):
+                    if row == first - 1:
+                        G[branch.joints[0], :, k] = xi[PARAMETERS.index(name)]
         return G.reshape(6 * len(self.chain.joints), -1)
 
     @cached_property
-    def _first_rows(self) -> tuple[int, ...]:
-        """The row of each branch's first joint."""
-        rows, count = [], 0
+    def _parts(self) -> tuple[tuple[Branch, int], ...]:
+        """Each branch with the row of its first joint."""
+        parts, first = [], 0
         for branch in self.branches:
-            count += branch.mount is not None
-            rows.append(count)
-            count += len(branch.joints)
-        return tuple(rows)
+            first += branch.mount is not None
+            parts.append((branch, first))
+            first += len(branch.joints)
+        return tuple(parts)
 
 
 def rows_of(mechanism: Mechanism) -> DHTable | TreeTable:
-    """The DH rows of a chain, or of a tree (DESIGN section 3)."""
-    if isinstance(mechanism, Chain):
-        return DHTable.from_chain(mechanism)
-    if isinstance(mechanism, Tree):
-        return TreeTable.from_tree(mechanism)
-    raise TypeError(f"{type(mechanism).__name__} is no mechanism with DH rows")
+    """Derive the DH rows of a chain, or of a tree (METHOD 2)."""
+    return DHTable.from_chain(mechanism) if isinstance(mechanism, Chain) else TreeTable.from_tree(mechanism)
 
 
-def _branch(tree: Tree, joints: Sequence[int]) -> Branch:
+def _branch(tree: Mechanism, joints: Sequence[int]) -> Branch:
     """Derive a run of joints' rows, and the mount that carries it."""
     ends = [tip for tip in tree.tips if tip.joint == joints[-1]]
-    T_last_tip = ends[0].T_joint_link if ends else np.eye(4)
     parent = tree.parents[joints[0]]
     chain = Chain(
         name=tree.name,
@@ -204,7 +192,7 @@ def _branch(tree: Tree, joints: Sequence[int]) -> Branch:
         tip_link=ends[0].link if ends else tree.names[joints[-1]],
         joints=tuple(tree.joints[i] for i in joints),
         placements=tree.placements[list(joints)],
-        T_last_tip=T_last_tip,
+        T_last_tip=ends[0].T_joint_link if ends else np.eye(4),
     )
     table = DHTable.from_chain(chain)
     return Branch(tuple(joints), table, None if joints[0] == 0 else _mount(table))
@@ -218,5 +206,5 @@ def _mount(table: DHTable) -> Mount:
     start[:3, :3] = np.roll(np.eye(3), 2 - across, axis=1)  # its z is the link's axis `across`
     point = np.zeros(3) if joint.prismatic else table.base[:3, 3]
     values = line_row(start[:3, :3].T @ point, start[:3, :3].T @ axis)
-    T_link_end = start @ row_transform(values)
-    return Mount(joint.name, frozen(start), frozen(values), frozen(inverse(T_link_end) @ table.base), joint.prismatic)
+    T_end_F0 = inverse(start @ row_transform(values)) @ table.base
+    return Mount(joint.name, frozen(start), frozen(values), frozen(T_end_F0), joint.prismatic)

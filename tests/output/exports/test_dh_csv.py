@@ -13,7 +13,7 @@ from urdfcal.output.exports.dh_csv import dh_csv
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.dh import DHTable, row_transform
 from urdfcal.robot.kinematics import tip_poses
-from urdfcal.robot.urdf.rpy import rpy_to_matrix
+from urdfcal.rotations import rpy_to_matrix
 from urdfcal.session.model import Estimate
 
 if TYPE_CHECKING:

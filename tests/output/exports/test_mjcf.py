@@ -13,10 +13,9 @@ from urdfcal.arrays import inverse
 from urdfcal.errors import OutputError, RobotError
 from urdfcal.output.exports.mjcf import mjcf
 from urdfcal.output.exports.mjcf_text import Mjcf
-from urdfcal.robot.kinematics import tip_poses
+from urdfcal.robot.chain import Tree
+from urdfcal.robot.kinematics import joint_motion, tip_poses
 from urdfcal.robot.mechanism import BASE, Tip
-from urdfcal.robot.motion import joint_motion
-from urdfcal.robot.tree import Tree
 from urdfcal.robot.urdf.origins import origins_of, rewrite_origins
 
 if TYPE_CHECKING:

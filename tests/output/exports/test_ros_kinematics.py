@@ -10,8 +10,8 @@ from urdfcal.output.exports.ros_kinematics import joint_keys, link_keys, ros_kin
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.robot.urdf.origins import rewrite_origins
-from urdfcal.robot.urdf.rpy import rpy_to_matrix
 from urdfcal.robot.urdf.urdf import Urdf
+from urdfcal.rotations import rpy_to_matrix
 
 if TYPE_CHECKING:
     from collections.abc import Callable

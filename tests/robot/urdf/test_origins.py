@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from urdfcal.errors import RobotError
 from urdfcal.robot.urdf.origins import rewrite_origins
-from urdfcal.robot.urdf.rpy import rpy_to_matrix
 from urdfcal.robot.urdf.urdf import Urdf, package_roots
+from urdfcal.rotations import rpy_to_matrix
 
 EXAMPLES = [
     path
@@ -308,9 +308,9 @@ def test_an_origin_at_gimbal_lock_survives(pitch):
 # --- refused
 
 
-def test_an_unknown_joint_is_told_with_those_that_exist():
+def test_an_unknown_joint_is_reported_with_those_that_exist():
     urdf = Urdf.parse(one_joint("").encode())
-    with pytest.raises(RobotError, match=r"there is no joint 'joint_1'. There are: j\."):
+    with pytest.raises(RobotError, match=r"there is no joint 'joint_1'. The joints are: j\."):
         rewrite_origins(urdf, {"joint_1": NEW})
 
 

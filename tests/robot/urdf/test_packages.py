@@ -32,7 +32,7 @@ def test_a_plain_path_is_taken_as_it_is_or_from_the_given_folder(tmp_path):
     assert find_urdf("urdf/arm.urdf", relative_to=tmp_path / "arm") == tmp_path / "arm/urdf/arm.urdf"
 
 
-def test_a_missing_file_is_told_with_what_lies_beside_it(tmp_path):
+def test_a_missing_file_is_reported_with_what_lies_beside_it(tmp_path):
     package(tmp_path / "arm")
     with pytest.raises(RobotError, match=r"nothing\.urdf: there is no such file\. That folder has: arm\.urdf"):
         find_urdf(tmp_path / "arm/urdf/nothing.urdf")
@@ -113,9 +113,9 @@ def test_example_robot_data_is_found_without_any_variable():
     assert package_roots() == [Path(*path.parts[: path.parts.index("example-robot-data")])]
 
 
-def test_a_missing_package_is_told_with_what_was_searched(tmp_path, monkeypatch):
+def test_a_missing_package_is_reported_with_what_was_searched(tmp_path, monkeypatch):
     search(monkeypatch, "ROS_PACKAGE_PATH", tmp_path)
-    with pytest.raises(RobotError) as told:
+    with pytest.raises(RobotError) as caught:
         find_urdf("package://arm/urdf/arm.urdf")
     for part in (
         "'arm'",
@@ -123,7 +123,7 @@ def test_a_missing_package_is_told_with_what_was_searched(tmp_path, monkeypatch)
         "AMENT_PREFIX_PATH (not set)",
         "example-robot-data",
     ):
-        assert part in str(told.value)
+        assert part in str(caught.value)
 
 
 @pytest.mark.parametrize(

@@ -23,8 +23,8 @@ def joint(inside: str = LIMIT, name: str = "j", kind: str = "revolute", parent: 
 
 
 def robot(inside: str, links: str = "ab", attributes: str = 'name="r"') -> str:
-    drawn = "".join(f'<link name="{link}"/>' for link in links)
-    return f"<robot {attributes}>{drawn}{inside}</robot>"
+    bodies = "".join(f'<link name="{link}"/>' for link in links)
+    return f"<robot {attributes}>{bodies}{inside}</robot>"
 
 
 def read(text: str | bytes) -> Urdf:
@@ -46,7 +46,7 @@ def test_example_robot_data_is_all_there():
     assert len(EXAMPLES) == 69
 
 
-def test_the_one_file_that_pinocchio_cannot_load_is_told():
+def test_the_one_file_that_pinocchio_cannot_load_is_reported():
     broken = [path for path in EXAMPLES if path.name == "ur3.urdf"]
     with pytest.raises(RobotError, match=r"ur3\.urdf:6: <robot> has no name"):
         Urdf.read(broken[0])
@@ -329,12 +329,12 @@ def test_whatever_the_bytes_there_is_a_robot_or_an_error_with_a_place():
         joint(f'<origin xyz="$(arg x) 0 0"/>{LIMIT}').replace("$(arg x)", "$(arg_x)"),
     ],
 )
-def test_a_xacro_file_is_told_to_be_expanded_first(inside):
+def test_a_xacro_file_must_be_expanded_first(inside):
     with pytest.raises(RobotError, match=r"xacro file, not a URDF.*Run xacro first"):
         read(robot(inside, attributes='name="r" xmlns:xacro="http://www.ros.org/wiki/xacro"'))
 
 
-def test_a_file_named_xacro_is_told_so(tmp_path):
+def test_a_file_named_xacro_is_refused(tmp_path):
     path = tmp_path / "arm.urdf.xacro"
     path.write_text(robot(joint()))
     with pytest.raises(RobotError, match=r"arm\.urdf\.xacro: this is a xacro file"):
@@ -364,8 +364,8 @@ BROKEN = {
     "unknown type": (robot(joint(kind="ball")), "its type 'ball' is not known. URDF has: revolute, cont"),
     "no parent": (robot(joint().replace('<parent link="a"/>', "")), "it has no parent link"),
     "no child": (robot(joint().replace('<child link="b"/>', "<child/>")), "it has no child link"),
-    "unknown parent": (robot(joint(parent="base")), "no parent link 'base'. There are: a, b."),
-    "unknown child": (robot(joint(child="tool")), "no child link 'tool'. There are: a, b."),
+    "unknown parent": (robot(joint(parent="base")), "no parent link 'base'. The links are: a, b."),
+    "unknown child": (robot(joint(child="tool")), "no child link 'tool'. The links are: a, b."),
     "two parents": (
         robot(joint(child="c") + joint(name="k", parent="b", child="c"), "abc"),
         "'k': link 'c' hangs on joint 'j' already",
@@ -412,9 +412,9 @@ BROKEN |= {
 @pytest.mark.parametrize("name", BROKEN)
 def test_broken_robots_are_refused_as_pinocchio_does_but_with_reasons(name):
     document, message = BROKEN[name]
-    with pytest.raises(RobotError, match=message) as told:
+    with pytest.raises(RobotError, match=message) as caught:
         read("\n\n" + document)
-    assert told.value.where.startswith("URDF:3") or name in ("no links", "two roots")
+    assert caught.value.where.startswith("URDF:3") or name in ("no links", "two roots")
     assert pinocchio_refuses(document)
 
 
@@ -442,25 +442,27 @@ def test_what_pinocchio_lets_pass_in_silence_is_refused(document, message):
 def test_the_place_of_an_error_is_the_offending_element(tmp_path):
     path = tmp_path / "arm.urdf"
     path.write_text(robot("\n" + joint(f'\n\n<origin xyz="1 2"/>{LIMIT}')))
-    with pytest.raises(RobotError) as told:
+    with pytest.raises(RobotError) as caught:
         Urdf.read(path)
-    assert str(told.value) == (
+    assert str(caught.value) == (
         f"{path}:4, joint 'j': xyz of <origin> has 2 numbers, not 3: '1 2'. Write them with spaces in between."
     )
 
 
-def test_of_many_names_the_likeliest_are_told():
+def test_of_many_names_the_likeliest_are_listed_first():
     links = [f"finger_{i}" for i in range(60)] + ["tool0"]
     document = f'<robot name="r">{"".join(f"<link name={n!r}/>" for n in links)}{joint(parent="tool_0")}</robot>'
-    with pytest.raises(RobotError, match=r"There are: tool0, finger_0, .*, \.\.\. \(61 in all\)\.") as told:
+    with pytest.raises(
+        RobotError, match=r"Did you mean 'tool0'\? The links are: tool0, .*, \.\.\. \(61 in all\)\."
+    ) as caught:
         read(document)
-    assert len(str(told.value)) < 250
+    assert len(str(caught.value)) < 250
 
 
 def test_a_long_value_does_not_fill_the_screen():
-    with pytest.raises(RobotError) as told:
+    with pytest.raises(RobotError) as caught:
         read(robot(joint(f'{LIMIT}<origin xyz="{"1 " * 100_000}"/>')))
-    assert len(str(told.value)) < 200
+    assert len(str(caught.value)) < 200
 
 
 # --- the value itself
@@ -484,7 +486,7 @@ def test_a_package_reference_is_read():
     assert urdf.name == "ur5"
 
 
-def test_a_file_that_may_not_be_read_is_told(tmp_path, monkeypatch):
+def test_a_file_that_may_not_be_read_is_reported(tmp_path, monkeypatch):
     path = tmp_path / "arm.urdf"
     path.write_text(robot(joint()))
 

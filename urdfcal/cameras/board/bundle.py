@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import Floats, frozen, skew
+from urdfcal.arrays import Floats, frozen
 from urdfcal.errors import CameraError
+from urdfcal.rotations import skew
 
 if TYPE_CHECKING:
     from urdfcal.cameras.board.board import Board

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import Floats, inverse, skew
+from urdfcal.arrays import Floats, inverse
 from urdfcal.cameras.camera import Camera
+from urdfcal.rotations import skew
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

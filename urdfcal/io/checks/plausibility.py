@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from urdfcal.io.frame_tables import LogTable
     from urdfcal.io.tables import MeasurementTable
     from urdfcal.io.yaml_document import Document
-    from urdfcal.robot.mechanism import Joint, Mechanism
+    from urdfcal.robot.mechanism import Mechanism
     from urdfcal.session.model import Led, Noise
 
 # Encoders are read to 1e-4 rad or m, and controllers let joints overrun their limits by less than this.
@@ -145,14 +145,10 @@ def check(inputs: Inputs) -> tuple[str, ...]:
     return (*warnings, *unseen(inputs))
 
 
-def _actuated(inputs: Inputs) -> list[Joint]:
-    return [joint for joint in inputs.chain.joints if joint.mimic is None]
-
-
 def _check_reading_units(inputs: Inputs) -> None:
     """Degrees and millimetres: in most poses far outside the limits, and inside once converted."""
-    joints, readings = _actuated(inputs), inputs.joints.readings
-    lower, upper = np.array([(j.lower, j.upper) for j in joints]).T
+    joints, readings = inputs.chain.actuated_joints, inputs.joints.readings
+    lower, upper = inputs.chain.limits
     prismatic = np.array([j.prismatic for j in joints])
     boundless = np.where(prismatic, _TOO_WIDE * inputs.scale, _WOUND_UP)
     lower, upper = np.maximum(lower, -boundless) - OVERRUN, np.minimum(upper, boundless) + OVERRUN
@@ -177,20 +173,14 @@ def _check_reading_units(inputs: Inputs) -> None:
 
 
 def _check_limits(inputs: Inputs) -> None:
-    joints, readings = _actuated(inputs), inputs.joints.readings
-    lower, upper = np.array([(j.lower, j.upper) for j in joints]).T
-    outside = np.argwhere((readings < lower - OVERRUN) | (readings > upper + OVERRUN))
-    if not outside.size:
-        return
-    row, column = (int(i) for i in outside[0])
-    joint, value = joints[column], readings[row, column]
-    unit = "m" if joint.prismatic else "rad"
-    more = f" (and {len(outside) - 1} more readings)" if len(outside) > 1 else ""
-    raise SessionError(
-        f"{joint.name} = {value:g} {unit} is outside the joint's limits [{joint.lower:g}, {joint.upper:g}]{more}",
-        where=inputs.joints.table.place(row, joint.name),
-        remedy="Correct the reading, or the limits in the URDF.",
-    )
+    violations = inputs.chain.outside_limits(inputs.joints.readings, OVERRUN)
+    if violations:
+        more = f" (and {len(violations) - 1} more readings)" if len(violations) > 1 else ""
+        raise SessionError(
+            f"{violations[0]}{more}",
+            where=inputs.joints.table.place(violations[0].pose, violations[0].joint.name),
+            remedy="Correct the reading, or the limits in the URDF.",
+        )
 
 
 def _check_led_units(inputs: Inputs) -> None:
@@ -283,12 +273,11 @@ def _check_point_units(inputs: Inputs) -> None:
 
 
 def _still_joints(inputs: Inputs) -> Iterator[str]:
-    for joint, moved in zip(_actuated(inputs), np.ptp(inputs.joints.readings, axis=0), strict=True):
+    for joint, moved in zip(inputs.chain.actuated_joints, np.ptp(inputs.joints.readings, axis=0), strict=True):
         if moved < _STILL:
-            unit = "m" if joint.prismatic else "rad"
             yield (
                 f"{inputs.joints.table.path}: joint {joint.name!r} "
-                + (f"moves by only {moved:.2g} {unit}" if moved else "never moves")
+                + (f"moves by only {moved:.2g} {joint.unit}" if moved else "never moves")
                 + ": its parameters are unidentifiable"
             )
 

@@ -11,7 +11,7 @@ import numpy as np
 from urdfcal.errors import OutputError
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.dh import PARAMETERS, DHTable
-from urdfcal.robot.urdf.rpy import matrix_to_rpy
+from urdfcal.rotations import matrix_to_rpy
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

@@ -15,9 +15,9 @@ import pinocchio as pin
 
 from urdfcal.arrays import Floats, frozen, inverse
 from urdfcal.errors import RobotError
+from urdfcal.names import suggest
+from urdfcal.robot.kinematics import joint_motion
 from urdfcal.robot.mechanism import BASE
-from urdfcal.robot.motion import joint_motion
-from urdfcal.robot.urdf.urdf import alternatives
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -132,7 +132,9 @@ def _bodies(model: Any, chain: Mechanism, where: str) -> Iterator[Body]:
     found: list[int] = []
     for joint, parent in zip(chain.joints, chain.parents, strict=True):
         if joint.name not in names:
-            raise RobotError(f"there is no joint {joint.name!r}", where=where, remedy=alternatives(joint.name, names))
+            raise RobotError(
+                f"there is no joint {joint.name!r}", where=where, remedy=suggest(joint.name, names, "joints")
+            )
         index = names.index(joint.name)
         if kinds.get(mujoco.mjtJoint(int(model.jnt_type[index]))) is not joint.prismatic:
             raise RobotError(f"joint {joint.name!r} is not a {joint.type} joint", where=where)

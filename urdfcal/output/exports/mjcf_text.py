@@ -10,8 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from urdfcal.errors import RobotError
-from urdfcal.robot.urdf.markup import Element
-from urdfcal.robot.urdf.tags import Edit, apply_edits, changed_attributes, start_tag
+from urdfcal.robot.urdf.markup import Edit, Element, apply_edits, changed_attributes, start_tag
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

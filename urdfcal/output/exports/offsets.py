@@ -10,7 +10,7 @@ import numpy as np
 
 from urdfcal.errors import OutputError
 from urdfcal.robot.dh import PARAMETERS
-from urdfcal.robot.motion import joint_motion
+from urdfcal.robot.kinematics import joint_motion
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.robot.urdf.origins import rewrite_origins
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from urdfcal.errors import OutputError
 from urdfcal.result.calibration import Calibration, corrected_name
-from urdfcal.robot.tree import read_mechanism
+from urdfcal.robot.chain import read_mechanism
 from urdfcal.robot.urdf.urdf import Urdf
 
 if TYPE_CHECKING:

@@ -9,9 +9,9 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from urdfcal.errors import OutputError
-from urdfcal.robot.urdf.rpy import matrix_to_rpy
-from urdfcal.robot.urdf.tags import Edit, apply_edits
+from urdfcal.robot.urdf.markup import Edit, apply_edits
 from urdfcal.robot.urdf.urdf import Urdf
+from urdfcal.rotations import matrix_to_rpy
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

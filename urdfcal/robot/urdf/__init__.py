@@ -1,1 +1,1 @@
-"""The URDF file: found, read, and rewritten in place with nothing but ``<origin>`` values changed."""
+"""URDF files: found, read, and rewritten with nothing but ``<origin>`` values changed."""

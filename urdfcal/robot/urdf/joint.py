@@ -1,4 +1,4 @@
-"""One ``<joint>`` of a URDF: what it says, checked the way urdfdom, Pinocchio's reader, checks it.
+"""One ``<joint>`` of a URDF, checked the way urdfdom, Pinocchio's reader, checks it.
 
 Joints that it would refuse are refused here, with the place and the way out. Of several elements of a kind
 in a joint, the first counts.
@@ -17,12 +17,12 @@ import numpy as np
 from urdfcal.arrays import Floats, frozen
 from urdfcal.errors import RobotError
 from urdfcal.robot.urdf import markup
-from urdfcal.robot.urdf.rpy import rpy_to_matrix
+from urdfcal.rotations import quaternion_to_matrix, rpy_to_matrix
 
 if TYPE_CHECKING:
     from urdfcal.robot.urdf.markup import Element
 
-JointType = Literal["revolute", "continuous", "prismatic", "fixed", "floating", "planar"]
+UrdfJointType = Literal["revolute", "continuous", "prismatic", "fixed", "floating", "planar"]
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Mimic:
 
 @dataclass(frozen=True, eq=False)
 class UrdfJoint:
-    """One joint.
+    """One joint of a URDF.
 
     Attributes:
         name: its name.
@@ -59,7 +59,7 @@ class UrdfJoint:
     """
 
     name: str
-    type: JointType
+    type: UrdfJointType
     parent: str
     child: str
     T_parent_joint: Floats
@@ -108,7 +108,7 @@ def read_joint(name: str, element: Element, version: str, source: str) -> UrdfJo
     )
 
 
-_TYPES: dict[str, JointType] = {kind: kind for kind in get_args(JointType)}
+_TYPES: dict[str, UrdfJointType] = {kind: kind for kind in get_args(UrdfJointType)}
 
 
 def _link(element: Element | None, tag: str, where: str) -> str:
@@ -134,33 +134,20 @@ def _placement(origin: Element | None, version: str, where: str) -> Floats:
         )
     if "rpy" in origin.attributes:
         raise RobotError("the origin has both rpy and quat_xyzw", where=where, remedy="Remove one.")
-    T[:3, :3] = _quaternion_to_matrix(_vector(origin, "quat_xyzw", where, count=4), where)
+    xyzw = _vector(origin, "quat_xyzw", where, count=4)
+    if not np.any(xyzw):
+        raise RobotError("quat_xyzw is zero, which is no rotation", where=where, remedy='No rotation is "0 0 0 1".')
+    T[:3, :3] = quaternion_to_matrix(xyzw)
     return T
 
 
-def _quaternion_to_matrix(xyzw: Floats, where: str) -> Floats:
-    norm = math.hypot(*xyzw)
-    if not norm > 0.0:
-        raise RobotError("quat_xyzw is zero, which is no rotation", where=where, remedy='No rotation is "0 0 0 1".')
-    x, y, z, w = xyzw / norm
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-
-
 def _axis(element: Element | None, where: str) -> Floats:
-    if element is None:
-        return np.array([1.0, 0.0, 0.0])
-    axis = _vector(element, "xyz", where, default=(1.0, 0.0, 0.0))
-    norm = math.hypot(*axis)
-    return axis / norm if norm > 0.0 else axis
+    x = (1.0, 0.0, 0.0)
+    axis = np.array(x) if element is None else _vector(element, "xyz", where, default=x)
+    return axis / (math.hypot(*axis) or 1.0)
 
 
-def _limits(kind: JointType, limit: Element | None, where: str) -> tuple[float, float]:
+def _limits(kind: UrdfJointType, limit: Element | None, where: str) -> tuple[float, float]:
     if limit is None:
         if kind in ("revolute", "prismatic"):
             raise RobotError(
@@ -173,9 +160,7 @@ def _limits(kind: JointType, limit: Element | None, where: str) -> tuple[float, 
     for needed in ("effort", "velocity"):
         if needed not in limit.attributes:
             raise RobotError(
-                f"its <limit> has no {needed}: Pinocchio refuses it without",
-                where=where,
-                remedy=f'Add {needed}="0".',
+                f"its <limit> has no {needed}: Pinocchio refuses it without", where=where, remedy=f'Add {needed}="0".'
             )
         _scalar(limit, needed, where)
     lower, upper = _scalar(limit, "lower", where), _scalar(limit, "upper", where)
@@ -222,8 +207,6 @@ def _number(text: str, what: str, where: str) -> float:
         raise markup.xacro_error(f"{what} is {reprlib.repr(text)}", where)
     if not _NUMBER.fullmatch(text) or not math.isfinite(value := float(text)):
         raise RobotError(
-            f"{what} is {reprlib.repr(text)}, not a finite number",
-            where=where,
-            remedy="Write it like 0.1 or 1e-3.",
+            f"{what} is {reprlib.repr(text)}, not a finite number", where=where, remedy="Write it like 0.1 or 1e-3."
         )
     return value

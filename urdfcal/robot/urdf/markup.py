@@ -1,20 +1,21 @@
-"""The XML of a URDF: its elements with their line and byte offset, and nothing that is unsafe to expand.
+"""The XML of a URDF: reading its elements with their byte offsets, and editing their tags in place.
 
-Expat is driven directly: unlike ElementTree it tells where in the bytes an element starts, which rewriting
-needs, and lets document types be refused before anything in them is looked at.
+Expat is driven directly: unlike ElementTree it reports where in the bytes an element starts, which rewriting
+needs, and lets document types be refused before anything in them is looked at. What an edit does not name
+stays byte for byte.
 """
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 from xml.parsers import expat
 
 from urdfcal.errors import RobotError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Iterator, Mapping
 
 # The largest of example-robot-data's 69 URDFs (TIAGo with two arms) has 0.2 MB.
 MAX_BYTES = 16 * 2**20
@@ -41,8 +42,7 @@ class Element:
     first: dict[str, Element] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class Document:
+class Markup(NamedTuple):
     """A URDF's root element and the links and joints directly below it.
 
     ``<joint>`` elements deeper down (transmission, gazebo, ros2_control) are not kinematic joints.
@@ -53,7 +53,7 @@ class Document:
     joints: tuple[Element, ...]
 
 
-def parse(data: bytes, source: str) -> Document:
+def parse(data: bytes, source: str) -> Markup:
     """Read the elements of a URDF.
 
     Args:
@@ -66,9 +66,9 @@ def parse(data: bytes, source: str) -> Document:
             too deeply nested, declare a document type with entities, or hold xacro macros.
     """
     _refuse_foreign_bytes(data, source)
-    reader = _Reader(source)
+    handlers = _Handlers(source)
     try:
-        reader.parser.Parse(data, True)
+        handlers.parser.Parse(data, True)
     except expat.ExpatError as error:
         raise RobotError(
             f"not well-formed XML: {expat.ErrorString(error.code)}",
@@ -78,13 +78,13 @@ def parse(data: bytes, source: str) -> Document:
     except (LookupError, ValueError) as error:
         # Raised by pyexpat for an encoding that is unknown to Python or takes several bytes a character.
         raise RobotError(f"its declared encoding cannot be read: {error}", where=source, remedy=_UTF8) from error
-    return Document(reader.root, tuple(reader.links), tuple(reader.joints))
+    return Markup(handlers.root, tuple(handlers.links), tuple(handlers.joints))
 
 
 _UTF8 = "Save it as UTF-8."
 
 
-class _Reader:
+class _Handlers:
     """Expat's handlers and what they have gathered."""
 
     def __init__(self, source: str) -> None:
@@ -135,7 +135,7 @@ class _Reader:
 
 
 def xacro_error(what: str, where: str) -> RobotError:
-    """Tell that a file is the source of a URDF, not a URDF."""
+    """Make the error that a file is the xacro source of a URDF."""
     return RobotError(
         f"this is a xacro file, not a URDF: {what}",
         where=where,
@@ -171,9 +171,72 @@ _ENCODING = re.compile(rb"(?:\xef\xbb\xbf)?<\?xml[^>]*?encoding\s*=\s*[\"']([^\"
 
 
 def too_large(size: int, source: str) -> RobotError:
-    """Tell that a file is larger than any robot description."""
+    """Make the error that a file is larger than any robot description."""
     return RobotError(
-        f"the file has {size / 2**20:.0f} MB, more than {MAX_BYTES // 2**20} MB",
-        where=source,
-        remedy="Is it a URDF?",
+        f"the file has {size / 2**20:.0f} MB, more than {MAX_BYTES // 2**20} MB", where=source, remedy="Is it a URDF?"
     )
+
+
+class Edit(NamedTuple):
+    """Bytes from ``start`` up to ``stop`` that become ``text``."""
+
+    start: int
+    stop: int
+    text: bytes
+
+
+def apply_edits(data: bytes, edits: Iterable[Edit]) -> bytes:
+    """Replace the bytes of edits that do not overlap."""
+    pieces, position = [], 0
+    for edit in sorted(edits):
+        pieces += [data[position : edit.start], edit.text]
+        position = edit.stop
+    return b"".join([*pieces, data[position:]])
+
+
+# In a start tag that expat has accepted; a quoted value may hold ">", line ends and the other quote.
+_NAME = re.compile(rb"<[^\s/>]+")
+_ATTRIBUTE = re.compile(rb"(?P<gap>\s+)(?P<name>[^\s=]+)\s*=\s*(?P<quote>[\"'])(?P<value>.*?)(?P=quote)", re.DOTALL)
+_CLOSE = re.compile(rb"\s*/?>")
+
+
+class StartTag(NamedTuple):
+    """A start tag's attributes by name (groups gap, name, quote, value), and where it ends."""
+
+    attributes: dict[str, re.Match[bytes]]
+    end_of_attributes: int
+    end: int
+
+
+def start_tag(data: bytes, element: Element) -> StartTag:
+    """Parse an element's start tag.
+
+    Raises:
+        RobotError: the element is not where it should be.
+    """
+    name = _NAME.match(data, element.offset)
+    end = name.end() if name else element.offset
+    attributes: dict[str, re.Match[bytes]] = {}
+    while found := _ATTRIBUTE.match(data, end):
+        attributes[found["name"].decode("latin-1")] = found
+        end = found.end()
+    close = _CLOSE.match(data, end)
+    if not name or not close:
+        raise RobotError(f"<{element.tag}> cannot be rewritten", where=f"line {element.line}")
+    return StartTag(attributes, end, close.end())
+
+
+def changed_attributes(data: bytes, element: Element, values: Mapping[str, bytes]) -> Iterator[Edit]:
+    """Edit the values of attributes, in their own quotes; missing attributes are added to the tag."""
+    tag = start_tag(data, element)
+    last = list(tag.attributes.values())[-1] if tag.attributes else None
+    # A new attribute follows the last one in its style: same quotes, on a line of its own if that is.
+    gap, quote = (last["gap"], last["quote"]) if last else (b" ", b'"')
+    added = b""
+    for name, value in values.items():
+        if name in tag.attributes:
+            yield Edit(*tag.attributes[name].span("value"), value)
+        else:
+            added += gap + name.encode() + b"=" + quote + value + quote
+    if added:
+        yield Edit(tag.end_of_attributes, tag.end_of_attributes, added)

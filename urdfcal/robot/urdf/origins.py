@@ -1,4 +1,4 @@
-"""Writing new joint placements into a URDF: the values of <origin> change, and not one other byte."""
+"""Joint placements written into a URDF: the values of ``<origin>`` change, and not one other byte (METHOD 4)."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ import numpy as np
 
 from urdfcal.arrays import inverse
 from urdfcal.errors import RobotError
+from urdfcal.names import suggest
 from urdfcal.robot.urdf import markup
-from urdfcal.robot.urdf.rpy import matrix_to_rpy
-from urdfcal.robot.urdf.tags import Edit, apply_edits, changed_attributes, start_tag
-from urdfcal.robot.urdf.urdf import Urdf, UrdfJoint, alternatives
+from urdfcal.robot.urdf.markup import Edit, apply_edits, changed_attributes, start_tag
+from urdfcal.robot.urdf.urdf import Urdf, UrdfJoint
+from urdfcal.rotations import matrix_to_rpy
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -30,23 +31,23 @@ READ_BACK = 1e-12
 
 
 def origins_of(urdf: Urdf, chain: Mechanism, placements: ArrayLike) -> dict[str, Floats]:
-    """Turn new placements of a chain's joints into origins of the URDF that the chain was read from.
+    """Compute a URDF's joint origins from new placements of the chain that was read from it.
 
     A chain's placement folds in the fixed joints before it; the correction, multiplied from the right, does not
     care what the joint hangs on.
 
     Args:
         urdf: the description that ``chain`` was read from.
-        chain: as drawn.
+        chain: the nominal joints.
         placements: (n, 4, 4) each joint's frame in that of the one it hangs on. [m]
 
     Returns:
-        Joint name -> (4, 4) new T_parent_joint, of the joints whose placement differs from the drawn one.
+        Joint name -> (4, 4) new T_parent_joint, of the joints whose placement differs from the nominal one.
     """
     return {
-        joint.name: urdf.joints[joint.name].T_parent_joint @ inverse(drawn) @ built
-        for joint, drawn, built in zip(chain.joints, chain.placements, np.asarray(placements), strict=True)
-        if not np.array_equal(drawn, built)
+        joint.name: urdf.joints[joint.name].T_parent_joint @ inverse(nominal) @ new
+        for joint, nominal, new in zip(chain.joints, chain.placements, np.asarray(placements), strict=True)
+        if not np.array_equal(nominal, new)
     }
 
 
@@ -68,29 +69,26 @@ def rewrite_origins(urdf: Urdf, placements: Mapping[str, ArrayLike]) -> bytes:
             written over a quat_xyzw.
     """
     source = str(urdf.path or "URDF")
-    wanted = {name: np.asarray(T, dtype=float) for name, T in placements.items()}
-    for name, T in wanted.items():
+    new = {name: np.asarray(T, dtype=float) for name, T in placements.items()}
+    for name, T in new.items():
         if name not in urdf.joints:
-            raise RobotError(f"there is no joint {name!r}", where=source, remedy=alternatives(name, urdf.joints))
+            raise RobotError(f"there is no joint {name!r}", where=source, remedy=suggest(name, urdf.joints, "joints"))
         _check_rigid(T, name)
     elements = {element.attributes["name"]: element for element in markup.parse(urdf.data, source).joints}
     edits = [
-        edit for name, T in wanted.items() for edit in _edits(urdf.data, elements[name], urdf.joints[name], T, source)
+        edit for name, T in new.items() for edit in _edits(urdf.data, elements[name], urdf.joints[name], T, source)
     ]
     if not edits:
         return urdf.data
     data = apply_edits(urdf.data, edits)
-    _check_read_back(urdf, Urdf.parse(data, urdf.path), wanted)
+    _check_read_back(urdf, Urdf.parse(data, urdf.path), new)
     return data
 
 
 def _edits(data: bytes, element: Element, joint: UrdfJoint, T: Floats, source: str) -> Iterator[Edit]:
     old = joint.T_parent_joint
     values = {"xyz": _text(T[:3, 3]), "rpy": _text(matrix_to_rpy(T[:3, :3]))}
-    changed = {
-        "xyz": np.abs(T[:3, 3] - old[:3, 3]).max() > SAME,
-        "rpy": np.abs(T[:3, :3] - old[:3, :3]).max() > SAME,
-    }
+    changed = {"xyz": np.abs(T[:3, 3] - old[:3, 3]).max() > SAME, "rpy": np.abs(T[:3, :3] - old[:3, :3]).max() > SAME}
     if not any(changed.values()):
         return
     origin = element.first.get("origin")
@@ -124,9 +122,7 @@ def _inserted_origin(data: bytes, joint: Element, values: Mapping[str, bytes]) -
     indentation = _INDENTATION.search(data[start:first_child])
     line = indentation[0] if indentation else b""
     return Edit(
-        start,
-        start,
-        line + b'<origin xyz="%(xyz)s" rpy="%(rpy)s"/>' % {k.encode(): v for k, v in values.items()},
+        start, start, line + b'<origin xyz="%(xyz)s" rpy="%(rpy)s"/>' % {k.encode(): v for k, v in values.items()}
     )
 
 
@@ -138,13 +134,13 @@ def _check_rigid(T: Floats, joint: str) -> None:
         raise RobotError(f"its new placement is no rigid transform (off by {error:.1e})", where=f"joint {joint!r}")
 
 
-def _check_read_back(old: Urdf, new: Urdf, wanted: Mapping[str, Floats]) -> None:
-    """Refuse a file that would not say what it should, whatever the reason."""
-    asked = {name: wanted.get(name, joint.T_parent_joint) for name, joint in old.joints.items()}
-    if (new.name, new.links, list(new.joints)) != (old.name, old.links, list(asked)):
+def _check_read_back(old: Urdf, written: Urdf, placements: Mapping[str, Floats]) -> None:
+    """Refuse a rewritten file whose joints are not placed as asked, whatever the reason."""
+    asked = {name: placements.get(name, joint.T_parent_joint) for name, joint in old.joints.items()}
+    if (written.name, written.links, list(written.joints)) != (old.name, old.links, list(asked)):
         wrong = ["other links or joints"]
     else:
-        wrong = [n for n, T in asked.items() if np.abs(new.joints[n].T_parent_joint - T).max() > READ_BACK]
+        wrong = [n for n, T in asked.items() if np.abs(written.joints[n].T_parent_joint - T).max() > READ_BACK]
     if wrong:
         raise RobotError(
             f"the rewritten file does not read back as asked: {', '.join(wrong[:10])}",

@@ -1,4 +1,4 @@
-"""Finding a URDF: a plain path, or ``package://name/...`` in the packages installed on this machine."""
+"""URDF files found by a plain path, or by ``package://name/...`` in the packages installed on this machine."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from stat import S_ISDIR, S_ISREG
 from typing import TYPE_CHECKING
 
 from urdfcal.errors import RobotError
+from urdfcal.names import listed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -67,9 +68,7 @@ def _in_package(reference: str) -> Path:
         raise RobotError("no package is named", where=reference, remedy="Write package://name/path/robot.urdf.")
     if inside.parts[:1] == ("..",) or inside.is_absolute():
         raise RobotError(
-            f"'..' leads out of package {name!r}",
-            where=reference,
-            remedy="Name a file inside the package, or a path.",
+            f"'..' leads out of package {name!r}", where=reference, remedy="Name a file inside the package, or a path."
         )
     folders = _package_folders(name)
     if not folders:
@@ -140,19 +139,19 @@ def _example_robot_data() -> list[Path]:
     """List where example-robot-data may be: beside its Python distribution, or in the environment (conda)."""
     from importlib import metadata  # brings zipfile and email along
 
-    places = [Path(sys.prefix) / "share"]
+    folders = [Path(sys.prefix) / "share"]
     try:
         # Asked of the distribution, as importing it would import all of Pinocchio.
         distribution = metadata.distribution("example-robot-data")
     except metadata.PackageNotFoundError:
         pass
     else:
-        places.insert(0, Path(str(distribution.locate_file("cmeel.prefix/share"))))
-    return [place for place in places if _is(place / "example-robot-data", S_ISDIR)]
+        folders.insert(0, Path(str(distribution.locate_file("cmeel.prefix/share"))))
+    return [folder for folder in folders if _is(folder / "example-robot-data", S_ISDIR)]
 
 
 def _is(path: Path, kind: Callable[[int], bool]) -> bool:
-    """Tell whether there is one of this kind; unlike pathlib's, forbidden or overlong paths do not raise."""
+    """Whether a file of this kind exists; unlike pathlib's, forbidden or overlong paths do not raise."""
     try:
         return kind(path.stat().st_mode)
     except (OSError, ValueError):
@@ -167,5 +166,4 @@ def _no_file(path: Path) -> RobotError:
     if not _is(folder, S_ISDIR):
         return RobotError(what, where=str(path), remedy=f"There is no folder {folder} either.")
     others = sorted(file.name for file in folder.glob("*.urdf"))
-    shown = f"{', '.join(others[:10])}{', ...' if len(others) > 10 else ''}"
-    return RobotError(what, where=str(path), remedy=f"That folder has: {shown}." if others else "")
+    return RobotError(what, where=str(path), remedy=f"That folder has: {listed(others)}." if others else "")

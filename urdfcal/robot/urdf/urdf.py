@@ -1,4 +1,4 @@
-"""A URDF as its readers see it: links, joints, the tree they form, and the bytes they were read from.
+"""The URDF: its links, its joints, the tree they form, and the bytes they were read from.
 
 As for urdfdom, Pinocchio's reader, only ``<link>`` and ``<joint>`` directly below ``<robot>`` count. Files it
 would refuse are refused here, with the place and the way out.
@@ -7,12 +7,14 @@ would refuse are refused here, with the place and the way out.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from graphlib import CycleError, TopologicalSorter
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from urdfcal.errors import RobotError
+from urdfcal.names import listed, suggest
 from urdfcal.robot.urdf import markup
-from urdfcal.robot.urdf.joint import JointType, Mimic, UrdfJoint, read_joint
+from urdfcal.robot.urdf.joint import Mimic, UrdfJoint, read_joint
 from urdfcal.robot.urdf.packages import find_urdf, package_roots
 
 if TYPE_CHECKING:
@@ -21,7 +23,7 @@ if TYPE_CHECKING:
 
     from urdfcal.robot.urdf.markup import Element
 
-__all__ = ["JointType", "Mimic", "Urdf", "UrdfJoint", "alternatives", "find_urdf", "package_roots"]
+__all__ = ["Mimic", "Urdf", "UrdfJoint", "find_urdf", "package_roots"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,17 +91,8 @@ class Urdf:
         return cls(path, data, name, links, MappingProxyType(joints), root)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # A description is its bytes: it travels to other processes as such.
+        # Its bytes are all that other processes need.
         return Urdf.parse, (self.data, self.path)
-
-
-def alternatives(wanted: str, names: Collection[str]) -> str:
-    """Name what there is, the likeliest first, for a message that ``wanted`` is not there."""
-    from difflib import get_close_matches
-
-    near = get_close_matches(wanted, names, n=5, cutoff=0.5)
-    shown = list(dict.fromkeys([*near, *names]))[:12]
-    return f"There are: {', '.join(shown)}{f', ... ({len(names)} in all)' if len(names) > 12 else ''}."
 
 
 def _robot(root: Element, source: str) -> tuple[str, str]:
@@ -143,7 +136,7 @@ def _root(links: tuple[str, ...], joints: Mapping[str, UrdfJoint], source: str) 
         where = f"{source}:{joint.line}, joint {joint.name!r}"
         for role, link in (("parent", joint.parent), ("child", joint.child)):
             if link not in known:
-                raise RobotError(f"there is no {role} link {link!r}", where=where, remedy=alternatives(link, links))
+                raise RobotError(f"there is no {role} link {link!r}", where=where, remedy=suggest(link, links, "links"))
         if joint.child in above:
             raise RobotError(
                 f"link {joint.child!r} hangs on joint {above[joint.child].name!r} already",
@@ -151,25 +144,19 @@ def _root(links: tuple[str, ...], joints: Mapping[str, UrdfJoint], source: str) 
                 remedy="A link has one parent: a closed loop cannot be written in URDF.",
             )
         above[joint.child] = joint
-    connected: set[str] = set()
-    for start in links:
-        path: dict[str, None] = {}
-        link = start
-        while link in above and link not in connected:
-            if link in path:
-                loop = list(path)[list(path).index(link) :]
-                raise RobotError(
-                    f"its links form a loop: {' -> '.join([link, *reversed(loop)])}",
-                    where=f"{source}:{above[link].line}, joint {above[link].name!r}",
-                    remedy="A URDF is a tree.",
-                )
-            path[link] = None
-            link = above[link].parent
-        connected.update(path)
+    try:
+        TopologicalSorter({child: [joint.parent] for child, joint in above.items()}).prepare()
+    except CycleError as error:
+        loop = error.args[1]
+        raise RobotError(
+            f"its links form a loop: {' -> '.join(loop)}",
+            where=f"{source}:{above[loop[-1]].line}, joint {above[loop[-1]].name!r}",
+            remedy="A URDF is a tree.",
+        ) from error
     roots = [link for link in links if link not in above]
     if len(roots) > 1:
         raise RobotError(
-            f"it has {len(roots)} root links: {', '.join(roots[:10])}{', ...' if len(roots) > 10 else ''}",
+            f"it has {len(roots)} root links: {listed(roots)}",
             where=source,
             remedy="Every link but one must be the child of a joint.",
         )

@@ -8,7 +8,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from urdfcal.robot.urdf.rpy import matrix_to_rpy, rpy_to_matrix
+from urdfcal.rotations import (
+    matrix_to_quaternion,
+    matrix_to_rotation_vector,
+    matrix_to_rpy,
+    quaternion_to_matrix,
+    rotation_vector_to_matrix,
+    rpy_to_matrix,
+    skew,
+    turn_z_to,
+)
 
 ROUNDING = 5e-15
 angles = st.floats(-7.0, 7.0)
@@ -80,3 +89,44 @@ def test_what_comes_out_cannot_be_changed():
         matrix_to_rpy(np.eye(3))[0] = 1.0
     with pytest.raises(ValueError, match="read-only"):
         rpy_to_matrix([0, 0, 0])[0, 0] = 2.0
+
+
+def random_vectors(count: int) -> np.ndarray:
+    """Rotation vectors of all lengths from none to almost half a turn."""
+    axes = np.random.default_rng(6).normal(size=(count, 3))
+    lengths = np.concatenate([[0.0], np.geomspace(1e-15, 3.1, count - 1)])
+    return axes / np.linalg.norm(axes, axis=1, keepdims=True) * lengths[:, None]
+
+
+def test_rotation_vectors_are_pinocchios_and_come_back():
+    w = random_vectors(200)
+    R = rotation_vector_to_matrix(w)
+    np.testing.assert_allclose(R, [pin.exp3(one) for one in w], rtol=0, atol=1e-15)
+    back = matrix_to_rotation_vector(R.reshape(20, 10, 3, 3)).reshape(-1, 3)
+    np.testing.assert_allclose(back, w, rtol=0, atol=1e-13)
+    # An absolute error of 1e-13 would hide it: of small angles no digit is lost.
+    np.testing.assert_allclose(back[:100], w[:100], rtol=1e-12)
+
+
+def test_quaternions_are_pinocchios_whichever_component_is_largest():
+    w = np.concatenate([random_vectors(50), np.pi * np.eye(3), -np.pi * np.eye(3)])
+    R = rotation_vector_to_matrix(w)
+    q = matrix_to_quaternion(R)
+    assert set(np.abs(q).argmax(axis=1)) == {0, 1, 2, 3}
+    for one, matrix in zip(q, R, strict=True):
+        np.testing.assert_allclose(quaternion_to_matrix(one), matrix, rtol=0, atol=1e-15)
+        np.testing.assert_allclose(quaternion_to_matrix(-3.0 * one), pin.Quaternion(one).matrix(), rtol=0, atol=1e-15)
+    np.testing.assert_array_equal(matrix_to_quaternion(R[7]), q[7])
+
+
+@pytest.mark.parametrize("direction", [[0, 0, 2], [0, 0, -1], [1, 0, 0], [-0.3, 0.2, 0.9]])
+def test_z_turns_to_a_direction_by_the_smallest_angle(direction):
+    R = turn_z_to(direction)
+    unit = np.array(direction) / np.linalg.norm(direction)
+    np.testing.assert_allclose(R[:, 2], unit, atol=1e-15)
+    assert np.linalg.norm(pin.log3(R)) == pytest.approx(np.arccos(unit[2]))
+
+
+def test_skew_is_the_cross_product():
+    v, w = np.random.default_rng(7).normal(size=(2, 5, 3))
+    np.testing.assert_allclose((skew(v) @ w[..., None])[..., 0], np.cross(v, w), atol=1e-15)
