@@ -11,12 +11,13 @@ import pytest
 import urdfcal
 from urdfcal.errors import CalibrationError, OutputError, SessionError
 from urdfcal.estimation.evaluation import compare, explain
+from urdfcal.estimation.measurements import Points
 from urdfcal.io.folder import read_points, read_session
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.robot.urdf.urdf import Urdf
-from urdfcal.session.model import Estimate, Led, Points
+from urdfcal.session.model import Estimate, Led
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -111,7 +112,7 @@ def test_cameras_of_unknown_place_are_placed(simulated: Callable) -> None:
     np.testing.assert_allclose(calibration.estimate.T_cam_world[1], rig.T_cam_world[1], atol=5e-3)
     # Without a baseline nothing but the links' lengths tells the scale: no rank for it, and it is said.
     assert calibration.identifiability.rank == 27 + 6 - 1
-    assert any("tolerances share it out" in lost for lost in calibration.identifiability.lost)
+    assert any("tolerances share it out" in lost for lost in calibration.identifiability.unidentifiable)
     assert error(calibration, data, calibration.placements) < 0.6 * error(
         calibration, data, calibration.chain.placements
     )
@@ -155,7 +156,7 @@ def test_refuted_lenses_are_refused(shared: Path) -> None:
 
 def test_the_measured_motoman_finds_its_lenses(shared: Path) -> None:
     calibration = calibrate(read_session(shared / "motoman_right"))
-    assert str(calibration.comparison.chosen.freedoms) == "DH rows, free intrinsics, free camera poses"
+    assert str(calibration.comparison.chosen.spec) == "DH rows, free intrinsics, free camera poses"
     assert calibration.summary()["rms_px"] <= 1.02
     points, leds = read_points(shared / "motoman_right" / "check_points.csv", calibration.session)
     tracker = replace(calibration.session, detections=None, points=points, leds=leds)
@@ -187,7 +188,7 @@ def test_a_urdf_that_moves_differently_is_never_handed_out(
 
 def test_lenses_that_are_right_stay_as_given(simulated: Callable) -> None:
     for seed in (0, 1):
-        chosen = calibrate(simulated("ur5", poses=50, seed=seed).session).comparison.chosen.freedoms
+        chosen = calibrate(simulated("ur5", poses=50, seed=seed).session).comparison.chosen.spec
         assert chosen.intrinsics == ("fixed", "fixed")
         assert chosen.geometry == "dh"
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import fields
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import numpy as np
@@ -50,6 +51,18 @@ class ReadOnly(Mapping[K, V]):
     def __repr__(self) -> str:
         """Show the items as a dict does."""
         return repr(self._items)
+
+
+class Rebuilt:
+    """A dataclass that is unpickled by its constructor, which makes its arrays read-only again."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Take the fields along."""
+        return _rebuilt, (type(self), {entry.name: getattr(self, entry.name) for entry in fields(self)})  # type: ignore[arg-type]
+
+
+def _rebuilt(kind: type[Any], values: dict[str, Any]) -> Any:
+    return kind(**values)
 
 
 def evenly(values: Ints, most: int) -> Ints:

@@ -12,6 +12,7 @@ import yaml
 
 from urdfcal import Calibration
 from urdfcal.cli import run
+from urdfcal.estimation.measurements import Detections
 from urdfcal.io.folder import read_session
 
 if TYPE_CHECKING:
@@ -83,7 +84,7 @@ def test_pictures_and_videos_are_detected_and_calibrated(
     assert run(["calibrate", str(session), "-o", str(out), "--no-priors"]) == 0
     assert "looking for the LEDs first" in capsys.readouterr().out
     read = read_session(session)
-    assert len(read.detections) > 0.7 * len((session / "truth_detections.csv").read_text().splitlines())
+    assert len(read.find(Detections)) > 0.7 * len((session / "truth_detections.csv").read_text().splitlines())
     for name, found in offsets_of(out).items():
         assert abs(found["value"] - OFFSETS[name]) < 5.0 * found["sigma"] < 5e-3
 

@@ -16,6 +16,7 @@ from urdfcal.detection.detect import REJECTED, Detected, detect, open_album, wri
 from urdfcal.detection.image_index import read_album
 from urdfcal.detection.prediction import Lights, foresee
 from urdfcal.errors import OutputError, SessionError
+from urdfcal.estimation.measurements import Detections
 from urdfcal.images.files import read_image, write_image
 from urdfcal.io.folder import lacks_detections, read_positions, read_rig, read_session
 from urdfcal.io.shipped_rigs import find_rig
@@ -97,7 +98,7 @@ def test_written_tables_make_it_a_session_and_foreign_ones_are_kept(
     (copy / "detections.csv").unlink()
     write_detected(copy, detected)
     write_detected(copy, detected)
-    read = read_session(copy).detections
+    read = read_session(copy).find(Detections)
     for name in ("pose", "camera", "led", "uv", "sigma"):
         assert np.array_equal(getattr(read, name), getattr(detected.detections, name))
     rows = list(csv.DictReader((copy / REJECTED).open()))
@@ -122,7 +123,7 @@ def test_calibrate_detects_by_itself_and_says_so(
     assert "looking for the LEDs first" in said
     assert f"{2 * POSES} sightings in {2 * POSES} images" in said
     assert not lacks_detections(tmp_path / "s")
-    assert len(read_session(tmp_path / "s").detections) == 2 * POSES
+    assert len(read_session(tmp_path / "s").find(Detections)) == 2 * POSES
 
 
 def put(folder: Path, *names: str) -> None:
@@ -172,7 +173,7 @@ def test_a_session_without_images_says_where_they_belong(positions: Positions, t
 @pytest.mark.parametrize("known", [True, False])
 def test_the_arm_tells_the_led_from_brighter_lights_elsewhere(simulated: Simulated, known: bool) -> None:
     session = simulated.session
-    camera, seen = session.rig.cameras[0], session.detections
+    camera, seen = session.rig.cameras[0], session.find(Detections)
     mine = seen.camera == 0
     rng = np.random.default_rng(0)
     count = int(mine.sum())
@@ -205,7 +206,7 @@ def test_lights_that_disagree_with_the_arm_give_no_prediction(simulated: Simulat
 
 
 def groups_of(simulated: Simulated) -> list[list[Candidate]]:
-    seen = simulated.session.detections
+    seen = simulated.session.find(Detections)
     groups: dict[int, list[Candidate]] = {}
     for row, (pose, camera, uv) in enumerate(zip(seen.pose, seen.camera, seen.uv, strict=True)):
         groups.setdefault(int(pose), []).append(Candidate(int(camera), row, uv, 10.0))

@@ -5,12 +5,12 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from urdfcal.estimation.time_offset import start_state
 
 from urdfcal.estimation.linearize import predict, view
 from urdfcal.estimation.multistart import _same_arm
 from urdfcal.estimation.observations import observe
 from urdfcal.estimation.start import kabsch
-from urdfcal.estimation.time_offset import start_state
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.dh import DHTable
 from urdfcal.session.model import Estimate, Noise

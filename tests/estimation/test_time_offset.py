@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from urdfcal.estimation.time_offset import start_state
 
 from urdfcal.errors import CalibrationError
 from urdfcal.estimation.evaluation import compare
@@ -16,7 +17,6 @@ from urdfcal.estimation.linearize import Tangent, predict
 from urdfcal.estimation.model_spec import Freedoms
 from urdfcal.estimation.observations import observe
 from urdfcal.estimation.parameters import choose_parameters
-from urdfcal.estimation.time_offset import start_state
 from urdfcal.estimation.validation import _folds
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig

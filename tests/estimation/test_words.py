@@ -4,11 +4,11 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from urdfcal.estimation.time_offset import start_state
+from urdfcal.estimation.words import sentence
 
 from urdfcal.estimation.model_spec import Freedoms
 from urdfcal.estimation.parameters import choose_parameters
-from urdfcal.estimation.time_offset import start_state
-from urdfcal.estimation.words import sentence
 from urdfcal.robot.dh import DHTable
 from urdfcal.simulation.motion import Motion, set_in_motion
 

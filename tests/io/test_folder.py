@@ -9,6 +9,7 @@ import pytest
 from tests.io.broken import append, swap
 from tests.io.making import POSES, measured, write_points, write_valid
 from urdfcal.errors import SessionError
+from urdfcal.estimation.measurements import Detections, Points
 from urdfcal.io.folder import read_points, read_rig, read_session
 from urdfcal.session.model import Estimate
 
@@ -31,7 +32,7 @@ def test_everything_is_where_it_belongs(tmp_path: Path) -> None:
     assert session.rig is not None
     assert session.rig.names == ("left", "right")
     assert session.led_names == ("red", "blue")
-    table = session.detections
+    table = session.find(Detections)
     assert table is not None
     assert np.array_equal(table.uv, uv[table.pose, table.camera, table.led])
     assert len(table) == POSES * 4
@@ -130,8 +131,8 @@ def test_the_measured_session_with_cameras() -> None:
     session = read_session(MEASURED / "motoman_right")
     assert session.estimate == Estimate()
     assert (len(session.poses), len(session.leds)) == (216, 6)
-    assert session.detections is not None
-    assert len(session.detections) == 1314
+    assert session.find(Detections) is not None
+    assert len(session.find(Detections)) == 1314
     assert session.rig is not None
     assert session.rig.T_cam_world[1] is None
     still, turned = session.warnings
@@ -146,6 +147,6 @@ def test_the_measured_session_with_cameras() -> None:
 def test_the_measured_session_with_points() -> None:
     session = read_session(MEASURED / "irb120_liaowu")
     assert session.warnings == ()
-    assert session.points is not None
-    assert session.points.xyz.shape == (108, 3)
-    assert set(session.points.sigma) == {1e-4}
+    assert session.find(Points) is not None
+    assert session.find(Points).xyz.shape == (108, 3)
+    assert set(session.find(Points).sigma) == {1e-4}

@@ -10,7 +10,9 @@ import pytest
 
 from tests.io.making import ACTUATED, POSES, write_valid
 from urdfcal.errors import SessionError
+from urdfcal.estimation.measurements import Detections
 from urdfcal.io.folder import read_positions, read_session, write_session
+from urdfcal.session.motion import AT_REST
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -71,9 +73,9 @@ def test_each_frame_is_a_pose_of_one_camera(moving: Path) -> None:
     assert len(session.poses) == 2 * FRAMES
     assert session.poses[0] == "left/f0"
     assert session.label(FRAMES) == "f0"
-    d = session.detections
-    assert np.array_equal(session.trajectory.camera[d.pose], d.camera)
-    time = session.trajectory.time
+    d = session.find(Detections)
+    assert np.array_equal(session.motion.camera[d.pose], d.camera)
+    time = session.motion.time
     waist = session.q[:, session.chain.names.index("waist")]
     np.testing.assert_allclose(waist, 0.3 * np.sin(time), atol=1e-8)
     elbow, shoulder = (session.q[:, session.chain.names.index(name)] for name in ("elbow", "shoulder"))
@@ -83,10 +85,10 @@ def test_each_frame_is_a_pose_of_one_camera(moving: Path) -> None:
 def test_a_continuous_joint_turns_on_where_its_reading_jumps(moving: Path) -> None:
     session = read_session(moving)
     roll = session.chain.names.index("roll")
-    turned = 2.0 * session.trajectory.time - session.q[:, roll]
+    turned = 2.0 * session.motion.time - session.q[:, roll]
     np.testing.assert_allclose(turned, turned[0], atol=1e-8)
     assert turned[0] / (2.0 * np.pi) == pytest.approx(round(turned[0] / (2.0 * np.pi)), abs=1e-8)
-    np.testing.assert_allclose(session.trajectory.velocities(np.zeros(2))[:, roll], 2.0, atol=1e-6)
+    np.testing.assert_allclose(session.motion.velocities(np.zeros(2))[:, roll], 2.0, atol=1e-6)
 
 
 def test_what_is_written_is_read_back(moving: Path, tmp_path: Path) -> None:
@@ -96,8 +98,8 @@ def test_what_is_written_is_read_back(moving: Path, tmp_path: Path) -> None:
     assert again.poses == session.poses
     assert np.array_equal(again.q, session.q)
     for name in ("pose", "camera", "led", "uv"):
-        assert np.array_equal(getattr(again.detections, name), getattr(session.detections, name))
-    assert again.trajectory.frames == session.trajectory.frames
+        assert np.array_equal(getattr(again.find(Detections), name), getattr(session.find(Detections), name))
+    assert again.motion.frames == session.motion.frames
 
 
 def test_frames_without_readings_are_left_out_and_counted(moving: Path) -> None:
@@ -106,7 +108,7 @@ def test_frames_without_readings_are_left_out_and_counted(moving: Path) -> None:
     assert len(session.poses) == 2 * FRAMES - 3
     assert any("3 of 40 frames (left, right) lie outside" in text for text in session.warnings)
     assert session.label(0) == "f2"
-    assert session.trajectory.row[0] == 2
+    assert session.motion.row[0] == 2
 
 
 def test_frames_in_a_gap_are_left_out_and_counted_with_its_line(moving: Path) -> None:
@@ -165,5 +167,5 @@ def test_tables_that_cannot_be_right_are_refused(moving: Path, change: Callable[
 
 def test_the_still_session_it_was_made_of_is_still_one(tmp_path: Path) -> None:
     session = read_session(write_valid(tmp_path))
-    assert session.trajectory is None
+    assert session.motion is AT_REST
     assert [session.label(k) for k in range(POSES)] == list(session.poses)

@@ -8,6 +8,7 @@ import pytest
 import urdfcal
 from tests.io.making import INTRINSICS, NAMES, RESOLUTION, T_RIGHT_LEFT, URDF, measured, write_points, write_valid
 from urdfcal.errors import SessionError
+from urdfcal.estimation.measurements import Detections, Points
 from urdfcal.io.recorder import Recorder
 
 if TYPE_CHECKING:
@@ -31,12 +32,10 @@ def setup() -> urdfcal.Setup:
 def same(a: urdfcal.Session, b: urdfcal.Session) -> None:
     assert a.poses == b.poses
     np.testing.assert_array_equal(a.q, b.q)
-    for table in ("detections", "points"):
-        if getattr(b, table) is None:
-            assert getattr(a, table) is None
-            continue
-        for column, values in vars(getattr(b, table)).items():
-            np.testing.assert_array_equal(getattr(getattr(a, table), column), values)
+    assert [table.kind for table in a.measurements] == [table.kind for table in b.measurements]
+    for found, table in zip(a.measurements, b.measurements, strict=True):
+        for column, values in table.arrays.items():
+            np.testing.assert_array_equal(found.arrays[column], values)
 
 
 def test_what_is_recorded_one_by_one_is_what_is_read_from_files(tmp_path: Path) -> None:
@@ -58,8 +57,8 @@ def test_points_one_by_one_are_those_of_the_file(tmp_path: Path) -> None:
     recorder = Recorder(read)
     for pose, reading in zip(read.poses, read.readings, strict=True):
         recorder.pose(reading, label=pose)
-    for k in range(len(read.points)):
-        points = read.points
+    for k in range(len(read.find(Points))):
+        points = read.find(Points)
         recorder.point(read.poses[points.pose[k]], read.led_names[points.led[k]], points.xyz[k], sigma=points.sigma[k])
     same(recorder.session(), read)
 
@@ -69,7 +68,7 @@ def test_a_recorded_session_calibrates_as_the_measured_one(simulated: Callable) 
     recorder = Recorder(session)
     for k, reading in enumerate(session.readings):
         recorder.pose(reading, label=session.poses[k], time=float(k))
-    seen = session.detections
+    seen = session.find(Detections)
     for row in range(len(seen)):
         names = session.poses[seen.pose[row]], session.rig.names[seen.camera[row]], session.led_names[seen.led[row]]
         recorder.sighting(*names, seen.uv[row])
@@ -132,8 +131,8 @@ def test_what_makes_no_sense_is_refused_at_once_and_changes_nothing(add: Callabl
     for label in ("a", "b"):
         recorder.pose(READING, label=label)
     session = recorder.session()
-    assert (session.poses, session.time, session.points) == (("0", "a", "b"), None, None)
-    assert session.detections.uv.tolist() == [[10.0, 10.0]]
+    assert (session.poses, session.time, session.find(Points)) == (("0", "a", "b"), None, None)
+    assert session.find(Detections).uv.tolist() == [[10.0, 10.0]]
 
 
 def test_sightings_need_cameras() -> None:

@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from urdfcal.errors import SessionError
-from urdfcal.io.schema import Document, RigFile, SessionFile
+from urdfcal.io.schema import RigFile, SessionFile
+from urdfcal.io.yaml_document import Document
 from urdfcal.session.model import Estimate, Noise, Tolerances
 
 if TYPE_CHECKING:

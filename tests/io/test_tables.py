@@ -10,7 +10,9 @@ from hypothesis import strategies as st
 
 from tests.io.making import URDF
 from urdfcal.errors import SessionError
-from urdfcal.io.tables import Table, read_detections, read_joints, read_points
+from urdfcal.estimation.measurements import Detections, Points
+from urdfcal.io.csv_table import Table
+from urdfcal.io.tables import read_joints, read_measurements
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.urdf.urdf import Urdf
 
@@ -79,7 +81,7 @@ def test_time_is_kept_where_it_is_given(path: Path) -> None:
 
 def test_sightings_are_sorted_and_know_their_rows(path: Path) -> None:
     path.write_text("pose,camera,led,u,v\nb,l,x,1,2\na,r,x,3,4\na,l,y,5,6\na,l,x,7,8\n")
-    table = read_detections(path, "ab", "lr", "xy", 0.2)
+    table = read_measurements(path, Detections, {"pose": "ab", "camera": "lr", "led": "xy"}, 0.2)
     assert table.rows.tolist() == [3, 2, 1, 0]
     assert table.values[:, 0].tolist() == [7, 5, 3, 1]
     assert table.sigma.tolist() == [0.2] * 4
@@ -88,12 +90,12 @@ def test_sightings_are_sorted_and_know_their_rows(path: Path) -> None:
 
 def test_sigmas_of_the_table_win(path: Path) -> None:
     path.write_text("pose,led,x,y,z,sigma\na,x,1,2,3,0.5\na,y,1,2,3,0.25\n")
-    assert read_points(path, "a", "xy", 0.1).sigma.tolist() == [0.5, 0.25]
+    assert read_measurements(path, Points, {"pose": "a", "led": "xy"}, 0.1).sigma.tolist() == [0.5, 0.25]
 
 
 def test_leds_that_are_not_declared_are_taken_as_they_come(path: Path) -> None:
     path.write_text("pose,led,x,y,z\nb,second,1,2,3\na,first,4,5,6\na,second,7,8,9\n")
-    table = read_points(path, "ab", None, 0.1)
+    table = read_measurements(path, Points, {"pose": "ab"}, 0.1)
     assert table.names["led"] == ("second", "first")
     assert table.index["led"].tolist() == [0, 1, 0]
     assert table.index["pose"].tolist() == [0, 0, 1]

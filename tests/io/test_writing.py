@@ -10,8 +10,9 @@ import pytest
 from tests.io.making import write_points, write_valid
 from urdfcal.cameras.rig import Rig
 from urdfcal.errors import CameraError, OutputError, SessionError
+from urdfcal.estimation.measurements import Detections, Points
 from urdfcal.io.folder import read_session, write_session
-from urdfcal.session.model import Estimate, Led, Noise, Points, Session, Tolerances
+from urdfcal.session.model import Estimate, Led, Noise, Session, Tolerances
 
 # Where it was read from is not what was read.
 PROVENANCE = {"folder", "sha256", "path"}
@@ -52,18 +53,12 @@ def varied(session: Session, rng: np.random.Generator) -> Session:
         ],
         "tolerances": Tolerances(*rng.uniform(0, 1, 3), joints={"waist": {"a": rng.uniform(), "d": 0.0}, "roll": {}}),
     }
-    for name, kind in (("detections", Detections), ("points", Points)):
-        table = getattr(session, name)
-        if table is not None:
-            keep = np.sort(rng.choice(len(table), len(table) * 3 // 4, replace=False))
-            values = {key: column[keep] for key, column in vars(table).items()}
-            own = rng.uniform(0.01, 0.2, len(keep)) if rng.random() < 0.5 else getattr(changes["noise"], name[:-1], 0.1)
-            if name == "detections" and np.ndim(own) == 0:
-                own = changes["noise"].pixel
-            elif np.ndim(own) == 0:
-                own = changes["noise"].point
-            changes[name] = kind(**{**values, "sigma": own})
-    return replace(session, **changes)
+    tables = []
+    for table in session.measurements:
+        rows = table.rows(np.sort(rng.choice(len(table), len(table) * 3 // 4, replace=False)))
+        own = rng.uniform(0.01, 0.2, len(rows)) if rng.random() < 0.5 else changes["noise"].of(type(table))
+        tables.append(replace(rows, sigma=own))
+    return replace(session, **changes, measurements=tuple(tables))
 
 
 @pytest.fixture
@@ -85,17 +80,22 @@ def test_what_is_read_back_is_what_was_written(tmp_path: Path, write_other: Any,
 
 def test_the_comparison_sees_the_last_bit(session: Session) -> None:
     assert differences(session, session) == []
-    assert session.detections is not None
-    uv = session.detections.uv.copy()
+    assert session.find(Detections) is not None
+    uv = session.find(Detections).uv.copy()
     uv[3, 1] = np.nextafter(uv[3, 1], 0.0)
-    nudged = replace(session, detections=replace(session.detections, uv=uv), noise=Noise(pixel=0.1, joint=1e-9))
-    assert differences(session, nudged) == ["session.noise.joint", "session.detections.uv"]
+    nudged = replace(
+        session, measurements=(replace(session.find(Detections), uv=uv),), noise=Noise(pixel=0.1, joint=1e-9)
+    )
+    assert differences(session, nudged) == ["session.noise.joint", "session.measurements[0].uv"]
 
 
 def test_pixels_and_points_together(tmp_path: Path, session: Session) -> None:
-    points = read_session(write_points(tmp_path / "points")).points
-    write_session(tmp_path / "out", replace(session, points=points))
-    assert differences(replace(session, points=points), read_session(tmp_path / "out")) == []
+    points = read_session(write_points(tmp_path / "points")).find(Points)
+    write_session(tmp_path / "out", replace(session, measurements=(*session.measurements, points)))
+    assert (
+        differences(replace(session, measurements=(*session.measurements, points)), read_session(tmp_path / "out"))
+        == []
+    )
 
 
 def test_cameras_of_unknown_place(tmp_path: Path, session: Session) -> None:

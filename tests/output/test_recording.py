@@ -13,6 +13,7 @@ from urdfcal.arrays import inverse
 from urdfcal.cameras.rig import Rig
 from urdfcal.errors import OutputError
 from urdfcal.estimation.linearize import predict
+from urdfcal.estimation.measurements import Detections, Points
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.output import arms
@@ -28,7 +29,7 @@ from urdfcal.pipeline import calibrate
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.robot.urdf.urdf import Urdf, find_urdf
-from urdfcal.session.model import Estimate, Led, Points, Session
+from urdfcal.session.model import Estimate, Led, Session
 from urdfcal.simulation.simulate import simulate
 
 POSES = 20
@@ -72,10 +73,10 @@ class Recorded:
 
 def make_session(shipped="elbow3r", **changes):
     session = simulate(read_rig(find_rig(shipped)), seed=4, poses=POSES).session
-    seen = session.detections.pose != BLIND
-    columns = {name: getattr(session.detections, name)[seen] for name in ("pose", "camera", "led", "uv", "sigma")}
+    seen = session.find(Detections).pose != BLIND
+    columns = {name: getattr(session.find(Detections), name)[seen] for name in ("pose", "camera", "led", "uv", "sigma")}
     columns["uv"][5] += 40.0
-    detections = type(session.detections)(**columns)
+    detections = type(session.find(Detections))(**columns)
     values = {name: getattr(session, name) for name in session.__dataclass_fields__}
     return Session(**values | {"detections": detections} | changes)
 
@@ -147,7 +148,7 @@ def test_cost_of_every_iteration_is_logged(calibration, recorded):
 
 
 def test_pictures_show_where_the_led_was_seen_and_predicted(calibration, recorded):
-    seen = calibration.session.detections
+    seen = calibration.session.find(Detections)
     for c, camera in enumerate(("cam0", "cam1")):
         logged = recorded.all_rows(f"/base/cameras/{camera}/image/sighted", "Points2D:positions")
         np.testing.assert_allclose(logged, seen.uv[seen.camera == c] + CORNER, atol=1e-3)
@@ -183,14 +184,14 @@ def test_rays_leave_the_camera_through_the_sighting(calibration, recorded):
         strips = recorded.all_rows(f"/base/rays/{camera.name}", "LineStrips3D:strips")
         np.testing.assert_allclose(strips[:, 0], inverse(T)[:3, 3] + np.zeros((len(strips), 3)), atol=1e-6)
         pixels = camera.project(strips[:, 1] @ T[:3, :3].T + T[:3, 3])
-        seen = calibration.session.detections
+        seen = calibration.session.find(Detections)
         np.testing.assert_allclose(pixels, seen.uv[seen.camera == c], atol=0.01)
 
 
 def test_sightings_taken_out_of_the_fit_are_marked(calibration, recorded):
     (outlier,) = calibration.outliers()
     marked = recorded.static(f"/base/cameras/{outlier['camera']}/image/outliers", "Points2D:positions")
-    np.testing.assert_allclose(marked, calibration.session.detections.uv[5][None] + CORNER, atol=1e-3)
+    np.testing.assert_allclose(marked, calibration.session.find(Detections).uv[5][None] + CORNER, atol=1e-3)
     assert recorded.static("/base/led/outliers", "Points3D:positions").shape == (1, 3)
 
 
@@ -208,7 +209,7 @@ def test_a_trackers_points_are_recorded_without_cameras(calibration, tmp_path):
     xyz = (leds @ np.swapaxes(T[:, :3, :3], 1, 2) + T[:, None, :3, 3]).reshape(-1, 3)
     pose, led = np.divmod(np.arange(2 * POSES), 2)
     points = Points(pose, led, xyz + np.random.default_rng(0).normal(0, 1e-4, xyz.shape), 1e-4)
-    tracked = calibrate(make_session(leds=(Led("a"), Led("b")), rig=None, detections=None, points=points))
+    tracked = calibrate(make_session(leds=(Led("a"), Led("b")), rig=Rig(), detections=None, points=points))
     write_recording(tmp_path / "points.rrd", tracked)
     recorded = Recorded(tmp_path / "points.rrd")
     assert not [entity for entity in recorded.entities if entity.startswith(("/base/cameras", "/base/rays"))]
@@ -222,9 +223,9 @@ def test_a_trackers_points_are_recorded_without_cameras(calibration, tmp_path):
 def test_with_one_camera_the_measured_led_lies_on_its_ray():
     session = make_session()
     one = Rig(session.rig.cameras[:1], session.rig.T_cam_world[:1])
-    seen = session.detections.camera == 0
-    columns = {name: getattr(session.detections, name)[seen] for name in ("pose", "camera", "led", "uv", "sigma")}
-    scene = lay_out(calibrate(make_session(rig=one, detections=type(session.detections)(**columns))))
+    seen = session.find(Detections).camera == 0
+    columns = {name: getattr(session.find(Detections), name)[seen] for name in ("pose", "camera", "led", "uv", "sigma")}
+    scene = lay_out(calibrate(make_session(rig=one, detections=type(session.find(Detections))(**columns))))
     np.testing.assert_allclose(scene.leds.measured, scene.rays[:, 1])
 
 
@@ -315,7 +316,7 @@ def test_verdict_table_and_workspace_are_there(calibration, recorded):
     assert overview.verdict.sentence in banner
     assert overview.verdict.headline.text(overview.document) in banner
     (table,) = recorded.static("/base/texts/parameters", "TextDocument:text")
-    for lost in calibration.identifiability.lost:
+    for lost in calibration.identifiability.unidentifiable:
         assert lost in table
     assert table.count("±") == np.isfinite(calibration.sigmas()).sum()
     for name in ("nominal", "calibrated"):

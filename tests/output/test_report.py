@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from urdfcal.cameras.rig import Rig
+from urdfcal.estimation.measurements import Detections
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.output.findings import judge, look_up
@@ -55,9 +56,9 @@ class Page(HTMLParser):
 def a_session(rig="elbow3r", lens=1.0, outlier=True):
     session = simulate(read_rig(find_rig(rig)), seed=4, poses=20).session
     if outlier:
-        uv = np.array(session.detections.uv)
+        uv = np.array(session.find(Detections).uv)
         uv[5] += 40.0
-        session = replace(session, detections=replace(session.detections, uv=uv))
+        session = replace(session, measurements=(replace(session.find(Detections), uv=uv),))
     cameras = tuple(replace(c, intrinsics=c.intrinsics * [lens, lens, 1, 1]) for c in session.rig.cameras)
     return replace(session, rig=Rig(cameras, session.rig.T_cam_world))
 

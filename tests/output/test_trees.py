@@ -94,7 +94,7 @@ def test_the_drawn_leds_are_as_their_camera_sees_them(calibration):
             inverse(T[camera, pose]) @ np.append(p, 1.0)
             for T, p in ((scene.views, scene.leds.nominal[row]), (places.T_base_cam, places.leds[pose, led]))
         )
-        if calibration.session.frames.camera[camera]:  # the drawn camera sits elsewhere on the same link
+        if calibration.session.attachments.camera[camera]:  # the drawn camera sits elsewhere on the same link
             expected = calibration.estimate.T_cam_world[camera] @ inverse(drawn.T_cam_world[camera]) @ expected
         np.testing.assert_allclose(seen, expected, atol=1e-9)
 
@@ -120,7 +120,7 @@ def test_two_cameras_in_one_hand_triangulate():
 
 
 def test_cameras_on_the_robot_move_and_the_others_stand(calibration, recorded):
-    frames, estimate = calibration.session.frames, calibration.estimate
+    frames, estimate = calibration.session.attachments, calibration.estimate
     links = link_poses(calibration.chain, calibration.session.q, frames.tips, calibration.placements)
     for c, camera in enumerate(estimate.cameras):
         entity = f"/base/cameras/{camera.name}"

@@ -228,7 +228,7 @@ def moving(kind: str, simulated: Simulated, seconds: float, offsets: Sequence[fl
     scene = Scene(
         session.chain,
         truth.placements,
-        session.frames,
+        session.attachments,
         truth.leds,
         truth.T_world_base,
         rig.cameras,

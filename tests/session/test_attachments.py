@@ -11,11 +11,12 @@ import yaml
 from urdfcal.arrays import inverse
 from urdfcal.cameras.rig import Rig
 from urdfcal.errors import OutputError, RobotError, SessionError
+from urdfcal.estimation.measurements import Detections
 from urdfcal.io.folder import read_rig, read_session
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.io.writing import write_session
 from urdfcal.robot.chain import Chain, Tree
-from urdfcal.session.attachments import CameraMount, fasten
+from urdfcal.session.attachments import CameraMount, attach
 from urdfcal.session.model import Led
 from urdfcal.simulation.simulate import write_simulated
 
@@ -33,14 +34,14 @@ def moved(x: float) -> np.ndarray:
 def test_leds_and_cameras_are_sorted_by_what_carries_them() -> None:
     rig = read_rig(find_rig("tiago"))
     assert isinstance(rig.chain, Tree)
-    assert rig.frames.names == ("world", "arm_tool_link", "xtion_rgb_optical_frame")
-    assert rig.frames.led.tolist() == [1, 1, 1]
-    assert rig.frames.camera.tolist() == [2]
-    assert not len(rig.frames.standing)
+    assert rig.attachments.frames == ("world", "arm_tool_link", "xtion_rgb_optical_frame")
+    assert rig.attachments.led.tolist() == [1, 1, 1]
+    assert rig.attachments.camera.tolist() == [2]
+    assert not len(rig.attachments.eye_to_hand)
     hand = read_rig(find_rig("ur5_handeye"))
     assert isinstance(hand.chain, Chain)
-    assert hand.frames.led.tolist() == [0] * 4
-    assert hand.frames.names[hand.frames.camera[0]] == "tool0"
+    assert hand.attachments.led.tolist() == [0] * 4
+    assert hand.attachments.frames[hand.attachments.camera[0]] == "tool0"
 
 
 def test_two_cameras_on_a_link_go_together() -> None:
@@ -48,20 +49,20 @@ def test_two_cameras_on_a_link_go_together() -> None:
     camera, apart = one.rig.cameras[0], moved(-0.06)
     pair = Rig((camera, replace(camera, name="second")), (np.eye(4), apart))
     given = one.mounts[0]
-    frames = fasten(one.chain, [None], pair, {"head": given, "second": CameraMount("second", given.link)})
-    assert frames.leader.tolist() == [0, 0]
+    frames = attach(one.chain, [None], pair, {"head": given, "second": CameraMount("second", given.link)})
+    assert frames.reference.tolist() == [0, 0]
     np.testing.assert_allclose(frames.T_cam_frame[1], apart @ inverse(given.T_link_camera), atol=1e-15)
     unknown = {"head": CameraMount("head", given.link), "second": CameraMount("second", given.link)}
-    frames = fasten(one.chain, [None], pair, unknown)
+    frames = attach(one.chain, [None], pair, unknown)
     assert frames.T_cam_frame == (None, None)
-    np.testing.assert_array_equal(frames.T_cam_leader[1], apart)
+    np.testing.assert_array_equal(frames.T_cam_reference[1], apart)
 
 
 def test_a_place_by_a_camera_on_something_else_is_refused() -> None:
     one = read_rig(find_rig("tiago"))
     pair = Rig((one.rig.cameras[0], replace(one.rig.cameras[0], name="second")), (np.eye(4), moved(-0.06)))
     with pytest.raises(SessionError, match=r"second.*T_cn_cnm1 places it by a camera"):
-        fasten(one.chain, [None], pair, {"head": one.mounts[0]})
+        attach(one.chain, [None], pair, {"head": one.mounts[0]})
 
 
 def test_a_second_camera_on_a_link_has_no_place_of_its_own_there() -> None:
@@ -69,7 +70,7 @@ def test_a_second_camera_on_a_link_has_no_place_of_its_own_there() -> None:
     pair = Rig((one.rig.cameras[0], replace(one.rig.cameras[0], name="second")), (np.eye(4), None))
     mounts = {"head": one.mounts[0], "second": replace(one.mounts[0], camera="second")}
     with pytest.raises(SessionError, match=r"camera 'second'.*there it goes with 'head'"):
-        fasten(one.chain, [None], pair, mounts)
+        attach(one.chain, [None], pair, mounts)
 
 
 def test_something_must_be_on_the_robot() -> None:
@@ -104,11 +105,11 @@ def test_a_session_reads_back_as_it_was_written(rig: str, tmp_path: Path, simula
     assert found.chain.names == session.chain.names
     assert found.chain.parents == session.chain.parents
     assert [(led.name, led.link) for led in found.leds] == [(led.name, led.link) for led in session.leds]
-    assert found.frames.names == session.frames.names
+    assert found.attachments.frames == session.attachments.frames
     for a, b in zip(found.mounts, session.mounts, strict=True):
         np.testing.assert_allclose(a.T_link_camera, b.T_link_camera, atol=1e-15)
         np.testing.assert_array_equal(a.sigma, b.sigma)
-    np.testing.assert_array_equal(found.detections.uv, session.detections.uv)
+    np.testing.assert_array_equal(found.find(Detections).uv, session.find(Detections).uv)
     np.testing.assert_array_equal(found.q, session.q)
 
 

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 
 from tests.io.making import write_points, write_valid
+from urdfcal.cameras.rig import Rig
 from urdfcal.errors import SessionError
+from urdfcal.estimation.measurements import Detections, Points
 from urdfcal.io.folder import read_rig, read_session
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.io.writing import write_session
 from urdfcal.session.model import (
-    Detections,
     Estimate,
     Led,
     Noise,
-    Points,
     RigDescription,
     Session,
     Stand,
@@ -47,9 +47,12 @@ def test_importing_it_brings_no_parser() -> None:
 
 
 def test_its_arrays_cannot_be_written_to(session: Session, tracked: Session) -> None:
-    assert session.detections is not None
-    assert tracked.points is not None
-    arrays = [session.q, session.leds[0].position, *vars(session.detections).values(), *vars(tracked.points).values()]
+    arrays = [
+        session.q,
+        session.leds[0].position,
+        *session.find(Detections).arrays.values(),
+        *tracked.find(Points).arrays.values(),
+    ]
     for array in arrays:
         with pytest.raises(ValueError, match="read-only"):
             array[0] = array[0]
@@ -65,11 +68,11 @@ def test_it_keeps_copies_of_what_it_was_given(session: Session) -> None:
 
 
 def test_sightings_are_sorted_whatever_their_order(session: Session) -> None:
-    table = session.detections
+    table = session.find(Detections)
     assert table is not None
     order = np.random.default_rng(1).permutation(len(table))
-    shuffled = Detections(**{name: column[order] for name, column in vars(table).items()})
-    for name, column in vars(table).items():
+    shuffled = Detections(**{name: column[order] for name, column in table.arrays.items()})
+    for name, column in table.arrays.items():
         assert np.array_equal(getattr(shuffled, name), column)
     keys = np.stack([table.pose, table.camera, table.led], axis=1).tolist()
     assert keys == sorted(keys)
@@ -118,8 +121,8 @@ def pixels(**changes: Any) -> Detections:
         ({"camera": np.array([0, 0])}, "camera is not an array of 3 indices"),
         ({"sigma": np.ones(2)}, r"sigma has shape \(2,\), not \(3,\)"),
         ({"sigma": np.array([0.1, 0.0, 0.1])}, "sigma is 0; it must be positive"),
-        ({"pose": np.array([0, 0, 2])}, "two sightings of pose 0, camera 0, led 0"),
-        ({"pose": np.zeros(0, int)}, "there is no sighting"),
+        ({"pose": np.array([0, 0, 2])}, "two measurements of pose 0, camera 0, led 0"),
+        ({"pose": np.zeros(0, int)}, "there is no measurement"),
     ],
 )
 def test_sightings_that_do_not_fit_are_refused(changes: dict[str, Any], message: str) -> None:
@@ -141,11 +144,11 @@ def test_sightings_that_do_not_fit_are_refused(changes: dict[str, Any], message:
         ({"poses": tuple("01234566")}, "two poses are named '6'"),
         ({"poses": (*"0123456", "a\nb")}, "cannot be printed"),
         ({"time": np.zeros(3)}, r"time has shape \(3,\), not \(8,\)"),
-        ({"rig": None}, "there are detections, but no cameras"),
-        ({"detections": None}, "neither detections nor points"),
-        ({"detections": pixels(pose=np.array([0, 1, 8]))}, "pose 8 does not exist: there are 8"),
-        ({"detections": pixels(camera=np.array([0, 2, 1]))}, "camera 2 does not exist: there are 2"),
-        ({"detections": pixels(led=np.array([0, 2, 1]))}, "led 2 does not exist: there are 2"),
+        ({"rig": Rig()}, "there are detections, but no cameras"),
+        ({"measurements": ()}, "there are no measurements"),
+        ({"measurements": (pixels(pose=np.array([0, 1, 8])),)}, "pose 8 does not exist: there are 8"),
+        ({"measurements": (pixels(camera=np.array([0, 2, 1])),)}, "camera 2 does not exist: there are 2"),
+        ({"measurements": (pixels(led=np.array([0, 2, 1])),)}, "led 2 does not exist: there are 2"),
         ({"tolerances": Tolerances(joints={"wrist": {}})}, "there is no joint 'wrist'"),
         ({"estimate": Estimate(extrinsics={"cam9": "free"})}, "there is no camera 'cam9'"),
     ],
@@ -207,14 +210,14 @@ def test_a_camera_cannot_look_at_itself(session: Session) -> None:
 
 def test_some_of_its_poses_are_a_session(session: Session, tracked: Session) -> None:
     chosen = np.array([0, 2, 3])
-    for whole, name, values in ((session, "detections", "uv"), (tracked, "points", "xyz")):
-        some, table = whole.at(chosen), getattr(whole, name)
+    for whole in (session, tracked):
+        some, (table,) = whole.at(chosen), whole.measurements
         assert some.poses == tuple(whole.poses[k] for k in chosen)
         np.testing.assert_array_equal(some.q, whole.q[chosen])
         kept = np.isin(table.pose, chosen)
         assert 0 < kept.sum() < len(table)
-        np.testing.assert_array_equal(chosen[getattr(some, name).pose], table.pose[kept])
-        np.testing.assert_array_equal(getattr(getattr(some, name), values), getattr(table, values)[kept])
+        np.testing.assert_array_equal(chosen[some.measurements[0].pose], table.pose[kept])
+        np.testing.assert_array_equal(some.measurements[0].values, table.values[kept])
 
 
 def test_tolerances_of_a_mount_need_a_branch_that_it_carries() -> None:

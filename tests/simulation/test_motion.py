@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from urdfcal.errors import SessionError
+from urdfcal.estimation.measurements import Detections
 from urdfcal.simulation.motion import Motion, _Path, set_in_motion
 from urdfcal.simulation.simulate import find_clearance, true_scene
 
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 def test_the_arm_moves_smoothly_within_its_limits_and_clear_of_itself(rig: str, simulated: Callable) -> None:
     still = simulated(rig, poses=12)
     moving = set_in_motion(still, Motion(speed=0.5, joint_rate=100.0))
-    log = moving.session.trajectory.log
+    log = moving.session.motion.log
     noise = 6.0 * still.session.noise.joint
     speed = np.abs(np.diff(log.values, axis=0)).max() / 0.01
     assert 0.45 < speed < 0.5 + 2.0 * noise / 0.01
@@ -47,10 +48,10 @@ def test_legs_are_ridden_at_full_speed_and_short_ones_no_more_steeply() -> None:
 def test_frames_show_the_true_arm_at_the_robots_time(simulated: Callable) -> None:
     still = simulated("elbow3r", poses=8, pixel=1e-9)
     moving = set_in_motion(still, Motion(frame_rate=5.0, time_offsets=(0.4, -0.3)))
-    session, d = moving.session, moving.session.detections
+    session, d = moving.session, moving.session.find(Detections)
     uv = true_scene(moving).images(moving.truth.q)[d.pose, d.camera, d.led]
     np.testing.assert_allclose(d.uv, uv, atol=1e-6)
-    trajectory = session.trajectory
+    trajectory = session.motion
     np.testing.assert_allclose(trajectory.values(np.array([0.4, -0.3])), moving.truth.q, atol=6e-4)
     assert np.diff(trajectory.time[trajectory.camera == 0]) == pytest.approx(0.2)
     assert moving.truth.time_offsets.tolist() == [0.4, -0.3]
@@ -58,7 +59,7 @@ def test_frames_show_the_true_arm_at_the_robots_time(simulated: Callable) -> Non
 
 def test_the_same_seed_moves_the_same_way(simulated: Callable) -> None:
     a, b = (set_in_motion(simulated("elbow3r", poses=5), Motion(frame_rate=3.0)) for _ in range(2))
-    assert np.array_equal(a.session.detections.uv, b.session.detections.uv)
+    assert np.array_equal(a.session.find(Detections).uv, b.session.find(Detections).uv)
     assert np.array_equal(a.truth.time_offsets, b.truth.time_offsets)
     assert np.abs(a.truth.time_offsets).max() <= 0.03
     assert a.truth.time_offsets.all()

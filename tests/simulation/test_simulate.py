@@ -13,6 +13,7 @@ import yaml
 from urdfcal.arrays import inverse
 from urdfcal.cameras.rig import Rig
 from urdfcal.errors import OutputError, SessionError
+from urdfcal.estimation.measurements import Detections
 from urdfcal.io.folder import read_rig, read_session
 from urdfcal.io.shipped_rigs import find_rig, shipped_rigs
 from urdfcal.robot.chain import Chain
@@ -60,9 +61,9 @@ def independent_pixels(simulated, cameras):
         T = T_cam_world @ truth.T_world_base
         fx, fy, cx, cy = entry["intrinsics"]
         K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-        rows = session.detections.camera == k
+        rows = session.find(Detections).camera == k
         points = []
-        for pose, led in zip(session.detections.pose[rows], session.detections.led[rows], strict=True):
+        for pose, led in zip(session.find(Detections).pose[rows], session.find(Detections).led[rows], strict=True):
             q = pin.neutral(model)
             for name, value in zip(session.chain.names, truth.q[pose], strict=True):
                 joint = model.joints[model.getJointId(name)]
@@ -76,7 +77,7 @@ def independent_pixels(simulated, cameras):
 
 @pytest.mark.parametrize("name", RIGS)
 def test_sightings_are_those_of_the_true_robot_by_an_independent_path(quiet, rigs, name):
-    seen = quiet[name].session.detections
+    seen = quiet[name].session.find(Detections)
     cameras = yaml.safe_load((rigs[name].folder / "cameras.yaml").read_text())
     for k, uv in enumerate(independent_pixels(quiet[name], cameras)):
         np.testing.assert_allclose(seen.uv[seen.camera == k], uv, rtol=0, atol=1e-6)
@@ -94,7 +95,7 @@ def test_poses_keep_inside_the_limits_and_use_their_range(quiet, name):
 
 @pytest.mark.parametrize("name", RIGS)
 def test_every_camera_sees_the_led_with_margin_and_all_over_its_image(quiet, name):
-    seen, cameras = quiet[name].session.detections, quiet[name].session.rig.cameras
+    seen, cameras = quiet[name].session.find(Detections), quiet[name].session.rig.cameras
     assert len(seen) == 2 * 50
     for k, camera in enumerate(cameras):
         uv = seen.uv[seen.camera == k]
@@ -137,7 +138,7 @@ def test_ur5_collides_with_nothing_by_its_meshes_and_the_makers_list_of_pairs(qu
 def test_the_same_seed_gives_the_same_session(rig):
     first, second = (simulate(rig, seed=5, outliers=0.1) for _ in range(2))
     np.testing.assert_array_equal(first.session.q, second.session.q)
-    np.testing.assert_array_equal(first.session.detections.uv, second.session.detections.uv)
+    np.testing.assert_array_equal(first.session.find(Detections).uv, second.session.find(Detections).uv)
     np.testing.assert_array_equal(first.truth.outliers, second.truth.outliers)
     assert first.truth.urdf == second.truth.urdf
 
@@ -154,11 +155,11 @@ def test_pixel_noise_changes_nothing_but_the_pixels(rig):
     np.testing.assert_array_equal(quiet.session.q, loud.session.q)
     np.testing.assert_array_equal(quiet.truth.T_world_base, loud.truth.T_world_base)
     assert quiet.truth.urdf == loud.truth.urdf
-    noise, twice = (s.session.detections.uv - clean.session.detections.uv for s in (quiet, loud))
+    noise, twice = (s.session.find(Detections).uv - clean.session.find(Detections).uv for s in (quiet, loud))
     np.testing.assert_allclose(twice, 2 * noise, atol=1e-9)
     assert 0.17 < noise.std() < 0.23
     assert quiet.session.noise.pixel == 0.2
-    assert (quiet.session.detections.sigma == 0.2).all()
+    assert (quiet.session.find(Detections).sigma == 0.2).all()
     assert clean.session.noise.pixel == rig.noise.pixel
 
 
@@ -193,12 +194,12 @@ def test_the_error_scale_multiplies_every_offset(rig):
 
 def test_outliers_are_as_many_as_asked_for_moved_visibly_and_still_in_the_image(rig):
     good, bad = (simulate(rig, seed=10, outliers=share) for share in (0.0, 0.12))
-    moved = np.linalg.norm(bad.session.detections.uv - good.session.detections.uv, axis=1)
+    moved = np.linalg.norm(bad.session.find(Detections).uv - good.session.find(Detections).uv, axis=1)
     np.testing.assert_array_equal(np.flatnonzero(moved), bad.truth.outliers)
     assert len(bad.truth.outliers) == 12
     assert moved[bad.truth.outliers].min() >= 5.0
     assert moved.max() <= 200.0
-    seen = bad.session.detections
+    seen = bad.session.find(Detections)
     for k, camera in enumerate(bad.session.rig.cameras):
         assert camera.in_image(seen.uv[seen.camera == k]).all()
 
@@ -267,7 +268,7 @@ def test_any_chain_will_do_with_a_base_inside_the_tree_mimic_and_endless_joints(
     np.testing.assert_allclose(simulated.session.q[:, 2], -0.5 * simulated.session.q[:, 1] + 0.2)
     assert q[:, 1].min() > -2 * np.pi
     cameras = yaml.safe_load((rig.folder / "cameras.yaml").read_text())
-    seen = simulated.session.detections
+    seen = simulated.session.find(Detections)
     for k, uv in enumerate(independent_pixels(simulated, cameras)):
         np.testing.assert_allclose(seen.uv[seen.camera == k], uv, rtol=0, atol=1e-6)
     (warning,) = simulated.session.warnings
@@ -285,7 +286,7 @@ def test_a_missing_mesh_is_a_warning_and_not_the_end(rig):
 def test_several_leds_are_all_in_view(rig):
     leds = (*rig.leds, Led("second", np.array([0.0, -0.05, -0.06]), 0.001), Led("third", np.array([0.0, 0.0, 0.08])))
     simulated = simulate(replace(rig, leds=leds), seed=13, poses=20)
-    assert len(simulated.session.detections) == 20 * 2 * 3
+    assert len(simulated.session.find(Detections)) == 20 * 2 * 3
     assert simulated.truth.leds.shape == (3, 3)
 
 
@@ -369,7 +370,7 @@ def test_a_written_session_reads_back_without_a_warning_and_its_truth_lies_besid
         session = read_session(folder)
         assert session.warnings == ()
         np.testing.assert_array_equal(session.q, simulated.session.q)
-        np.testing.assert_array_equal(session.detections.uv, simulated.session.detections.uv)
+        np.testing.assert_array_equal(session.find(Detections).uv, simulated.session.find(Detections).uv)
         assert session.urdf.data == rigs[name].urdf.data
         assert (folder / "truth.urdf").read_bytes() == simulated.truth.urdf != session.urdf.data
         assert not set(session.sha256) & {"truth.urdf", "truth.json"}
@@ -380,7 +381,10 @@ def test_a_written_session_reads_back_without_a_warning_and_its_truth_lies_besid
         np.testing.assert_array_equal([row["offset"] for row in truth["dh"]], simulated.truth.offsets.ravel())
         assert len(truth["outliers"]) == 4
         row = simulated.truth.outliers[0]
-        pose, camera = session.poses[session.detections.pose[row]], session.rig.names[session.detections.camera[row]]
+        pose, camera = (
+            session.poses[session.find(Detections).pose[row]],
+            session.rig.names[session.find(Detections).camera[row]],
+        )
         assert truth["outliers"][0] == {"pose": pose, "camera": camera, "led": "led"}
 
 
@@ -443,7 +447,7 @@ def test_a_rig_that_leaves_open_what_must_be_simulated_is_refused(rig):
     for lacking, named in (
         (replace(rig, leds=(Led("lamp"),)), "lamp"),
         (replace(rig, rig=Rig(rig.rig.cameras, (np.eye(4), None))), "cam1"),
-        (replace(rig, rig=None), "cameras"),
+        (replace(rig, rig=Rig()), "cameras"),
     ):
         with pytest.raises(SessionError, match=named):
             simulate(lacking, seed=1)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from urdfcal.arrays import Floats, Ints, ReadOnly, frozen
+from urdfcal.arrays import Floats, Ints, ReadOnly, Rebuilt, frozen
 from urdfcal.errors import SessionError
 from urdfcal.session.finite import finite_array
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Measurements(ABC):
+class Measurements(Rebuilt, ABC):
     """Measurements of one kind, sorted by their keys; what was not measured is a missing row.
 
     A kind is a frozen dataclass with an index array (S,) for each of its ``keys``, the first one ``pose``, an array
@@ -69,14 +69,14 @@ class Measurements(ABC):
             if column.shape != (count,) or column.dtype.kind not in "iu" or column.min() < 0:
                 raise SessionError(f"{key} is not an array of {count} indices", where=self.kind)
         try:
-            sigma = finite_array(np.broadcast_to(self._columns["sigma"], (count,)), (count,), "sigma", self.kind)
+            sigma = finite_array(np.broadcast_to(self.arrays["sigma"], (count,)), (count,), "sigma", self.kind)
         except ValueError as error:
             raise SessionError(
-                f"sigma has shape {np.shape(self._columns['sigma'])}, not ({count},)", where=self.kind
+                f"sigma has shape {np.shape(self.arrays['sigma'])}, not ({count},)", where=self.kind
             ) from error
         if sigma.min() <= 0.0:
             raise SessionError(f"sigma is {sigma.min():g}; it must be positive", where=self.kind)
-        columns = {**self._columns, **index, "sigma": sigma}
+        columns = {**self.arrays, **index, "sigma": sigma}
         if self.array:
             columns[self.array] = finite_array(self.values, (count, self.dimension), self.array, self.kind)
         order = np.lexsort([index[key] for key in reversed(self.keys)])
@@ -106,7 +106,7 @@ class Measurements(ABC):
 
     def rows(self, chosen: Any) -> Self:
         """Return some of the rows, by an index or a mask (S,)."""
-        return replace(self, **{name: column[chosen] for name, column in self._columns.items()})
+        return replace(self, **{name: column[chosen] for name, column in self.arrays.items()})
 
     def at(self, poses: Ints) -> Self | None:
         """Return the rows at some poses, (K,) in ascending order, numbered by these; None if there are none."""
@@ -131,5 +131,6 @@ class Measurements(ABC):
                 raise SessionError(f"{key} {largest} does not exist: there are {counts[key]}", where=self.kind)
 
     @property
-    def _columns(self) -> dict[str, Any]:
+    def arrays(self) -> dict[str, Any]:
+        """The columns by the names of their fields, each with S rows."""
         return {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.name != "names"}

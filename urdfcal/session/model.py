@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias, TypeVar, get_args
 
 import numpy as np
 
-from urdfcal.arrays import Floats, Ints, ReadOnly
+from urdfcal.arrays import Floats, Ints, ReadOnly, Rebuilt
 from urdfcal.cameras.rig import Rig
 from urdfcal.errors import SessionError
 from urdfcal.names import check_names, suggest
@@ -184,7 +184,7 @@ class Tolerances:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Setup:
+class Setup(Rebuilt):
     """What a rig and a session share: a robot, its LEDs, its cameras, and what is thought of them.
 
     Attributes:

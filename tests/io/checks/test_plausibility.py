@@ -79,8 +79,8 @@ def test_a_tracker_may_stand_far_away(tracked: Path) -> None:
 def test_a_joint_that_never_moves_is_named(folder: Path) -> None:
     cells(JOINTS, lambda i, row: {**row, "waist": "0.5", "slide": str(0.1 + 1e-5 * i)})(folder)
     waist, slide = read_session(folder).warnings
-    assert waist.endswith("joint 'waist' never moves: its parameters cannot be told")
-    assert slide.endswith("joint 'slide' moves by only 7e-05 m: its parameters cannot be told")
+    assert waist.endswith("joint 'waist' never moves: its parameters are unidentifiable")
+    assert slide.endswith("joint 'slide' moves by only 7e-05 m: its parameters are unidentifiable")
 
 
 def test_the_same_readings_under_two_labels_are_named(folder: Path) -> None:
@@ -127,7 +127,7 @@ def test_poses_leds_and_cameras_never_seen_are_named(folder: Path) -> None:
     cells(PIXELS, lambda _, row: row if row["led"] == "red" and row["camera"] == "left" else None)(folder)
     cells(PIXELS, lambda _, row: row if row["pose"] not in "36" else None)(folder)
     poses, leds, cameras = read_session(folder).warnings
-    assert poses.endswith("joints.csv: 2 of 8 poses have no sighting and do not count: 3, 6")
+    assert poses.endswith("joints.csv: 2 of 8 poses have no measurement and do not count: 3, 6")
     assert leds.endswith("session.yaml:5:1, key 'leds': never seen: blue")
     assert cameras.endswith("session.yaml:8:1, key 'cameras': these cameras see nothing: right")
 

@@ -14,6 +14,7 @@ import pytest
 import yourdfpy
 
 from urdfcal.errors import OutputError
+from urdfcal.estimation.measurements import Detections
 from urdfcal.output.exports.frames import found_frames
 from urdfcal.output.exports.static_transforms import static_transforms
 from urdfcal.output.exports.urdf_frames import urdf_with_frames
@@ -40,7 +41,7 @@ def placed(result: Result, frame: str, q: np.ndarray, data: bytes) -> np.ndarray
 def test_the_cameras_see_the_leds_of_the_urdf_where_they_were_seen(results: Callable, simulated: Callable) -> None:
     result, session = results("ur5"), simulated("ur5").session
     (data,) = urdf_with_frames(result.urdf, found_frames(result.calibration)).values()
-    seen = session.detections
+    seen = session.find(Detections)
     for row in range(0, len(seen), 7):
         camera = session.rig.cameras[seen.camera[row]]
         q = session.q[seen.pose[row]]
