@@ -9,6 +9,7 @@ import pinocchio as pin
 import pytest
 from rerun.chunk import RrdReader
 
+import urdfcal
 from urdfcal.arrays import inverse
 from urdfcal.cameras.rig import Rig
 from urdfcal.errors import OutputError
@@ -16,13 +17,13 @@ from urdfcal.estimation.linearize import predict
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.output import arms
+from urdfcal.output.findings import Overview
 from urdfcal.output.live import LiveView
 from urdfcal.output.overlay import overlays
-from urdfcal.output.overview import Overview
 from urdfcal.output.palette import CALIBRATED
-from urdfcal.output.projection import arm_in_picture
-from urdfcal.output.recording import log_calibration, write_recording
-from urdfcal.output.scene import lay_out
+from urdfcal.output.projection import arm_in_image
+from urdfcal.output.recording import write_recording
+from urdfcal.output.scene import build_scene
 from urdfcal.output.stream import CORNER
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.chain import Chain
@@ -118,7 +119,7 @@ def test_every_pose_has_its_row_even_when_nothing_was_seen(recorded):
         ("/base/led/measured", "Points3D:positions"),
         ("/base/rays/cam0", "LineStrips3D:strips"),
         ("/base/residuals/calibrated", "Arrows3D:vectors"),
-        ("/base/cameras/cam1/image/sighted", "Points2D:positions"),
+        ("/base/cameras/cam1/image/detected", "Points2D:positions"),
     ):
         rows = recorded.rows(entity, component)
         assert list(rows) == list(range(POSES))
@@ -149,7 +150,7 @@ def test_cost_of_every_iteration_is_logged(calibration, recorded):
 def test_pictures_show_where_the_led_was_seen_and_predicted(calibration, recorded):
     seen = calibration.session.detections
     for c, camera in enumerate(("cam0", "cam1")):
-        logged = recorded.all_rows(f"/base/cameras/{camera}/image/sighted", "Points2D:positions")
+        logged = recorded.all_rows(f"/base/cameras/{camera}/image/detected", "Points2D:positions")
         np.testing.assert_allclose(logged, seen.uv[seen.camera == c] + CORNER, atol=1e-3)
         predicted = recorded.all_rows(f"/base/cameras/{camera}/image/predicted", "Points2D:positions")
         (block,) = calibration.observations
@@ -170,7 +171,7 @@ def test_predicted_led_rides_on_the_calibrated_tip(calibration, recorded):
 def test_arrows_are_residuals_enlarged_by_the_stated_factor(calibration, recorded):
     (text,) = recorded.rows("/base/texts/about", "TextDocument:text")[0]
     factor = float(re.search(r"enlarged \*\*(\d+) times", text)[1])
-    assert factor == lay_out(calibration).factor
+    assert factor == build_scene(calibration).factor
     measured = recorded.all_rows("/base/led/measured", "Points3D:positions")
     predicted = recorded.all_rows("/base/led/predicted", "Points3D:positions")
     vectors = recorded.all_rows("/base/residuals/calibrated", "Arrows3D:vectors")
@@ -195,7 +196,7 @@ def test_sightings_taken_out_of_the_fit_are_marked(calibration, recorded):
 
 
 def test_links_move_with_the_calibrated_joints(calibration, recorded):
-    scene = lay_out(calibration)
+    scene = build_scene(calibration)
     link = calibration.session.urdf.joints[calibration.chain.names[-1]].child
     logged = recorded.rows(f"/base/calibrated/{link}", "Transform3D:translation")
     np.testing.assert_allclose(np.concatenate(list(logged.values())), scene.frames[:, -1, :3, 3], atol=1e-6)
@@ -224,7 +225,7 @@ def test_with_one_camera_the_measured_led_lies_on_its_ray():
     one = Rig(session.rig.cameras[:1], session.rig.T_cam_world[:1])
     seen = session.detections.camera == 0
     columns = {name: getattr(session.detections, name)[seen] for name in ("pose", "camera", "led", "uv", "sigma")}
-    scene = lay_out(calibrate(make_session(rig=one, detections=type(session.detections)(**columns))))
+    scene = build_scene(calibrate(make_session(rig=one, detections=type(session.detections)(**columns))))
     np.testing.assert_allclose(scene.leds.measured, scene.rays[:, 1])
 
 
@@ -254,11 +255,11 @@ def test_meshes_are_recorded_once_an_arm_and_missing_ones_are_named(tmp_path):
 
 
 def test_ellipsoids_are_the_triangulated_covariances(calibration, recorded):
-    leds = lay_out(calibration).leds
+    leds = build_scene(calibration).leds
     half = recorded.all_rows("/base/led/covariance", "Ellipsoids3D:half_sizes")
     q = recorded.all_rows("/base/led/covariance", "Ellipsoids3D:quaternions")
     R = np.array([pin.Quaternion(*np.roll(row, 1)).normalized().matrix() for row in q])
-    factor = lay_out(calibration).factor * 2.0
+    factor = build_scene(calibration).factor * 2.0
     covariance = R @ (np.eye(3) * (half[:, None] / factor) ** 2) @ np.swapaxes(R, 1, 2)
     np.testing.assert_allclose(covariance, leds.covariance, rtol=1e-3, atol=1e-12)
     depth = np.sqrt(np.linalg.eigvalsh(leds.covariance))
@@ -269,7 +270,7 @@ def test_the_arm_is_drawn_into_the_pictures(calibration, recorded):
     for c, camera in enumerate(("cam0", "cam1")):
         for name in ("calibrated", "nominal"):
             strips = recorded.rows(f"/base/cameras/{camera}/image/arm/{name}", "LineStrips2D:strips")
-            expected = arm_in_picture(calibration, calibration.session.q, c, nominal=name == "nominal")
+            expected = arm_in_image(calibration, calibration.session.q, c, nominal=name == "nominal")
             assert list(strips) == list(range(POSES))
             np.testing.assert_allclose(strips[BLIND][0], expected[BLIND] + CORNER, atol=1e-3)
 
@@ -313,7 +314,7 @@ def test_verdict_table_and_workspace_are_there(calibration, recorded):
     overview = Overview.of(calibration)
     (banner,) = recorded.static("/base/banner", "Points2D:labels")
     assert overview.verdict.sentence in banner
-    assert overview.verdict.headline.text(overview.document) in banner
+    assert overview.headline.text(overview.document) in banner
     (table,) = recorded.static("/base/texts/parameters", "TextDocument:text")
     for lost in calibration.identifiability.lost:
         assert lost in table
@@ -352,7 +353,7 @@ def test_photographs_and_overlay(calibration, tmp_path):
     assert [k for k, row in blobs.items() if len(row)] == [2]
     pictures = overlays(tmp_path / "calibration.rrd", session.poses[2])
     assert list(pictures) == ["cam0", "cam1"]
-    tip = arm_in_picture(calibration, session.q[2])[-1]
+    tip = arm_in_image(calibration, session.q[2])[-1]
     u, v = np.round(tip).astype(int)
     assert np.abs(pictures["cam0"][v, u].astype(int) - CALIBRATED[::-1]).max() < 60
     assert np.abs(pictures["cam0"][5, 5].astype(int) - 90).max() <= 2
@@ -379,7 +380,7 @@ def test_the_users_own_stream_and_path(calibration):
 
     stream = rr.RecordingStream("mine")
     memory = stream.memory_recording()
-    log_calibration(stream, calibration, path="cell/robot 1")
+    urdfcal.log(stream, calibration, "cell/robot 1")
     assert memory.num_msgs() > 50
 
 

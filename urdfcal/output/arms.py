@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from urdfcal.arrays import Floats
     from urdfcal.output.bodies import Body, Shape
-    from urdfcal.output.scene import Scene
+    from urdfcal.output.scene import CalibrationScene
     from urdfcal.output.stream import Layer
     from urdfcal.robot.dh import DHTable
     from urdfcal.robot.mechanism import Mechanism
@@ -29,8 +29,8 @@ Color = tuple[int, ...]
 _NO_LENGTH = 2e-3
 
 
-def log_arms(layer: Layer, session: Session, scene: Scene) -> tuple[str, ...]:
-    """Log the calibrated arm solid and the arm as drawn as a ghost; where shapes are missing, stick figures too.
+def log_arms(layer: Layer, session: Session, scene: CalibrationScene) -> tuple[str, ...]:
+    """Log the calibrated arm solid and the nominal arm as a ghost; where shapes are missing, stick figures too.
 
     Returns:
         Warnings about shapes that cannot be shown.
@@ -62,17 +62,17 @@ def _sticks(mechanism: Mechanism, frames: Floats) -> list[Floats]:
     return lines
 
 
-def log_dh(layer: Layer, table: DHTable | TreeTable, offsets: Floats, scene: Scene) -> None:
+def log_dh(layer: Layer, table: DHTable | TreeTable, scene: CalibrationScene) -> None:
     """Log the DH frames as axes, and each row's way from one to the next, with d and a as labels.
 
-    Rows are numbered as in the table that stands beside them, from 1.
+    Rows are numbered as in the table beside them, from 1.
     """
     length = 0.08 * table.chain.reach
     for i in range(scene.dh.shape[1]):
         layer.at(f"F{i}").moving(scene.dh[:, i])
         layer.at(f"F{i}").fixed(rr.TransformAxes3D(axis_length=length))
     sliding = {joint.name for joint in table.chain.joints if joint.prismatic}
-    for i, (joint, values) in enumerate(zip(table.labels, table.nominal + offsets, strict=True)):
+    for i, (joint, values) in enumerate(zip(table.labels, table.nominal + scene.arm.row_offsets, strict=True)):
         for name, value, stretch in (
             ("d", values[1], scene.corners[:, i, :2]),
             ("a", values[2], scene.corners[:, i, 1:]),

@@ -10,7 +10,7 @@ from urdfcal.output.stream import ITERATION
 if TYPE_CHECKING:
     from rerun import RecordingStream
 
-    from urdfcal.output.overview import Overview
+    from urdfcal.output.findings import Overview
     from urdfcal.pipeline import FittedCalibration
 
 
@@ -53,11 +53,11 @@ class LiveView:
     def finish(self, calibration: FittedCalibration, overview: Overview | None = None) -> None:
         """Show the result."""
         from urdfcal.output.blueprint import layout
-        from urdfcal.output.overview import Overview
-        from urdfcal.output.recording import ROOT, log_calibration
+        from urdfcal.output.findings import Overview
+        from urdfcal.output.recording import ROOT, log_overview
 
         overview = overview or Overview.of(calibration)
         self._stream.reset_time()
-        log_calibration(self._stream, calibration, overview)
+        log_overview(self._stream, overview)
         self._stream.send_blueprint(layout(ROOT, overview))
         self._stream.flush()

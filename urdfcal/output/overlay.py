@@ -1,4 +1,4 @@
-"""One pose of a recording as a picture: what the cameras saw, and the arm drawn into it."""
+"""One pose of a recording as an image: what the cameras saw, and the arm drawn into it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from urdfcal.errors import OutputError
 from urdfcal.files import write_bytes
 from urdfcal.output.photographs import decompressed
-from urdfcal.output.projection import draw_picture
+from urdfcal.output.projection import draw_image
 from urdfcal.output.stream import CORNER, POSE
 
 if TYPE_CHECKING:
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 _GAP = 8
 _ARMS = (("nominal", "arm/nominal"), ("calibrated", "arm/calibrated"))
-_LEDS = (("sighted", "sighted"), ("nominal", "nominal"), ("calibrated", "predicted"))
+_LEDS = (("detected", "detected"), ("nominal", "nominal"), ("calibrated", "predicted"))
 
 
 def write_overlay(path: Path, recording: Path, pose: str) -> None:
-    """Draw the arm, as drawn and calibrated, and the LEDs into every camera's picture at a pose; write a PNG.
+    """Draw the arm, nominal and calibrated, and the LEDs into every camera's image at a pose; write a PNG.
 
     Args:
         path: the PNG; replaced in one step.
@@ -42,7 +42,7 @@ def write_overlay(path: Path, recording: Path, pose: str) -> None:
     parts = [np.pad(picture, ((0, height - len(picture)), (0, _GAP), (0, 0))) for picture in pictures.values()]
     done, data = cv2.imencode(".png", np.hstack(parts)[:, :-_GAP])
     if not done:
-        raise OutputError("this picture cannot be encoded", where=str(path))
+        raise OutputError("OpenCV cannot encode this image", where=str(path))
     write_bytes(path, data.tobytes())
 
 
@@ -59,7 +59,9 @@ def overlays(recording: Path, pose: str) -> dict[str, NDArray[np.uint8]]:
         raise OutputError(f"there is no pose {pose!r}", where=str(recording), remedy=f"There are: {shown}.")
     images = sorted(entity for entity in found.entities if entity.endswith("/image") and "/cameras/" in entity)
     if not images:
-        raise OutputError("no camera took part", where=str(recording), remedy="Points have no pictures to draw into.")
+        raise OutputError(
+            "no camera took part", where=str(recording), remedy="A tracker's points have no images to draw into."
+        )
     at = poses.index(pose)
     return {image.split("/")[-2].replace("\\", ""): _overlay(found, image, at) for image in images}
 
@@ -74,7 +76,7 @@ def _overlay(found: _Recorded, image: str, at: int) -> NDArray[np.uint8]:
         for strip in found.row(f"{image}/{name}", "LineStrips2D:strips", at)
     ]
     leds = [(kind, _pixels(found.row(f"{image}/{name}", "Points2D:positions", at))) for kind, name in _LEDS]
-    return draw_picture(picture, lines, leds)
+    return draw_image(picture, lines, leds)
 
 
 def _pixels(values: Any) -> Floats:

@@ -6,24 +6,21 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pinocchio as pin
 
 from urdfcal.arrays import Floats, inverse
+from urdfcal.robot.kinematics import link_poses
 from urdfcal.robot.mechanism import BASE, Tip
 from urdfcal.session.attachments import WORLD
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from urdfcal.estimation.parameters import Geometry
-    from urdfcal.estimation.state import State
-    from urdfcal.pipeline import FittedCalibration
+    from urdfcal.output.fitted import ArmEstimate
     from urdfcal.robot.mechanism import Mechanism
+    from urdfcal.session.model import Setup
 
 
 @dataclass(frozen=True, eq=False)
-class Places:
-    """A state's robot, LEDs and cameras at N poses, in the base link's frame.
+class RobotPoses:
+    """A robot, its LEDs and cameras at N poses, in the base link's frame.
 
     Attributes:
         frames: (N, n + 1, 4, 4) base link and joint frames. [m]
@@ -38,45 +35,26 @@ class Places:
     T_base_cam: Floats
 
     @classmethod
-    def of(cls, calibration: FittedCalibration, state: State, q: Floats) -> Places:
-        """Run a state's forward kinematics at joint values (N, n), in rad or m."""
-        fastened = calibration.session.frames
-        frames = joint_frames(calibration.geometry, state, q)
+    def of(cls, setup: Setup, arm: ArmEstimate, q: Floats) -> RobotPoses:
+        """Run an arm's forward kinematics at joint values (N, n), in rad or m."""
+        fastened = setup.frames
+        frames = joint_frames(setup.chain, arm.placements, q)
         # The world is a link of the base here: it moves with no joint.
-        tips = (Tip(WORLD, BASE, inverse(state.T_world_base)), *fastened.tips)
+        tips = (Tip(WORLD, BASE, inverse(arm.T_world_base)), *fastened.tips)
         T_base_frame = np.array([link_frames(frames, tip) for tip in tips])
-        leds = led_positions(calibration.chain, frames, state.leds, [tips[frame] for frame in fastened.led])
-        seats = T_base_frame[fastened.camera[: len(state.cameras)]]
-        return cls(frames, T_base_frame, leds, seats @ inverse(state.T_cam_world)[:, None])
+        T_base_carrier = np.swapaxes(T_base_frame[fastened.led], 0, 1)
+        leds = (T_base_carrier[..., :3, :3] @ arm.leds[..., None])[..., 0] + T_base_carrier[..., :3, 3]
+        seats = T_base_frame[fastened.camera[: len(arm.cameras)]]
+        return cls(frames, T_base_frame, leds, seats @ inverse(arm.T_cam_frame)[:, None])
 
 
-def joint_frames(geometry: Geometry, state: State, q: Floats) -> Floats:
-    """T_base_joint of the base link and every joint at every pose, (N, n + 1, 4, 4) in m."""
-    model = geometry.chain.build_model(geometry.placements(state.offsets))
-    data = model.createData()
-    T = np.empty((len(q), model.njoints, 4, 4))
-    for k, q_k in enumerate(q):
-        pin.forwardKinematics(model, data, q_k)
-        T[k] = [M.homogeneous for M in data.oMi]
-    return T
+def joint_frames(mechanism: Mechanism, placements: Floats, q: Floats) -> Floats:
+    """T_base_joint (N, n + 1, 4, 4) of the base link and every joint at every pose, in m."""
+    frames = [Tip("", joint, np.eye(4)) for joint in range(BASE, len(mechanism.joints))]
+    return np.stack(link_poses(mechanism, q, frames, placements), axis=1)
 
 
 def link_frames(frames: Floats, tip: Tip) -> Floats:
     """T_base_link (N, 4, 4) of a link, in m, from the joints' frames (N, n + 1, 4, 4)."""
     result: Floats = frames[:, tip.joint + 1] @ tip.T_joint_link
-    return result
-
-
-def led_positions(mechanism: Mechanism, frames: Floats, leds: Floats, tips: Sequence[Tip] = ()) -> Floats:
-    """Where every LED is at every pose, (N, L, 3), in m in the base link's frame.
-
-    Args:
-        mechanism: the robot.
-        frames: (N, n + 1, 4, 4) base link and joint frames. [m]
-        leds: (L, 3) in the frames of what carries them. [m]
-        tips: what carries each; left out, the tip link carries all.
-    """
-    carriers = tips or mechanism.tips[:1] * len(leds)
-    T = np.stack([link_frames(frames, tip) for tip in carriers], axis=1)
-    result: Floats = (T[..., :3, :3] @ leds[..., None])[..., 0] + T[..., :3, 3]
     return result

@@ -12,16 +12,7 @@ from urdfcal.robot.tree_dh import Branch
 
 if TYPE_CHECKING:
     from urdfcal.arrays import Floats
-    from urdfcal.estimation.state import State
-    from urdfcal.pipeline import FittedCalibration
     from urdfcal.robot.tree_dh import TreeTable
-
-
-def row_offsets(calibration: FittedCalibration, state: State) -> Floats:
-    """Offsets (R, 5) of the DH rows; zero where whole placements were estimated, the drawn rows riding on them."""
-    if calibration.geometry is calibration.table:
-        return state.offsets
-    return np.zeros_like(calibration.table.nominal)
 
 
 def branches_of(table: DHTable | TreeTable) -> tuple[Branch, ...]:
@@ -34,11 +25,11 @@ def branches_of(table: DHTable | TreeTable) -> tuple[Branch, ...]:
 def dh_frames(table: DHTable | TreeTable, offsets: Floats, frames: Floats) -> Floats:
     """T_base_F of the DH frames F_0 ... F_R at every pose, (N, R + 1, 4, 4) in m: row i leads to F_i+1.
 
-    F_i rides on its joint's link: F_i = L_i K_i^-1 B_i, the joint variable's own offset being part of L_i already. A
+    F_i moves with its joint's link: F_i = L_i K_i^-1 B_i, the joint variable's own offset being part of L_i already. A
     mount's row leads to the first frame of the branch that it carries.
 
     Args:
-        table: the R rows as drawn.
+        table: the R nominal rows.
         offsets: (R, 5) added to them.
         frames: (N, n + 1, 4, 4) joint frames.
     """
@@ -64,7 +55,7 @@ def row_corners(table: DHTable | TreeTable, offsets: Floats, frames: Floats, dh:
     From start to foot is d, from foot to end is a.
 
     Args:
-        table: the R rows as drawn.
+        table: the R nominal rows.
         offsets: (R, 5) added to them.
         frames: (N, n + 1, 4, 4) joint frames.
         dh: (N, R + 1, 4, 4) DH frames with these offsets.
@@ -89,7 +80,7 @@ def row_lines(table: DHTable | TreeTable, offsets: Floats, frames: Floats) -> li
     """A line along each branch's rows: from the carrying link over F_0, foot, F_1, ... to the tip.
 
     Args:
-        table: the R rows as drawn.
+        table: the R nominal rows.
         offsets: (R, 5) added to them.
         frames: (N, n + 1, 4, 4) joint frames.
 
@@ -116,6 +107,6 @@ def row_lines(table: DHTable | TreeTable, offsets: Floats, frames: Floats) -> li
 
 
 def _carrier(table: DHTable | TreeTable, branch: Branch, frames: Floats) -> Floats:
-    """T_base_link (N, 4, 4) of the link that a branch hangs on."""
+    """T_base_link (N, 4, 4) of the link that carries a branch."""
     result: Floats = frames[:, table.chain.parents[branch.joints[0]] + 1]
     return result

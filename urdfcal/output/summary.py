@@ -5,17 +5,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from urdfcal.output.fastening import MOUNTS
-from urdfcal.output.scene import LENGTHS
+from urdfcal.output.fitted import LENGTHS
 from urdfcal.robot.tree_dh import MOUNT
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from typing import Any
 
-    from urdfcal.output.findings import Document
+    from urdfcal.output.findings import ResultData
 
 
-def parameter_text(document: Document) -> str:
+def parameter_text(document: ResultData) -> str:
     """The DH rows as a table in Markdown, nominal value and offset ± standard deviation, and what was held and why."""
     entries: Sequence[Mapping[str, Any]] = document["dh"]
     names = list(dict.fromkeys(entry["parameter"] for entry in entries))

@@ -1,4 +1,4 @@
-"""How far the tip is off over the workspace: the arm as drawn, and what is left of it after calibration."""
+"""How far the tip is off over the workspace: the nominal arm, and what is left after calibration."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Workspace:
 
     Attributes:
         tip: (M, 3) of the calibrated arm in the base link's frame. [m]
-        before: (M,) distance of the drawn arm's tip, after the best rigid alignment at the base. [m]
+        before: (M,) distance of the nominal arm's tip, after the best rigid alignment at the base. [m]
         after: (M,) predicted standard deviation of the calibrated tip's place, aligned likewise. [m]
     """
 
@@ -39,12 +39,12 @@ class Workspace:
         return float(both.min()), float(both.max())
 
 
-def survey(calibration: FittedCalibration) -> Workspace:
+def sample_workspace(calibration: FittedCalibration) -> Workspace:
     """Sample the workspace with the calibration's own seed."""
     chain = calibration.chain
     q = chain.random_values(_SAMPLES, np.random.default_rng(calibration.seed))
     tip = tip_poses(chain, q, calibration.placements)[:, :3, 3]
-    drawn = tip_poses(chain, q)[:, :3, 3]
-    T = kabsch(drawn, tip)
-    before = np.linalg.norm(drawn @ T[:3, :3].T + T[:3, 3] - tip, axis=1)
+    nominal = tip_poses(chain, q)[:, :3, 3]
+    T = kabsch(nominal, tip)
+    before = np.linalg.norm(nominal @ T[:3, :3].T + T[:3, 3] - tip, axis=1)
     return Workspace(frozen(tip), frozen(before), frozen(calibration.tip_sigma(q)))
