@@ -14,9 +14,7 @@ import pytest
 import yourdfpy
 
 from urdfcal.errors import OutputError
-from urdfcal.output.exports.frames import found_frames
-from urdfcal.output.exports.static_transforms import static_transforms
-from urdfcal.output.exports.urdf_frames import urdf_with_frames
+from urdfcal.output.exports.frames import found_frames, static_transforms, urdf_with_frames
 from urdfcal.robot.urdf.urdf import Urdf
 
 if TYPE_CHECKING:

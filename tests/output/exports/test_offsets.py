@@ -10,7 +10,7 @@ import pytest
 
 import urdfcal
 from urdfcal.errors import OutputError
-from urdfcal.output.exports.offsets import joint_offsets
+from urdfcal.output.exports.tables import joint_offsets
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.kinematics import tip_poses
