@@ -17,7 +17,7 @@ from urdfcal.estimation.linearize import predict
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.output import arms
-from urdfcal.output.findings import Overview
+from urdfcal.output.findings import Overview, headline
 from urdfcal.output.live import LiveView
 from urdfcal.output.overlay import overlays
 from urdfcal.output.palette import CALIBRATED
@@ -246,7 +246,7 @@ def test_meshes_are_recorded_once_an_arm_and_missing_ones_are_named(tmp_path):
     urdf = Urdf.parse(data.replace(b"ur5/visual/forearm.dae", b"ur5/visual/lost.dae"))
     broken = calibrate(make_session("ur5", urdf=urdf))
     (warning,) = write_recording(tmp_path / "ur5.rrd", broken)
-    assert "1 shapes" in warning
+    assert "1 shape " in warning
     assert "lost.dae" in warning
     recorded = Recorded(tmp_path / "ur5.rrd")
     meshes = [c.entity_path for c, batch in recorded.chunks if "Asset3D:blob" in batch.schema.names]
@@ -314,7 +314,7 @@ def test_verdict_table_and_workspace_are_there(calibration, recorded):
     overview = Overview.of(calibration)
     (banner,) = recorded.static("/base/banner", "Points2D:labels")
     assert overview.verdict.sentence in banner
-    assert overview.headline.text(overview.document) in banner
+    assert headline(overview.document) in banner
     (table,) = recorded.static("/base/texts/parameters", "TextDocument:text")
     for lost in calibration.identifiability.lost:
         assert lost in table

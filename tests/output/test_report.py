@@ -14,7 +14,7 @@ import pytest
 from urdfcal.cameras.rig import Rig
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
-from urdfcal.output.findings import Headline, Overview, look_up, verdict
+from urdfcal.output.findings import Overview, headline, look_up, verdict
 from urdfcal.output.report import write_report
 from urdfcal.output.workspace import sample_workspace
 from urdfcal.pipeline import calibrate
@@ -159,12 +159,10 @@ def test_held_out_figures_are_the_headline_with_their_interval(calibration, tmp_
     }
     overview = Overview.of(calibration)
     document = {**overview.document, "validation": validation}
-    assert Headline.of(document).text(document) == "1.5 -> 0.25 mm"
+    assert headline(document) == "1.5 -> 0.25 mm"
     worse = {**document, "validation": {**validation, "rms_mm": 1.6}}
     assert verdict(calibration, worse).level == "bad"
-    overview = replace(
-        overview, document=document, verdict=verdict(calibration, document), headline=Headline.of(document)
-    )
+    overview = replace(overview, document=document, verdict=verdict(calibration, document))
     write_report(tmp_path / "report.html", calibration, overview)
     page = Page((tmp_path / "report.html").read_text())
     assert "1.5 → 0.25 mm (95 %: 0.2 to 0.3 )" in page.text

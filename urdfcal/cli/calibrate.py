@@ -145,11 +145,11 @@ def _print(overview: Overview, paths: Sequence[Path], remarks: Sequence[str]) ->
     from rich.text import Text
 
     from urdfcal.cli.console import output
-    from urdfcal.output.findings import look_up
+    from urdfcal.output.findings import HEADLINE, headline
 
     console = output()
     document, verdict, calibration = overview.document, overview.verdict, overview.calibration
-    fit, headline = document["fit"], overview.headline
+    fit, (low, high) = document["fit"], document["validation"]["interval_mm"]
 
     def line(text: str, style: str = "") -> None:
         # Piped, a line is as long as it is; on a screen it must not wrap, or the summary grows.
@@ -160,11 +160,8 @@ def _print(overview: Overview, paths: Sequence[Path], remarks: Sequence[str]) ->
 
     tone = {"good": "bold green", "doubtful": "bold yellow", "bad": "bold red"}[verdict.level]
     line(f"{calibration.chain.name}: {verdict.sentence}", tone)
-    interval = ""
-    if headline.interval:
-        low, high = look_up(document, headline.interval)
-        interval = f" (95 %: {low:.3g} to {high:.3g})"
-    line(f"{headline.text(document)}{interval} {headline.meaning}, nominal -> calibrated", "bold")
+    interval = f"(95 %: {low:.3g} to {high:.3g})"
+    line(f"{headline(document)} {interval} {HEADLINE}, nominal -> calibrated", "bold")
     parts = [
         f"{fit[f'rms_nominal_{unit}']:.3f} -> {fit[f'rms_{unit}']:.3f} {unit}"
         for unit in ("px", "mm")

@@ -32,7 +32,7 @@ def command(
 ) -> None:
     """Write the result in OUT, a folder that calibrate has written, for ROS, MuJoCo, xacro or a controller.
 
-    ros-kinematics: the origins as ur_description's default_kinematics.yaml has them. ros-static-tf: the poses of cameras
+    ros-kinematics: origins as ur_description's default_kinematics.yaml has them. ros-static-tf: the poses of cameras
     and LEDs. mjcf: a MuJoCo model of the robot with the calibrated placements. offsets: the joints' zero offsets to
     enter in a controller, and the URDF without them. dh-csv: the calibrated DH rows. xacro-patch: a table of origins
     for a xacro file.

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import rerun as rr
 
-from urdfcal.output.bodies import MESH_FORMATS, visible_bodies
+from urdfcal.output.bodies import MESH_FORMATS, visible_links
 from urdfcal.output.palette import CALIBRATED, GHOST, NOMINAL, PARAMETER_COLORS
 from urdfcal.output.placing import link_frames
 from urdfcal.output.stream import placed
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rerun import AsComponents
 
     from urdfcal.arrays import Floats
-    from urdfcal.output.bodies import Body, Shape
+    from urdfcal.output.bodies import Shape, VisibleLink
     from urdfcal.output.scene import CalibrationScene
     from urdfcal.output.stream import Layer
     from urdfcal.robot.dh import DHTable
@@ -35,7 +35,7 @@ def log_arms(layer: Layer, session: Session, scene: CalibrationScene) -> tuple[s
     Returns:
         Warnings about shapes that cannot be shown.
     """
-    bodies, warnings = visible_bodies(session.urdf, session.chain) if session.urdf else ((), ())
+    bodies, warnings = visible_links(session.urdf, session.chain) if session.urdf else ((), ())
     arms = (("calibrated", scene.frames, None, CALIBRATED), ("nominal", scene.ghost, GHOST, NOMINAL))
     for name, frames, tint, line in arms:
         arm = layer.at(name)
@@ -90,7 +90,7 @@ def log_dh(layer: Layer, table: DHTable | TreeTable, scene: CalibrationScene) ->
             row.each(rr.LineStrips3D.columns(strips=stretch.astype(np.float32)))
 
 
-def _log_body(layer: Layer, body: Body, frames: Floats, tint: Color | None) -> None:
+def _log_body(layer: Layer, body: VisibleLink, frames: Floats, tint: Color | None) -> None:
     T = frames[:, body.frame] @ body.T_frame_link
     if body.frame == 0:
         layer.fixed(placed(T[0]))

@@ -9,6 +9,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from urdfcal.output import charts
+from urdfcal.output.findings import HEADLINE, headline
 from urdfcal.output.palette import BACKGROUND, VERDICT_COLORS
 from urdfcal.output.plots import chart_view
 from urdfcal.output.scene import image_range
@@ -61,8 +62,8 @@ def layout(root: str, overview: Overview, active: int = 0) -> rrb.Blueprint:
 
 def _banner(root: str, overview: Overview) -> rrb.View:
     """A stripe in the verdict's colour; what it says stands in the title, legible on dark and on light screens."""
-    verdict, headline = overview.verdict, overview.headline
-    number = f"{headline.text(overview.document)} {headline.meaning}"
+    verdict = overview.verdict
+    number = f"{headline(overview.document)} {HEADLINE}"
     return rrb.Spatial2DView(
         origin=f"{root}/banner", name=f"{verdict.sentence}  {number}", background=VERDICT_COLORS[verdict.level]
     )

@@ -8,8 +8,6 @@ import numpy as np
 import rerun as rr
 
 from urdfcal.output.chart import Scale
-from urdfcal.output.charts import CONVERGENCE, PARTS, RESIDUALS
-from urdfcal.output.fastening import fastening_sentences
 from urdfcal.output.fitted import nominal
 from urdfcal.output.palette import (
     CALIBRATED,
@@ -18,14 +16,13 @@ from urdfcal.output.palette import (
     MEASURED,
     NOMINAL,
     OUTLIER,
-    SIGMA_LEGEND,
     by_sigma,
     viridis,
 )
 from urdfcal.output.photographs import compressed, find_photographs
 from urdfcal.output.projection import arm_in_images, finite_pieces
 from urdfcal.output.stream import CORNER, placed, quaternions
-from urdfcal.output.summary import parameter_text
+from urdfcal.output.texts import ELLIPSOID
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -33,7 +30,6 @@ if TYPE_CHECKING:
 
     from urdfcal.arrays import Floats, Ints
     from urdfcal.cameras.camera import Camera
-    from urdfcal.output.findings import Overview
     from urdfcal.output.fitted import Measurements
     from urdfcal.output.scene import CalibrationScene
     from urdfcal.output.stream import Layer
@@ -44,8 +40,6 @@ if TYPE_CHECKING:
 _DOT, _SMALL_DOT, _THIN, _LINE, _ARROW = -4.0, -2.0, -0.8, -1.5, -3.0
 # Below a nanometre an error is none. [m]
 _SMALLEST = 1e-9
-ELLIPSOID = 2.0
-"""Half axes of the covariance ellipsoids, in standard deviations."""
 
 
 def log_cameras(base: Layer, calibration: FittedCalibration, scene: CalibrationScene) -> None:
@@ -188,56 +182,3 @@ def log_workspace(layer: Layer, workspace: Workspace) -> None:
     for name, error in (("nominal", workspace.before), ("calibrated", workspace.after)):
         colors = viridis(scale.share(np.maximum(error, _SMALLEST)))
         layer.at(name).fixed(rr.Points3D(workspace.tip, colors=colors, radii=_SMALL_DOT))
-
-
-def log_texts(base: Layer, overview: Overview) -> None:
-    """Log the verdict, what there is to see at each pose, the table of the DH rows, and the poses' names."""
-    session, headline = overview.calibration.session, overview.headline
-    banner = f"{overview.verdict.sentence}   {headline.text(overview.document)}, {headline.meaning}"
-    base.at("banner").fixed(rr.Points2D([[0.0, 0.0]], radii=0.0, labels=banner, show_labels=False))
-    texts = base.at("texts")
-    texts.at("about").fixed(rr.TextDocument.from_fields(media_type=rr.MediaType.MARKDOWN))
-    texts.at("about").each(rr.TextDocument.columns(text=_about(overview)))
-    parts = PARTS[overview.scene.tables[0].components]
-    for name, text in (
-        ("parameters", parameter_text(overview.document)),
-        ("residuals", RESIDUALS.format(parts=parts)),
-        ("convergence", CONVERGENCE),
-    ):
-        texts.at(name).fixed(rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
-    texts.at("poses").fixed(rr.AnyValues(poses=session.poses))
-
-
-def _about(overview: Overview) -> list[str]:
-    """For each pose its residuals in space, and what colours and enlarged things mean."""
-    scene, session = overview.scene, overview.calibration.session
-    poses, names, leds = session.poses, session.led_names, scene.leds
-    new, old = (_millimetres(places - leds.measured) for places in (leds.predicted, leds.nominal))
-    lines: list[list[str]] = [[] for _ in poses]
-    for m, (pose, led, cut) in enumerate(zip(leds.pose, leds.led, leds.outlier, strict=True)):
-        taken_out = ", taken out of the fit" if cut else ""
-        lines[pose].append(f"{names[led]} {new[m]:.2f} mm off, nominal {old[m]:.2f} mm{taken_out}")
-    legend = _LEGEND.format(factor=scene.factor)
-    if fastened := fastening_sentences(session):
-        legend += "\n" + " ".join(fastened) + "\n"
-    if overview.verdict.reasons:
-        legend += "\n**To check:**\n" + "\n".join(f"- {text}" for text in overview.verdict.reasons)
-    return [
-        f"**Pose {pose}**: {'; '.join(line) or 'nothing seen'}.\n\n{legend}"
-        for pose, line in zip(poses, lines, strict=True)
-    ]
-
-
-_LEGEND = f"""\
-Solid arm: **calibrated**. Blue ghost: **nominal**, as the URDF has it, placed to fit the measurements best. Its
-deviation and the residual arrows are enlarged **{{factor:g}} times**.
-
-LED: white as measured, green by the calibrated arm, blue by the nominal one. Arrows from measured to predicted:
-{SIGMA_LEGEND}. Purple: taken out of the fit. White ellipsoid: {ELLIPSOID:g} standard deviations of the measurement,
-enlarged alike.
-"""
-
-
-def _millimetres(vectors: Floats) -> Floats:
-    lengths: Floats = 1e3 * np.linalg.norm(vectors, axis=1)
-    return lengths

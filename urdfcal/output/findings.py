@@ -26,36 +26,8 @@ ResultData: TypeAlias = "Mapping[str, Any]"
 _MISFIT_BAD, _MISFIT_DOUBTFUL = 9.0, 2.0
 # The arm bends to explain what it is not to blame for: corrections many tolerances long that still leave a misfit.
 _FAR = 5.0
-
-
-@dataclass(frozen=True)
-class Headline:
-    """The number that says what the calibration is worth, and where it stands in ``calibration.json``.
-
-    Attributes:
-        before: key of the nominal arm's figure.
-        after: key of the calibrated arm's.
-        unit: of both.
-        meaning: what they are.
-        interval: key of the 95 % interval of ``after``, where there is one.
-    """
-
-    before: str
-    after: str
-    unit: str
-    meaning: str
-    interval: str | None = None
-
-    @classmethod
-    def of(cls, document: ResultData) -> Headline:
-        """The figure on held-out poses."""
-        interval = "validation.interval_mm" if "interval_mm" in document["validation"] else None
-        meaning = "rms error on held-out poses"
-        return cls("validation.rms_nominal_mm", "validation.rms_mm", "mm", meaning, interval)
-
-    def text(self, document: ResultData) -> str:
-        """Both figures in a line."""
-        return f"{look_up(document, self.before):.3g} -> {look_up(document, self.after):.3g} {self.unit}"
+HEADLINE = "rms error on held-out poses"
+"""What the one number means that says what a calibration is worth."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +60,6 @@ class Overview:
         calibration: the result.
         document: what ``calibration.json`` holds.
         verdict: whether to trust it.
-        headline: the number that says what it is worth.
         scene: where everything is.
         workspace: tip errors over the workspace.
     """
@@ -96,7 +67,6 @@ class Overview:
     calibration: FittedCalibration
     document: ResultData
     verdict: Judgement
-    headline: Headline
     scene: CalibrationScene
     workspace: Workspace
 
@@ -108,7 +78,6 @@ class Overview:
             calibration,
             document,
             verdict(calibration, document),
-            Headline.of(document),
             build_scene(calibration),
             sample_workspace(calibration),
         )
@@ -125,11 +94,11 @@ def verdict(calibration: FittedCalibration, document: ResultData | None = None) 
         document: ``calibration.to_dict()``, if it is there already.
     """
     document = document or calibration.to_dict()
-    headline, fit = Headline.of(document), document["fit"]
+    fit, validation = document["fit"], document["validation"]
     misfit = float(np.sqrt(fit["reduced_chi2"]))
     failures = list(calibration.failures)
-    if not failures and look_up(document, headline.after) >= look_up(document, headline.before):
-        failures.append(f"it is no better than the nominal arm: {headline.text(document)} {headline.meaning}")
+    if not failures and validation["rms_mm"] >= validation["rms_nominal_mm"]:
+        failures.append(f"it is no better than the nominal arm: {headline(document)} {HEADLINE}")
     if not failures and fit["reduced_chi2"] > _MISFIT_BAD:
         failures.append(f"the residuals are {misfit:.1f} times the declared noise: the model does not explain them")
     if not failures and fit["reduced_chi2"] > _MISFIT_DOUBTFUL and (far := far_corrections(calibration, _FAR)):
@@ -144,6 +113,12 @@ def verdict(calibration: FittedCalibration, document: ResultData | None = None) 
         counted = "a warning" if len(warnings) == 1 else f"{len(warnings)} warnings"
         return Judgement("doubtful", f"Better than the nominal arm, with {counted} to check first.", (), warnings)
     return Judgement("good", "Trust it: the residuals are what the declared noise explains.", (), ())
+
+
+def headline(document: ResultData) -> str:
+    """The rms error on held-out poses, nominal and calibrated."""
+    validation = document["validation"]
+    return f"{validation['rms_nominal_mm']:.3g} -> {validation['rms_mm']:.3g} mm"
 
 
 def look_up(document: ResultData, key: str | Sequence[str]) -> Any:

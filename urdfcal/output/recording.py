@@ -98,7 +98,7 @@ def log_overview(stream: RecordingStream, overview: Overview, entity_path: str =
     """Log what was worked out of a calibration; see :func:`log_calibration`."""
     import rerun as rr
 
-    from urdfcal.output import arms, charts, entities, plots
+    from urdfcal.output import arms, charts, entities, plots, texts
     from urdfcal.output.stream import Layer
 
     calibration, scene = overview.calibration, overview.scene
@@ -114,5 +114,5 @@ def log_overview(stream: RecordingStream, overview: Overview, entity_path: str =
     plots.log_convergence(base, calibration, scene)
     for chart in charts.all_charts(overview):
         plots.log_chart(base.at("charts"), chart)
-    entities.log_texts(base, overview)
+    texts.log_texts(base, overview)
     return warnings

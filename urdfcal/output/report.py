@@ -11,10 +11,10 @@ import numpy as np
 
 from urdfcal import files
 from urdfcal.output import charts, figures
-from urdfcal.output.fastening import MOUNTS, fastening_sentences, listed
-from urdfcal.output.findings import Overview, look_up
+from urdfcal.output.findings import HEADLINE, Overview, look_up
 from urdfcal.output.fitted import LENGTHS
 from urdfcal.output.palette import SIGMA_LEGEND
+from urdfcal.output.texts import MOUNTS, fastening_sentences, fixed_parameters, listed
 from urdfcal.robot.tree_dh import MOUNT
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def write_report(path: Path, calibration: FittedCalibration, overview: Overview 
         document,
         n=_number_of(document),
         verdict=overview.verdict,
-        headline=overview.headline,
+        meaning=HEADLINE,
         misfit=f"{np.sqrt(document['fit']['reduced_chi2']):.2g}",
         figures={name: Markup(svg) for name, svg in drawn.items()},  # noqa: S704  # made by us, labels escaped
         sigma_legend=SIGMA_LEGEND,
@@ -70,7 +70,7 @@ def write_report(path: Path, calibration: FittedCalibration, overview: Overview 
         tips=listed([tip.link for tip in calibration.chain.tips]),
         fastened=" ".join(fastening_sentences(calibration.session)),
         mounts=MOUNTS if any(label.endswith(MOUNT) for label in calibration.geometry.labels) else "",
-        held=_held(document),
+        held=fixed_parameters(document),
         largest=largest,
         shown=_OUTLIERS_SHOWN,
         urdf_name=calibration.urdf_name,
@@ -108,12 +108,3 @@ def _rows(document: ResultData) -> list[tuple[str, list[int]]]:
     for i, entry in enumerate(document["dh"]):
         rows.setdefault(entry["joint"], []).append(i)
     return list(rows.items())
-
-
-def _held(document: ResultData) -> list[tuple[str, list[str]]]:
-    """The parameters that were held for a reason not among the lost directions, reason by reason."""
-    held: dict[str, list[str]] = {}
-    for entry in document["dh"]:
-        if entry["status"] == "fixed" and entry["reason"] not in document["identifiability"]["lost"]:
-            held.setdefault(entry["reason"], []).append(f"{entry['joint']}.{entry['parameter']}")
-    return list(held.items())

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pinocchio as pin
 
-from urdfcal.arrays import Floats, Ints, inverse, skew
+from urdfcal.arrays import Floats, Ints, inverse
 from urdfcal.cameras.rig import Rig
 from urdfcal.output import fitted
 from urdfcal.output.placing import RobotPoses
@@ -132,14 +133,10 @@ def build_scene(calibration: FittedCalibration) -> CalibrationScene:
 
 def exaggerated(T_base_here: Floats, T_base_there: Floats, factor: float) -> Floats:
     """Go from frames towards their counterparts and ``factor`` times as far, (..., 4, 4)."""
-    R = np.swapaxes(T_base_here[..., :3, :3], -1, -2) @ T_base_there[..., :3, :3]
-    twice = np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1)
-    sine = np.linalg.norm(twice, axis=-1) / 2
-    angle = factor * np.arctan2(sine, (np.trace(R, axis1=-2, axis2=-1) - 1) / 2)[..., None, None]
-    axis = skew(twice / np.maximum(2 * sine, np.finfo(float).tiny)[..., None])
-    T: Floats = T_base_here.copy()
-    T[..., :3, :3] @= np.eye(3) + np.sin(angle) * axis + (1 - np.cos(angle)) * (axis @ axis)
-    T[..., :3, 3] += factor * (T_base_there[..., :3, 3] - T_base_here[..., :3, 3])
+    T: Floats = T_base_here + factor * (T_base_there - T_base_here)  # right for the translations
+    for k in np.ndindex(T.shape[:-2]):
+        R = T_base_here[k][:3, :3]
+        T[k][:3, :3] = R @ pin.exp3(factor * pin.log3(R.T @ T_base_there[k][:3, :3]))
     return T
 
 

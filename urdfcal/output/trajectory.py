@@ -23,7 +23,7 @@ _LIMIT_ROUNDING = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory:
+class CommandTable:
     """A table of joint commands, and whatever else its columns hold.
 
     Attributes:
@@ -37,7 +37,7 @@ class Trajectory:
     q: Floats
 
     @classmethod
-    def read(cls, path: Path, chain: Mechanism) -> Trajectory:
+    def read(cls, path: Path, chain: Mechanism) -> CommandTable:
         """Read a trajectory.
 
         Args:
