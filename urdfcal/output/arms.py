@@ -98,10 +98,10 @@ def _log_body(layer: Layer, body: VisibleLink, frames: Floats, tint: Color | Non
         layer.moving(T)
     for k, shape in enumerate(body.shapes):
         scale = shape.size if shape.mesh else (1.0, 1.0, 1.0)
-        layer.at(f"shape {k}").fixed(placed(shape.T_link_shape, scale), _drawn(shape, tint))
+        layer.at(f"shape {k}").fixed(placed(shape.T_link_shape, scale), _visual(shape, tint))
 
 
-def _drawn(shape: Shape, tint: Color | None) -> AsComponents:
+def _visual(shape: Shape, tint: Color | None) -> AsComponents:
     color = tint or (tuple(round(255 * c) for c in shape.color) if shape.color else None)
     if shape.mesh:
         suffix = shape.mesh.suffix.lower()

@@ -61,7 +61,7 @@ def layout(root: str, overview: Overview, active: int = 0) -> rrb.Blueprint:
 
 
 def _banner(root: str, overview: Overview) -> rrb.View:
-    """A stripe in the verdict's colour; what it says stands in the title, legible on dark and on light screens."""
+    """A stripe in the verdict's colour; its text is the title, legible on dark and on light screens."""
     verdict = overview.verdict
     number = f"{headline(overview.document)} {HEADLINE}"
     return rrb.Spatial2DView(

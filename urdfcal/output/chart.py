@@ -82,7 +82,7 @@ class Mark:
     """Dots, lines or cells of a chart.
 
     Attributes:
-        kind: what is drawn; cells are squares of side ``size`` around their values.
+        kind: dots, lines or cells; cells are squares of side ``size`` around their values.
         name: of its own in the chart.
         x: (K,) values, of lines also (L, K).
         y: (K,) or (L, K) values.
@@ -107,7 +107,7 @@ class Chart:
         title: what it shows, and the units.
         x: the horizontal range.
         y: the vertical range.
-        marks: what is drawn, the last on top.
+        marks: its contents, the last on top.
         x_names: ticks that are names instead of numbers.
         y_names: likewise.
         x_label: what the report writes below.
@@ -142,7 +142,7 @@ class Chart:
         """Where the vertical axis is marked, and with what."""
         return self.y.ticks() if self.y_names is None else self.y_names
 
-    def drawn(self, mark: Mark, width: float, height: float) -> tuple[list[Floats] | Floats, Color]:
+    def shapes(self, mark: Mark, width: float, height: float) -> tuple[list[Floats] | Floats, Color]:
         """Bring a mark onto an area of the given size, its origin at the top left.
 
         Returns:

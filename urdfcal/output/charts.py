@@ -76,12 +76,12 @@ def by_pose(table: Measurements) -> Chart:
         x,
         Scale.holding(before, after, table.noise, logarithmic=True),
         [
-            Mark("lines", "declared noise", [x.low, x.high], [table.noise, table.noise], INK),
+            Mark("lines", "declared", [x.low, x.high], [table.noise, table.noise], INK),
             Mark("dots", "nominal", pose + 1, before, NOMINAL),
             Mark("dots", "calibrated", pose + 1, after, CALIBRATED),
         ],
         x_label="pose",
-        legend=("nominal", "calibrated", "declared noise"),
+        legend=("nominal", "calibrated", "declared"),
         breadth=3.0,
     )
 
@@ -237,4 +237,5 @@ def workspace_chart(workspace: Workspace) -> Chart:
         Scale(0.0, 100.0),
         [Mark("lines", name, 1e3 * np.sort(error), share, color) for name, error, color in errors],
         x_label="tip error [mm]",
+        legend=("nominal", "calibrated"),
     )

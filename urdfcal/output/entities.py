@@ -43,7 +43,7 @@ _SMALLEST = 1e-9
 
 
 def log_cameras(base: Layer, calibration: FittedCalibration, scene: CalibrationScene) -> None:
-    """Log the cameras' places and frusta, their rays to the LEDs, their images, and the arm drawn into these."""
+    """Log the cameras' poses and frusta, their rays to the LEDs, their images, and the arm drawn into these."""
     photographs = find_photographs(calibration.session)
     arms = [
         (name, arm_in_images(calibration, arm, calibration.session.q), color, radius)

@@ -37,9 +37,9 @@ def write_overlay(path: Path, recording: Path, pose: str) -> None:
     """
     import cv2
 
-    pictures = overlays(recording, pose)
-    height = max(picture.shape[0] for picture in pictures.values())
-    parts = [np.pad(picture, ((0, height - len(picture)), (0, _GAP), (0, 0))) for picture in pictures.values()]
+    images = overlays(recording, pose)
+    height = max(image.shape[0] for image in images.values())
+    parts = [np.pad(image, ((0, height - len(image)), (0, _GAP), (0, 0))) for image in images.values()]
     done, data = cv2.imencode(".png", np.hstack(parts)[:, :-_GAP])
     if not done:
         raise OutputError("OpenCV cannot encode this image", where=str(path))
@@ -47,7 +47,7 @@ def write_overlay(path: Path, recording: Path, pose: str) -> None:
 
 
 def overlays(recording: Path, pose: str) -> dict[str, NDArray[np.uint8]]:
-    """The pictures of :func:`write_overlay`, (h, w, 3) blue first, by camera.
+    """The images of :func:`write_overlay`, (h, w, 3) blue first, by camera.
 
     Raises:
         OutputError: there is no such pose, or no camera.
@@ -69,14 +69,14 @@ def overlays(recording: Path, pose: str) -> dict[str, NDArray[np.uint8]]:
 def _overlay(found: _Recorded, image: str, at: int) -> NDArray[np.uint8]:
     width, height = (int(side) for side in (found.fixed(image, "Pinhole:resolution") or [[0, 0]])[0])
     photograph = found.row(image, "EncodedImage:blob", at)
-    picture = decompressed(bytes(photograph[0])) if photograph else (width, height)
+    background = decompressed(bytes(photograph[0])) if photograph else (width, height)
     lines = [
         (kind, _pixels(strip))
         for kind, name in _ARMS
         for strip in found.row(f"{image}/{name}", "LineStrips2D:strips", at)
     ]
     leds = [(kind, _pixels(found.row(f"{image}/{name}", "Points2D:positions", at))) for kind, name in _LEDS]
-    return draw_image(picture, lines, leds)
+    return draw_image(background, lines, leds)
 
 
 def _pixels(values: Any) -> Floats:

@@ -32,9 +32,10 @@ _RADII = {"dots": -2.0, "lines": -0.9, "hairlines": _HAIR}
 
 def chart_view(chart: Chart, parent: str) -> rrb.View:
     """The view of a chart whose entity is a child of ``parent``."""
+    name = f"{chart.title}, by {chart.x_label}" if chart.x_label else chart.title
     return rrb.Spatial2DView(
         origin=f"{parent}/{rr.escape_entity_path_part(chart.name)}",
-        name=chart.title,
+        name=f"{name} (blue: nominal, green: calibrated)" if chart.legend else name,
         visual_bounds=rrb.VisualBounds2D(
             x_range=[-_beside(chart), _WIDTH + _RIGHT], y_range=[-_ABOVE, _height(chart) + _BELOW]
         ),
@@ -56,7 +57,7 @@ def log_chart(parent: Layer, chart: Chart) -> None:
     names = [*chart.x_ticks.values(), *chart.y_ticks.values()]
     layer.at("ticks").fixed(rr.Points2D(ticks, radii=_NONE, labels=names, colors=INK, show_labels=True))
     for order, mark in enumerate(chart.marks):
-        shapes, colors = chart.drawn(mark, _WIDTH, height)
+        shapes, colors = chart.shapes(mark, _WIDTH, height)
         kind: Any = rr.Points2D if mark.kind == "dots" else rr.LineStrips2D
         layer.at(mark.name).fixed(kind(shapes, radii=_RADII[mark.kind], colors=colors, draw_order=float(order)))
 

@@ -47,7 +47,7 @@ def write_report(path: Path, calibration: FittedCalibration, overview: Overview 
 
     overview = overview or Overview.of(calibration)
     document = overview.document
-    drawn = figures.draw(overview)
+    svgs = figures.draw(overview)
     outliers = document["outliers"]
     largest = sorted(range(len(outliers)), key=lambda i: -outliers[i]["sigmas"])[:_OUTLIERS_SHOWN]
     environment = jinja2.Environment(
@@ -60,7 +60,7 @@ def write_report(path: Path, calibration: FittedCalibration, overview: Overview 
         verdict=overview.verdict,
         meaning=HEADLINE,
         misfit=f"{np.sqrt(document['fit']['reduced_chi2']):.2g}",
-        figures={name: Markup(svg) for name, svg in drawn.items()},  # noqa: S704  # made by us, labels escaped
+        figures={name: Markup(svg) for name, svg in svgs.items()},  # noqa: S704  # made by us, labels escaped
         sigma_legend=SIGMA_LEGEND,
         rows=_rows(document),
         columns=[
@@ -70,7 +70,7 @@ def write_report(path: Path, calibration: FittedCalibration, overview: Overview 
         tips=listed([tip.link for tip in calibration.chain.tips]),
         fastened=" ".join(fastening_sentences(calibration.session)),
         mounts=MOUNTS if any(label.endswith(MOUNT) for label in calibration.geometry.labels) else "",
-        held=fixed_parameters(document),
+        fixed=fixed_parameters(document),
         largest=largest,
         shown=_OUTLIERS_SHOWN,
         urdf_name=calibration.urdf_name,

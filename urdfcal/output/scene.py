@@ -183,7 +183,7 @@ def _leds(
         measured, covariance = _moved(T_base_world, block.measured, block.sigma[:, None, None] ** 2 * np.eye(3))
     else:
         measured, covariance = _triangulated(block, arm, fastened, poses, row, pose, view)
-    # Where a single camera sees an LED there is no distance: its ray stands in, at the predicted one.
+    # Where a single camera sees an LED there is no distance: its ray is taken at the predicted distance.
     alone = np.isnan(measured[row]).any(axis=1)
     if alone.any():
         measured[row[alone]] = rays[alone, 1]

@@ -70,6 +70,8 @@ def _chart(chart: Chart, left: float, top: float, width: float, height: float) -
 
 def _legend(chart: Chart, end: float) -> Iterator[str]:
     colors = {mark.name: mark.color for mark in chart.marks}
+    if sum(_LETTER * len(name) + 18.0 for name in (chart.title, *chart.legend)) > end:
+        return  # the page explains it
     for name in reversed(chart.legend):
         yield _text(end, -9, name, "end")
         end -= _LETTER * len(name) + 6.0
@@ -104,20 +106,20 @@ def _apart(names: Mapping[float, str]) -> dict[float, str]:
 
 
 def _mark(chart: Chart, mark: Mark, width: float, height: float) -> Iterator[str]:
-    shapes, color = chart.drawn(mark, width, height)
+    shapes, color = chart.shapes(mark, width, height)
     if mark.kind == "cells":
         side = mark.size * width / (chart.x.high - chart.x.low)
-        drawn = [f"M{u - side / 2:.1f} {v - side / 2:.1f}h{side:.2f}v{side:.2f}h-{side:.2f}z" for u, v in shapes]
+        elements = [f"M{u - side / 2:.1f} {v - side / 2:.1f}h{side:.2f}v{side:.2f}h-{side:.2f}z" for u, v in shapes]
         style = 'fill="{0}" stroke="{0}" stroke-width=".3"'
     else:
         if mark.kind == "dots":
-            drawn = [f"M{u:.1f} {v:.1f}h0" for u, v in shapes]
+            elements = [f"M{u:.1f} {v:.1f}h0" for u, v in shapes]
         else:
-            drawn = ["M" + "L".join(f"{u:.1f} {v:.1f}" for u, v in line) for line in shapes if len(line)]
+            elements = ["M" + "L".join(f"{u:.1f} {v:.1f}" for u, v in line) for line in shapes if len(line)]
         style = f'fill="none" stroke="{{0}}" stroke-width="{_WIDTHS[mark.kind]}"'
-    paths: dict[str, dict[str, None]] = {}  # what lies on the same spot is drawn once
-    shades = [color] * len(drawn) if isinstance(color, tuple) else [tuple(c) for c in (color // _SHADES) * _SHADES]
-    for path, shade in zip(drawn, shades, strict=True):
+    paths: dict[str, dict[str, None]] = {}  # what is on the same spot appears once
+    shades = [color] * len(elements) if isinstance(color, tuple) else [tuple(c) for c in (color // _SHADES) * _SHADES]
+    for path, shade in zip(elements, shades, strict=True):
         paths.setdefault(_hex(shade), {})[path] = None
     for stroke, several in paths.items():
         yield f'<path d="{"".join(several)}" {style.format(stroke)}/>'

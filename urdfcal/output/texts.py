@@ -93,12 +93,16 @@ def parameter_text(document: ResultData) -> str:
     for number, first in enumerate(range(0, len(entries), len(names)), start=1):
         row = entries[first : first + len(names)]
         lines.append(f"| {number} | {row[0]['joint']} | {' | '.join(map(_cell, row))} |")
-    lost = document["identifiability"]["lost"]
+    unidentifiable = document["identifiability"]["lost"]
     text = "\n".join(lines)
     text += f"\n\n{MOUNTS}" if any(entry["joint"].endswith(MOUNT) for entry in entries) else ""
-    text += "\n\n**Unidentifiable:**\n" + "\n".join(f"- {sentence}" for sentence in lost) if lost else ""
-    if held := fixed_parameters(document):
-        text += "\n\n**Not estimated:**\n" + "\n".join(f"- {', '.join(which)}: {why}" for why, which in held)
+    text += (
+        "\n\n**Unidentifiable:**\n" + "\n".join(f"- {sentence}" for sentence in unidentifiable)
+        if unidentifiable
+        else ""
+    )
+    if fixed := fixed_parameters(document):
+        text += "\n\n**Not estimated:**\n" + "\n".join(f"- {', '.join(which)}: {why}" for why, which in fixed)
     condition = document["identifiability"]["condition_number"]
     return f"{text}\n\nCondition number {condition:.3g} (above 100 some parameters are poorly determined).\n"
 

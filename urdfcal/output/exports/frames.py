@@ -48,7 +48,7 @@ class FixedFrame:
 def found_frames(calibration: Calibration) -> tuple[FixedFrame, ...]:
     """The cameras' optical frames (z forward, x right, y down) and the LEDs', each in that of the link it is fixed to.
 
-    What stands in the world stands on the base link. A camera's is named as ROS drivers do,
+    What is fixed in the world becomes fixed to the base link. A camera's is named as ROS drivers do,
     ``<camera>_optical_frame``, an LED's as the LED; LEDs have no orientation: theirs is their link's.
 
     Raises:

@@ -52,8 +52,8 @@ def corrected_urdf(calibration: Calibration, folder: Path) -> Urdf:
     found = read_mechanism(urdf, [tip.link for tip in chain.tips], chain.base_link)
     for name in (name for name in chain.names if name not in found.names):
         raise _edited(path, name)
-    for name, T, built in zip(found.names, found.placements, calibration.placements, strict=True):
-        if not np.allclose(T, built, rtol=0.0, atol=_SAME):
+    for name, T, calibrated in zip(found.names, found.placements, calibration.placements, strict=True):
+        if not np.allclose(T, calibrated, rtol=0.0, atol=_SAME):
             raise _edited(path, name)
     return urdf
 

@@ -118,7 +118,7 @@ def zero_offsets(calibration: Calibration) -> Floats:
     offsets = calibration.dh_offsets
     if offsets is None:
         raise OutputError(
-            "whole placements were estimated, in which no zero offset stands apart",
+            "whole placements were estimated, in which zero offsets are no parameters of their own",
             remedy="Calibrate with `estimate: {geometry: dh}` or `offsets`.",
         )
     table = rows_of(calibration.chain)
