@@ -119,7 +119,7 @@ def test_every_pose_has_its_row_even_when_nothing_was_seen(recorded):
         ("/base/led/measured", "Points3D:positions"),
         ("/base/rays/cam0", "LineStrips3D:strips"),
         ("/base/residuals/calibrated", "Arrows3D:vectors"),
-        ("/base/cameras/cam1/image/detected", "Points2D:positions"),
+        ("/base/cameras/cam1/image/sighted", "Points2D:positions"),
     ):
         rows = recorded.rows(entity, component)
         assert list(rows) == list(range(POSES))
@@ -150,7 +150,7 @@ def test_cost_of_every_iteration_is_logged(calibration, recorded):
 def test_pictures_show_where_the_led_was_seen_and_predicted(calibration, recorded):
     seen = calibration.session.detections
     for c, camera in enumerate(("cam0", "cam1")):
-        logged = recorded.all_rows(f"/base/cameras/{camera}/image/detected", "Points2D:positions")
+        logged = recorded.all_rows(f"/base/cameras/{camera}/image/sighted", "Points2D:positions")
         np.testing.assert_allclose(logged, seen.uv[seen.camera == c] + CORNER, atol=1e-3)
         predicted = recorded.all_rows(f"/base/cameras/{camera}/image/predicted", "Points2D:positions")
         (block,) = calibration.observations

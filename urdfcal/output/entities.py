@@ -113,7 +113,7 @@ def _log_image(image: Layer, scene: CalibrationScene, pixels: Measurements, seen
     pose = pixels.pose[seen]
     detected, predicted, expected = (uv[seen] + CORNER for uv in (pixels.measured, pixels.predicted, pixels.nominal))
     for name, places, color in (
-        ("detected", detected, MEASURED),
+        ("sighted", detected, MEASURED),
         ("predicted", predicted, CALIBRATED),
         ("nominal", expected, NOMINAL),
     ):

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _GAP = 8
 _ARMS = (("nominal", "arm/nominal"), ("calibrated", "arm/calibrated"))
-_LEDS = (("detected", "detected"), ("nominal", "nominal"), ("calibrated", "predicted"))
+_LEDS = (("detected", "sighted"), ("nominal", "nominal"), ("calibrated", "predicted"))
 
 
 def write_overlay(path: Path, recording: Path, pose: str) -> None:
