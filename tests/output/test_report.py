@@ -16,7 +16,7 @@ from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.output.findings import Overview, headline, look_up, verdict
 from urdfcal.output.report import write_report
-from urdfcal.output.workspace import sample_workspace
+from urdfcal.output.scene import sample_workspace
 from urdfcal.pipeline import calibrate
 from urdfcal.session.model import Estimate
 from urdfcal.simulation.simulate import simulate

@@ -9,8 +9,7 @@ from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.output.blueprint import viewpoint
 from urdfcal.output.palette import by_sigma
-from urdfcal.output.placing import joint_frames, link_frames
-from urdfcal.output.rows import dh_frames
+from urdfcal.output.placing import dh_frames, joint_frames, link_frames
 from urdfcal.output.scene import build_scene, exaggerated, magnification
 from urdfcal.output.stream import quaternions
 from urdfcal.pipeline import calibrate

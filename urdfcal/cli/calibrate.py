@@ -100,7 +100,7 @@ def run(
 
     view = None
     if live:
-        from urdfcal.output.live import LiveView
+        from urdfcal.output.recording import LiveView
 
         view = LiveView()
     with status_line(show=report != "nothing") as say:

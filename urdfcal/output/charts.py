@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from urdfcal.output.chart import Color
     from urdfcal.output.findings import Overview
     from urdfcal.output.fitted import Measurements
-    from urdfcal.output.workspace import Workspace
+    from urdfcal.output.scene import Workspace
     from urdfcal.pipeline import FittedCalibration
 
 # Residuals in standard deviations beyond this are off the charts.

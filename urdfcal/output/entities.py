@@ -31,9 +31,8 @@ if TYPE_CHECKING:
     from urdfcal.arrays import Floats, Ints
     from urdfcal.cameras.camera import Camera
     from urdfcal.output.fitted import Measurements
-    from urdfcal.output.scene import CalibrationScene
+    from urdfcal.output.scene import CalibrationScene, Workspace
     from urdfcal.output.stream import Layer
-    from urdfcal.output.workspace import Workspace
     from urdfcal.pipeline import FittedCalibration
 
 # rerun takes negative radii as points on the screen instead of metres.

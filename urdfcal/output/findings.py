@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 
 from urdfcal.output.fitted import far_corrections
-from urdfcal.output.scene import CalibrationScene, build_scene
-from urdfcal.output.workspace import Workspace, sample_workspace
+from urdfcal.output.scene import CalibrationScene, Workspace, build_scene, sample_workspace
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -9,8 +9,7 @@ import numpy as np
 from urdfcal.arrays import inverse
 from urdfcal.output import fitted
 from urdfcal.output.palette import CALIBRATED, MEASURED, NOMINAL
-from urdfcal.output.placing import RobotPoses
-from urdfcal.output.rows import row_lines
+from urdfcal.output.placing import RobotPoses, row_lines
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""What a calibration shows in space, as arrays in the base link's frame."""
+"""What a calibration shows in space, as arrays in the base link's frame: LEDs, cameras, both arms, the workspace."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
-from urdfcal.arrays import Floats, Ints, inverse
+from urdfcal.arrays import Floats, Ints, frozen, inverse
 from urdfcal.cameras.rig import Rig
+from urdfcal.estimation.start import kabsch
 from urdfcal.output import fitted
-from urdfcal.output.placing import RobotPoses
-from urdfcal.output.rows import dh_frames, row_corners
+from urdfcal.output.placing import RobotPoses, dh_frames, row_corners
+from urdfcal.robot.kinematics import tip_poses
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -22,6 +23,9 @@ if TYPE_CHECKING:
     from urdfcal.session.attachments import Frames
 
     Bools = NDArray[np.bool_]
+
+# Enough for a map of 20 x 20 cells; drawing more takes longer and shows the same.
+_SAMPLES = 1500
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,3 +241,35 @@ def _merged(parts: list[LedTable]) -> LedTable:
     order = np.argsort(np.concatenate([part.pose for part in parts]), kind="stable")
     columns = zip(*(vars(part).values() for part in parts), strict=True)
     return LedTable(*(np.concatenate(column)[order] for column in columns))
+
+
+@dataclass(frozen=True, eq=False)
+class Workspace:
+    """Tip errors at joint values drawn at random within the joints' limits.
+
+    Attributes:
+        tip: (M, 3) of the calibrated arm in the base link's frame. [m]
+        before: (M,) distance of the nominal arm's tip, after the best rigid alignment at the base. [m]
+        after: (M,) predicted standard deviation of the calibrated tip's place, aligned likewise. [m]
+    """
+
+    tip: Floats
+    before: Floats
+    after: Floats
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """Smallest and largest error before and after. [m]."""
+        both = np.concatenate([self.before, self.after])
+        return float(both.min()), float(both.max())
+
+
+def sample_workspace(calibration: FittedCalibration) -> Workspace:
+    """Sample the workspace with the calibration's own seed."""
+    chain = calibration.chain
+    q = chain.random_values(_SAMPLES, np.random.default_rng(calibration.seed))
+    tip = tip_poses(chain, q, calibration.placements)[:, :3, 3]
+    nominal = tip_poses(chain, q)[:, :3, 3]
+    T = kabsch(nominal, tip)
+    before = np.linalg.norm(nominal @ T[:3, :3].T + T[:3, 3] - tip, axis=1)
+    return Workspace(frozen(tip), frozen(before), frozen(calibration.tip_sigma(q)))

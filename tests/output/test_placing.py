@@ -5,8 +5,7 @@ import pytest
 
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
-from urdfcal.output.placing import joint_frames
-from urdfcal.output.rows import branches_of, dh_frames, row_corners, row_lines
+from urdfcal.output.placing import branches_of, dh_frames, joint_frames, row_corners, row_lines
 from urdfcal.robot.dh import PARAMETERS
 from urdfcal.robot.kinematics import link_poses
 from urdfcal.robot.tree_dh import MOUNT, rows_of
