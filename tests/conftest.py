@@ -6,12 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from urdfcal.estimation.blocks.arm import ARM
-from urdfcal.estimation.blocks.base_pose import BASE
-from urdfcal.estimation.blocks.leds import LEDS
-from urdfcal.estimation.joint_models import JOINT_MODELS
-from urdfcal.estimation.measurements.pixels import camera_state
-from urdfcal.estimation.state import State
+from tests.states import true_state_of
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.simulation.simulate import simulate
@@ -19,8 +14,7 @@ from urdfcal.simulation.simulate import simulate
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from urdfcal.arrays import Floats
-    from urdfcal.session.model import Session
+    from urdfcal.estimation.state import State
     from urdfcal.simulation.simulate import Simulated
 
 
@@ -48,20 +42,7 @@ def simulated() -> Callable[..., Simulated]:
     return make
 
 
-def state_of(
-    session: Session, offsets: Floats, T_world_base: Floats, leds: Floats, T_cam_frame: Floats, **more: Floats
-) -> State:
-    """A state of a session with given values; ``time_offset`` and ``zero_offset`` may be given as well."""
-    models = (model.of(session) for model in JOINT_MODELS)
-    joints = {model.key: more.get(model.name, model.nominal) for model in models if model is not None}
-    values = {ARM: offsets, BASE: T_world_base, LEDS: leds}
-    return State({**values, **joints, **camera_state(session, T_cam_frame)})
-
-
 @pytest.fixture(scope="session")
-def true_state() -> Callable[[Simulated], State]:
-    def state(simulated: Simulated, **more: Floats) -> State:
-        truth = simulated.truth
-        return state_of(simulated.session, truth.offsets, truth.T_world_base, truth.leds, truth.T_cam_frame, **more)
-
-    return state
+def true_state() -> Callable[..., State]:
+    """The true state of a simulated session; values of joint models by name."""
+    return true_state_of

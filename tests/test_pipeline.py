@@ -109,10 +109,10 @@ def test_cameras_of_unknown_place_are_placed(simulated: Callable) -> None:
     rig = data.session.rig
     unknown = replace(data.session, rig=replace(rig, T_cam_world=(rig.T_cam_world[0], None)))
     calibration = calibrate(unknown)
-    np.testing.assert_allclose(calibration.estimate.T_cam_world[1], rig.T_cam_world[1], atol=5e-3)
+    np.testing.assert_allclose(calibration.estimate.T_cam_frame[1], rig.T_cam_world[1], atol=5e-3)
     # Without a baseline nothing but the links' lengths tells the scale: no rank for it, and it is said.
     assert calibration.identifiability.rank == 27 + 6 - 1
-    assert any("tolerances share it out" in lost for lost in calibration.identifiability.unidentifiable)
+    assert any("tolerances decide" in lost for lost in calibration.identifiability.unidentifiable)
     assert error(calibration, data, calibration.placements) < 0.6 * error(
         calibration, data, calibration.chain.placements
     )
@@ -159,7 +159,7 @@ def test_the_measured_motoman_finds_its_lenses(shared: Path) -> None:
     assert str(calibration.comparison.chosen.spec) == "DH rows, free intrinsics, free camera poses"
     assert calibration.summary()["rms_px"] <= 1.02
     points, leds = read_points(shared / "motoman_right" / "check_points.csv", calibration.session)
-    tracker = replace(calibration.session, detections=None, points=points, leds=leds)
+    tracker = replace(calibration.session, measurements=(points,), leds=leds)
     residual = explain(replace(calibration.chain, placements=calibration.placements), tracker).residuals[0]
     assert 1e3 * np.sqrt(np.mean(np.sum(residual**2, axis=1))) <= 0.17
 
@@ -197,4 +197,4 @@ def test_detections_and_a_trackers_points_together_are_refused(simulated: Callab
     session = simulated("elbow3r").session
     points = Points(np.arange(30), np.zeros(30, int), np.random.default_rng(0).normal(size=(30, 3)), np.full(30, 1e-4))
     with pytest.raises(SessionError, match="detections and points are both named"):
-        calibrate(replace(session, points=points))
+        calibrate(replace(session, measurements=(*session.measurements, points)))

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from urdfcal.estimation.measurements import Detections, Points
     from urdfcal.io.folder import read_rig, read_session, write_session
     from urdfcal.io.recorder import Recorder
+    from urdfcal.output.recording import log_calibration as log
     from urdfcal.pipeline import FittedCalibration, calibrate
     from urdfcal.result.calibration import Calibration
     from urdfcal.robot.chain import Chain
@@ -49,7 +50,8 @@ _HOMES = {
     "urdfcal.cameras.camera": ("Camera",),
     "urdfcal.cameras.rig": ("Rig",),
 }
-_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+_HOME_OF = {name: (home, name) for home, names in _HOMES.items() for name in names}
+_HOME_OF["log"] = ("urdfcal.output.recording", "log_calibration")
 
 __all__ = [
     "Calibration",
@@ -71,6 +73,7 @@ __all__ = [
     "Urdf",
     "UrdfcalError",
     "calibrate",
+    "log",
     "read_rig",
     "read_session",
     "write_session",
@@ -80,5 +83,6 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name not in _HOME_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = globals()[name] = getattr(import_module(_HOME_OF[name]), name)
+    home, attribute = _HOME_OF[name]
+    value = globals()[name] = getattr(import_module(home), attribute)
     return value

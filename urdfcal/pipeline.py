@@ -37,8 +37,6 @@ from urdfcal.rotations import matrix_to_rpy
 from urdfcal.session.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from rerun import RecordingStream
-
     from urdfcal.estimation.blocks.arm import ArmParameterization
     from urdfcal.estimation.identifiability import Identifiability
     from urdfcal.estimation.measurements import Measurement
@@ -168,20 +166,6 @@ class FittedCalibration(Calibration):
         data = self.apply_to_urdf(urdf)
         self._check(data)
         return data
-
-    def log(self, stream: RecordingStream, entity_path: str = "base") -> tuple[str, ...]:
-        """Log everything there is to see into a rerun stream.
-
-        Args:
-            stream: the caller's recording.
-            entity_path: where in it; the base link's frame.
-
-        Returns:
-            Warnings, such as meshes that were not found.
-        """
-        from urdfcal.output.recording import log_calibration
-
-        return log_calibration(stream, self, path=entity_path)
 
     def to_dict(self) -> dict[str, Any]:
         """The result as plain data: the contract of ``calibration.json``."""

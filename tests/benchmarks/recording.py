@@ -19,7 +19,7 @@ from rerun.chunk import RrdReader
 
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
-from urdfcal.output.overview import Overview
+from urdfcal.output.findings import Overview
 from urdfcal.output.recording import write_recording
 from urdfcal.pipeline import calibrate
 from urdfcal.simulation.simulate import simulate

@@ -27,7 +27,7 @@ from rerun.experimental import ViewerClient
 from urdfcal.io.folder import read_rig, read_session
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.output import blueprint
-from urdfcal.output.overview import Overview
+from urdfcal.output.findings import Overview
 from urdfcal.output.recording import write_recording
 from urdfcal.output.report import write_report
 from urdfcal.pipeline import FittedCalibration, calibrate
@@ -149,7 +149,7 @@ def _save(png: bytes, path: Path) -> None:
     picture = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
     height = round(picture.shape[0] * _WIDTH / picture.shape[1])
     picture = cv2.resize(picture, (_WIDTH, height), interpolation=cv2.INTER_AREA)
-    from PIL import Image  # comes with matplotlib; OpenCV writes no palettes
+    from PIL import Image  # comes with rerun; OpenCV writes no palettes
 
     Image.fromarray(picture[..., ::-1]).quantize(_COLORS).save(path, optimize=True)
     print(f"{path}: {path.stat().st_size / 1e3:.0f} kB")

@@ -8,9 +8,12 @@ import pytest
 
 from urdfcal.cameras.rig import CameraSigma, Rig
 from urdfcal.errors import SessionError
+from urdfcal.estimation.blocks.cameras import camera_poses, camera_values, lens_key, pose_key
 from urdfcal.estimation.camera_prior import FREE_LENS, REFINED_POSE, CameraPrior
-from urdfcal.estimation.model_spec import Freedoms, candidates
+from urdfcal.estimation.measurements.pixels import camera_state
+from urdfcal.estimation.model_spec import ModelSpec, candidates
 from urdfcal.estimation.parameters import choose_parameters
+from urdfcal.estimation.problem import Problem
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.dh import DHTable
 from urdfcal.session.model import Estimate
@@ -54,12 +57,12 @@ def data(simulated: Callable) -> Simulated:
 
 
 def chosen(data: Simulated, state: State, intrinsics: tuple[str, str], extrinsics: tuple[str, str]) -> Parameters:
-    table = DHTable.from_chain(data.session.chain)
-    return choose_parameters(data.session, table, state, Freedoms("dh", intrinsics, extrinsics))
+    problem = Problem.of(data.session, DHTable.from_chain(data.session.chain))
+    return choose_parameters(data.session, problem, state, ModelSpec("dh", intrinsics, extrinsics))
 
 
 def test_refined_cameras_have_the_covariance_of_their_calibration(data: Simulated) -> None:
-    prior = CameraPrior.of(data.session, Freedoms("dh", ("refine",) * 2, ("fixed", "refine")), [1], [0, 1])
+    prior = CameraPrior.of(data.session, ModelSpec("dh", ("refine",) * 2, ("fixed", "refine")), [1], [0, 1])
     np.testing.assert_allclose(covariance_of(prior), COVARIANCE[np.ix_(PRIOR_ORDER, PRIOR_ORDER)], rtol=1e-12)
     assert prior.measured.all()
 
@@ -67,16 +70,16 @@ def test_refined_cameras_have_the_covariance_of_their_calibration(data: Simulate
 def test_what_is_fixed_is_exactly_known(data: Simulated) -> None:
     # Conditional covariance: the information about the rest.
     information = np.linalg.inv(COVARIANCE)
-    lenses = CameraPrior.of(data.session, Freedoms("dh", ("refine",) * 2, ("fixed",) * 2), [], [0, 1])
+    lenses = CameraPrior.of(data.session, ModelSpec("dh", ("refine",) * 2, ("fixed",) * 2), [], [0, 1])
     np.testing.assert_allclose(covariance_of(lenses), np.linalg.inv(information[:16, :16]), rtol=1e-9)
-    pose = CameraPrior.of(data.session, Freedoms("dh", ("fixed",) * 2, ("fixed", "refine")), [1], [])
+    pose = CameraPrior.of(data.session, ModelSpec("dh", ("fixed",) * 2, ("fixed", "refine")), [1], [])
     np.testing.assert_allclose(covariance_of(pose), np.linalg.inv(information[POSE, POSE]), rtol=1e-9)
     assert (pose.sigma < SIGMA[POSE]).all()
 
 
-def test_what_is_free_tells_nothing(data: Simulated) -> None:
+def test_what_is_free_determines_nothing(data: Simulated) -> None:
     # Marginal covariance, conditioned on the first lens alone.
-    prior = CameraPrior.of(data.session, Freedoms("dh", ("fixed", "free"), ("fixed", "refine")), [1], [1])
+    prior = CameraPrior.of(data.session, ModelSpec("dh", ("fixed", "free"), ("fixed", "refine")), [1], [1])
     known = np.r_[POSE, LENSES[0]]
     information = np.linalg.inv(COVARIANCE[np.ix_(known, known)])
     np.testing.assert_allclose(covariance_of(prior)[:6, :6], np.linalg.inv(information[:6, :6]), rtol=1e-9)
@@ -88,7 +91,7 @@ def test_what_is_free_tells_nothing(data: Simulated) -> None:
 def test_a_camera_without_standard_deviations_has_assumed_ones(data: Simulated) -> None:
     rig = data.session.rig
     one = replace(data.session, rig=Rig(rig.cameras, rig.T_cam_world, (rig.sigmas[0], None)))
-    prior = CameraPrior.of(one, Freedoms("dh", ("refine",) * 2, ("fixed", "refine")), [1], [0, 1])
+    prior = CameraPrior.of(one, ModelSpec("dh", ("refine",) * 2, ("fixed", "refine")), [1], [0, 1])
     np.testing.assert_array_equal(prior.sigma[:6], REFINED_POSE)
     np.testing.assert_allclose(covariance_of(prior)[6:14, 6:14], COVARIANCE[:8, :8], rtol=1e-12)
     np.testing.assert_array_equal(prior.correlation[14:, :14], np.zeros((8, 14)))
@@ -111,11 +114,11 @@ def test_the_derivative_of_priors_agrees_with_finite_differences(
     parameters = chosen(data, centre, intrinsics, extrinsics)
     rng = np.random.default_rng(1)
     scale = np.where(np.isfinite(parameters.prior), parameters.prior, 0.01)[parameters.active]
-    state = parameters.move(centre, scale * rng.normal(size=parameters.count))
+    state = parameters.retract(centre, scale * rng.normal(size=parameters.count))
     J = parameters.prior_residuals(state)[1]
     for k in range(parameters.count):
         step = 1e-4 * scale[k] * np.eye(parameters.count)[k]
-        before, after = (parameters.prior_residuals(parameters.move(state, s * step))[0] for s in (-1, 1))
+        before, after = (parameters.prior_residuals(parameters.retract(state, s * step))[0] for s in (-1, 1))
         numeric = (after - before) / (2 * step[k])
         np.testing.assert_allclose(J[:, k], numeric, rtol=1e-6, atol=1e-6 * np.abs(J[:, k]).max())
 
@@ -124,26 +127,26 @@ def test_prior_residuals_are_white(data: Simulated, true_state: Callable) -> Non
     # Cameras drawn from their calibration's covariance: residuals of unit variance that know nothing of each other.
     centre = true_state(data)
     parameters = chosen(data, centre, ("refine",) * 2, ("fixed", "refine"))
-    cameras = slice(parameters.camera(0).start, parameters.size)
+    cameras = slice(parameters.columns(pose_key(data.session.rig.names[1])).start, parameters.size)
     draws = np.random.default_rng(2).multivariate_normal(np.zeros(COUNT), COVARIANCE, 4000)[:, PRIOR_ORDER]
     residuals = []
     for draw in draws:
         step = np.zeros(parameters.size)
         step[cameras] = draw
-        residuals.append(parameters.prior_residuals(parameters.move(centre, step[parameters.active]))[0][-COUNT:])
+        residuals.append(parameters.prior_residuals(parameters.retract(centre, step[parameters.active]))[0][-COUNT:])
     np.testing.assert_allclose(np.cov(np.transpose(residuals)), np.eye(COUNT), atol=0.1)
 
 
-def test_a_held_parameter_is_what_the_rest_is_known_by(data: Simulated, true_state: Callable) -> None:
-    # Held away from the centre, it draws what it is correlated with after it: the conditional mean.
+def test_a_fixed_parameter_is_what_the_rest_is_known_by(data: Simulated, true_state: Callable) -> None:
+    # Fixed away from the centre, it draws what it is correlated with after it: the conditional mean.
     centre = true_state(data)
     free = chosen(data, centre, ("refine",) * 2, ("fixed", "fixed"))
-    index = free.lens(0).start
+    index = free.columns(lens_key(data.session.rig.names[0])).start
     step = np.zeros(free.size)
     step[index] = 0.5
-    moved = free.move(centre, step[free.active])
-    held = free.holding({index: "test"})
-    r, J = held.prior_residuals(moved)
+    moved = free.retract(centre, step[free.active])
+    fixed = free.fixing({index: "test"})
+    r, J = fixed.prior_residuals(moved)
     assert len(r) == len(free.prior_residuals(moved)[0]) - 1
     best = np.linalg.lstsq(J, -r, rcond=None)[0][-15:]
     C = np.linalg.inv(np.linalg.inv(COVARIANCE)[:16, :16])
@@ -157,10 +160,10 @@ def test_exactly_known_values_stay(data: Simulated, true_state: Callable) -> Non
     exact = Rig(rig.cameras, rig.T_cam_world, (rig.sigmas[0], replace(rig.sigmas[1], parameters=lens, pose=pose)))
     certain = replace(data, session=replace(data.session, rig=exact))
     parameters = chosen(certain, true_state(data), ("refine",) * 2, ("fixed", "refine"))
-    held = {parameters.names[k]: why for k, why in parameters.reasons.items()}
+    fixed = {parameters.names[k]: why for k, why in parameters.reasons.items()}
     second = rig.names[1]
-    assert held == dict.fromkeys((f"{second}.z", f"{second}.k1"), "its calibration gives it as exact")
-    r, J = parameters.prior_residuals(parameters.move(true_state(data), np.full(parameters.count, 1e-4)))
+    assert fixed == dict.fromkeys((f"{second}.z", f"{second}.k1"), "its calibration gives it as exact")
+    r, J = parameters.prior_residuals(parameters.retract(true_state(data), np.full(parameters.count, 1e-4)))
     assert np.isfinite(r).all()
     assert np.linalg.matrix_rank(J[-20:]) == 20
 
@@ -195,22 +198,22 @@ def test_cameras_that_are_off_are_refined(simulated: Callable) -> None:
         data = simulated("ur5", seed=seed)
         truth, rng = data.session.rig, np.random.default_rng([5, seed])
         known = calibrated(truth)
-        drawn = choose_parameters(
-            replace(data.session, rig=known),
-            DHTable.from_chain(data.session.chain),
-            calibrate(data.session).estimate,
-            Freedoms("none", ("refine",) * 2, ("fixed", "refine")),
-        )
-        step = np.zeros(drawn.size)
-        step[drawn.camera(0).start :] = rng.multivariate_normal(np.zeros(COUNT), COVARIANCE)[PRIOR_ORDER]
-        moved = drawn.move(replace(drawn.centre, T_cam_world=np.array(truth.T_cam_world)), step[drawn.active])
-        given = Rig(moved.cameras, tuple(moved.T_cam_world), known.sigmas)
+        session, attachments = replace(data.session, rig=known), data.session.attachments
+        problem, centre = Problem.of(session, DHTable.from_chain(session.chain)), calibrate(data.session).fit.state
+        centre = centre.replace(camera_state(session, np.array(truth.T_cam_world)))
+        spec = ModelSpec("none", ("refine",) * 2, ("fixed", "refine"))
+        parameters = choose_parameters(session, problem, centre, spec)
+        step = np.zeros(parameters.size)
+        first = parameters.columns(pose_key(truth.names[1])).start
+        step[first:] = rng.multivariate_normal(np.zeros(COUNT), COVARIANCE)[PRIOR_ORDER]
+        moved = parameters.retract(centre, step[parameters.active])
+        given = Rig(camera_values(attachments, moved), tuple(camera_poses(attachments, moved)), known.sigmas)
         fit = calibrate(replace(data.session, rig=given)).fit
         sigma = np.zeros(fit.parameters.size)
         sigma[fit.parameters.active] = np.sqrt(np.diag(fit.covariance))
-        for c, where in enumerate(fit.parameters.lens(position) for position in range(2)):
-            off = fit.state.cameras[c].parameters - truth.cameras[c].parameters
-            squares.append((off / sigma[where]) ** 2)
+        for c, name in enumerate(truth.names):
+            off = fit.state[lens_key(name)].parameters - truth.cameras[c].parameters
+            squares.append((off / sigma[fit.parameters.columns(lens_key(name))]) ** 2)
             ratios.append((off / (given.cameras[c].parameters - truth.cameras[c].parameters)) ** 2)
     assert 0.6 < np.mean(squares) < 1.6
     assert np.median(ratios) < 1.0

@@ -6,14 +6,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from urdfcal.estimation.identifiability import identify
-from urdfcal.estimation.model_spec import Freedoms
-from urdfcal.estimation.observations import observe
+from urdfcal.estimation.blocks.leds import LEDS
+from urdfcal.estimation.identifiability import _sentence, identify
+from urdfcal.estimation.joint_models.time_offset import TIME_OFFSETS
+from urdfcal.estimation.model_spec import ModelSpec
 from urdfcal.estimation.parameters import choose_parameters
+from urdfcal.estimation.problem import Problem
 from urdfcal.estimation.start import first_state
+from urdfcal.estimation.time_offset_start import start_state
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.dh import DHTable
 from urdfcal.session.model import Led
+from urdfcal.simulation.motion import Motion, set_in_motion
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -23,33 +27,53 @@ if TYPE_CHECKING:
     ("rig", "rank"), [("elbow3r", 15), ("ur5", 27), ("panda", 31), ("stanford", 25), ("so101", 23)]
 )
 def test_ranks_are_those_of_theory(rig: str, rank: int, simulated: Callable) -> None:
-    # r + 3 with r = 4 R + 2 P: one LED of unknown place seen by two known cameras.
+    # r + 3 with r = 4 R + 2 P: one LED of unknown position seen by two known cameras.
     identifiability = calibrate(simulated(rig).session).identifiability
     assert identifiability.rank == rank
     assert 1.0 < identifiability.condition_number < 1e4
 
 
 def test_gauge_freedoms_are_named(simulated: Callable) -> None:
-    lost = calibrate(simulated("ur5").session).identifiability.lost
-    stands = "cannot be told from where the robot stands (T_world_base): it is held as drawn"
-    assert lost == (
-        f"d of row 1 (shoulder_pan_joint) {stands}",
-        f"theta of row 1 (shoulder_pan_joint) {stands}",
-        "theta of row 6 (wrist_3_joint) cannot be told from where the LEDs sit: it is held as drawn",
+    unidentifiable = calibrate(simulated("ur5").session).identifiability.unidentifiable
+    base = "cannot be distinguished from where the robot stands (T_world_base): it is fixed at its nominal value"
+    assert unidentifiable == (
+        f"d of row 1 (shoulder_pan_joint) {base}",
+        f"theta of row 1 (shoulder_pan_joint) {base}",
+        "theta of row 6 (wrist_3_joint) cannot be distinguished from where the LEDs sit: "
+        "it is fixed at its nominal value",
     )
 
 
-def test_an_led_on_the_last_axis_tells_less(simulated: Callable) -> None:
+def test_an_led_on_the_last_axis_identifies_less(simulated: Callable) -> None:
     data = simulated("ur5")
     on_axis = Led("led", np.array([0.0, 0.0, 0.05]), 0.005)
     session = replace(data.session, leds=(on_axis,))
     table = DHTable.from_chain(data.session.chain)
-    state = replace(first_state(session, table, np.zeros_like(table.nominal)), leds=np.array([[0.0, 0.0, 0.05]]))
-    parameters = choose_parameters(session, table, state, Freedoms("dh", ("fixed",) * 2, ("fixed",) * 2))
-    assert identify(table, observe(session), state, parameters).rank == 25
+    problem = Problem.of(session, table)
+    state = first_state(session, table, np.zeros_like(table.nominal)).replace({LEDS: np.array([[0.0, 0.0, 0.05]])})
+    parameters = choose_parameters(session, problem, state, ModelSpec("dh", ("fixed",) * 2, ("fixed",) * 2))
+    assert identify(problem, state, parameters).rank == 25
 
 
-def test_two_runs_hold_the_same_parameters(simulated: Callable) -> None:
+def test_two_runs_fix_the_same_parameters(simulated: Callable) -> None:
     a, b = (calibrate(simulated("stanford", seed=seed).session).identifiability for seed in (0, 1))
-    assert a.lost == b.lost
+    assert a.unidentifiable == b.unidentifiable
     assert list(a.parameters.reasons) == list(b.parameters.reasons)
+
+
+def test_a_lens_or_a_time_offset_is_not_said_to_be_a_cameras_pose(simulated: Callable) -> None:
+    session = set_in_motion(simulated("ur5", poses=8), Motion()).session
+    table = DHTable.from_chain(session.chain)
+    state = start_state(session, table, np.zeros_like(table.nominal)).replace({TIME_OFFSETS: np.zeros(2)})
+    problem = Problem.of(session, table)
+    parameters = choose_parameters(session, problem, state, ModelSpec("dh", ("free",) * 2, ("fixed", "free")))
+    first = parameters.names.index("elbow_joint.theta")
+    pose, lens, offset = (parameters.names.index(f"cam1.{what}") for what in ("rz", "cx", "time_offset"))
+    said = [_sentence(parameters, first, [k], fix=True) for k in (pose, lens, offset)]
+    theta = "theta of row 3 (elbow_joint) cannot be distinguished from"
+    # The phrase of a block stands for all its coordinates; one of them alone, which the arm moves, is named.
+    assert said == [
+        f"{theta} where cam1 is attached: it is fixed at its nominal value",
+        f"{theta} cam1.cx: it is fixed at its nominal value",
+        f"{theta} cam1.time_offset: it is fixed at its nominal value",
+    ]

@@ -5,16 +5,16 @@ import pytest
 
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
-from urdfcal.output.chart import Lines, Scale
+from urdfcal.output.chart import Scale
 from urdfcal.output.charts import all_charts, parameter_charts, residual_charts
-from urdfcal.output.overview import Overview
+from urdfcal.output.findings import Overview
 from urdfcal.pipeline import calibrate
 from urdfcal.simulation.simulate import simulate
 
 
 @pytest.mark.parametrize(("low", "high"), [(0, 1), (-3.2, 7.9), (1e-9, 2e-9), (-5000, -4999.5), (0, 213)])
 def test_ticks_are_few_round_and_inside(low, high):
-    ticks = Scale(low, high).ticks()
+    ticks = np.array(list(Scale(low, high).ticks()))
     assert 2 <= len(ticks) <= 7
     assert ticks.min() >= low
     assert ticks.max() <= high
@@ -26,7 +26,7 @@ def test_ticks_are_few_round_and_inside(low, high):
 
 @pytest.mark.parametrize(("low", "high"), [(0.02, 3), (1e-12, 1e12), (3, 40), (1.2, 6)])
 def test_logarithmic_ticks(low, high):
-    ticks = Scale(low, high, logarithmic=True).ticks()
+    ticks = np.array(list(Scale(low, high, logarithmic=True).ticks()))
     assert 1 <= len(ticks) <= 9
     assert low <= ticks.min() <= ticks.max() <= high
 
@@ -65,9 +65,11 @@ def test_bars_are_the_corrections_with_their_deviations(overview):
         lengths = chart.name == "lengths"
         index = [(i, calibration.geometry.columns.index(name)) for i, name in rows if (name in "da") == lengths]
         offsets = 1e3 * np.array([calibration.estimate.offsets[i] for i in index])
-        sigmas = 1e3 * np.nan_to_num([calibration.sigmas()[i] for i in index])
-        np.testing.assert_allclose(marks["offsets"].x[:, 1], offsets)
-        np.testing.assert_allclose(np.diff(marks["sigmas"].x, axis=1)[:, 0], 2 * sigmas)
+        sigmas = 1e3 * np.array([calibration.sigmas()[i] for i in index])
+        known = np.isfinite(sigmas)
+        np.testing.assert_allclose(marks["offsets"].x[:, 1], offsets[known])
+        np.testing.assert_allclose(np.diff(marks["intervals"].x, axis=1)[:, 0], 2 * 1.96 * sigmas[known])
+        np.testing.assert_allclose(marks["fixed"].x, offsets[~known])
 
 
 def test_a_trend_shows_in_the_means(overview):
@@ -79,5 +81,5 @@ def test_a_trend_shows_in_the_means(overview):
     bent = table.measured + np.outer(0.5 * (q - q.mean()), [1.0, 0.0])
     scene = replace(overview.scene, tables=(replace(table, predicted=bent),))
     chart = next(c for c in residual_charts(replace(overview, scene=scene)) if c.name == f"joint {joint + 1}")
-    mean = next(mark for mark in chart.marks if isinstance(mark, Lines) and mark.name == "mean 0")
+    mean = next(mark for mark in chart.marks if mark.name == "mean 0")
     assert (np.diff(mean.y) > 0).all()

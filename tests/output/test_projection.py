@@ -6,7 +6,8 @@ import pytest
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.output.palette import CALIBRATED, NOMINAL
-from urdfcal.output.projection import arm_in_picture, draw_picture, skeleton
+from urdfcal.output.placing import joint_frames
+from urdfcal.output.projection import arm_in_image, draw_image, skeleton
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.simulation.simulate import simulate
@@ -23,16 +24,16 @@ def test_the_line_ends_at_the_projected_tip(calibration, nominal, camera):
     q = calibration.session.q
     state = calibration.nominal if nominal else calibration.estimate
     placements = None if nominal else calibration.placements
-    T = state.T_cam_world[camera] @ state.T_world_base @ tip_poses(calibration.chain, q, placements)
-    uv = arm_in_picture(calibration, q, camera, nominal=nominal)
+    T = state.T_cam_frame[camera] @ state.T_world_base @ tip_poses(calibration.chain, q, placements)
+    uv = arm_in_image(calibration, q, camera, nominal=nominal)
     np.testing.assert_allclose(uv[:, -1], state.cameras[camera].project(T[:, :3, 3]), atol=1e-6)
-    np.testing.assert_array_equal(arm_in_picture(calibration, q[3], camera, nominal=nominal), uv[3])
+    np.testing.assert_array_equal(arm_in_image(calibration, q[3], camera, nominal=nominal), uv[3])
 
 
 def test_the_skeleton_passes_the_dh_product_and_its_stretches_are_d_and_a(calibration):
     table, offsets = calibration.table, calibration.estimate.offsets
     q = calibration.session.q
-    corners = skeleton(calibration, calibration.estimate, q)
+    corners = skeleton(table, offsets, joint_frames(table.chain, calibration.placements, q))
     for k in (0, 5):
         frames = table.frames(q[k], offsets)
         np.testing.assert_allclose(corners[k, 1:-1:2], frames[:, :3, 3], atol=1e-12)
@@ -45,8 +46,9 @@ def test_the_skeleton_passes_the_dh_product_and_its_stretches_are_d_and_a(calibr
 
 def test_a_lens_bends_the_line():
     calibration = calibrate(simulate(read_rig(find_rig("elbow3r")), seed=1, poses=12).session)
-    uv = arm_in_picture(calibration, calibration.session.q[0])
-    corners = skeleton(calibration, calibration.estimate, calibration.session.q[:1])[0]
+    uv = arm_in_image(calibration, calibration.session.q[0])
+    frames = joint_frames(calibration.chain, calibration.placements, calibration.session.q[:1])
+    corners = skeleton(calibration.table, calibration.estimate.offsets, frames)[0]
     per_stretch = (len(uv) - 1) // (len(corners) - 1)
     longest = int(np.argmax(np.linalg.norm(np.diff(corners, axis=0), axis=1)))
     stretch = uv[longest * per_stretch : (longest + 1) * per_stretch + 1]
@@ -59,13 +61,11 @@ def test_what_is_drawn_is_where_it_should_be_and_nothing_behind_the_camera():
     line = np.array([[10.0, 10.0], [30.0, 10.0], [np.nan, np.nan], [10.0, 40.0], [30.0, 40.0], [1e9, 1e9]])
     other = np.array([[10.0, 25.0], [30.0, 25.0]])
     picture = np.full((60, 50), 7, dtype=np.uint8)
-    drawn = draw_picture(
-        picture, [("calibrated", line[:5]), ("nominal", other)], [("sighted", np.full((1, 2), np.nan))]
-    )
+    drawn = draw_image(picture, [("calibrated", line[:5]), ("nominal", other)], [("detected", np.full((1, 2), np.nan))])
     assert drawn.shape == (60, 50, 3)
     np.testing.assert_allclose(drawn[10, 20], CALIBRATED[::-1], atol=30)  # smoothed
     np.testing.assert_allclose(drawn[40, 20], CALIBRATED[::-1], atol=30)
     np.testing.assert_allclose(drawn[25, 20], NOMINAL[::-1], atol=30)
     np.testing.assert_array_equal(drawn[33, 20], [7, 7, 7])
     np.testing.assert_array_equal(picture, 7)
-    assert draw_picture((50, 60), [("calibrated", line)], []).shape == (60, 50, 3)
+    assert draw_image((50, 60), [("calibrated", line)], []).shape == (60, 50, 3)

@@ -15,10 +15,9 @@ from urdfcal.cameras.rig import Rig
 from urdfcal.estimation.measurements import Detections
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
-from urdfcal.output.findings import judge, look_up
-from urdfcal.output.overview import Overview
+from urdfcal.output.findings import Overview, headline, look_up, verdict
 from urdfcal.output.report import write_report
-from urdfcal.output.workspace import survey
+from urdfcal.output.scene import sample_workspace
 from urdfcal.pipeline import calibrate
 from urdfcal.session.model import Estimate
 from urdfcal.simulation.simulate import simulate
@@ -105,7 +104,7 @@ def test_every_estimated_row_is_shown(path, page):
 def test_verdict_stands_first_and_what_is_lost_is_said(calibration, page):
     document = calibration.to_dict()
     text = page.text
-    assert text.index(judge(calibration, document).sentence) < text.index("In numbers")
+    assert text.index(verdict(calibration, document).sentence) < text.index("In numbers")
     for sentence in (*document["identifiability"]["lost"], *document["warnings"]):
         assert sentence in text
     for hash_ in document["provenance"]["sha256"].values():
@@ -135,8 +134,7 @@ def test_figures_are_well_formed_and_without_clashing_ids(path):
 def test_a_wrong_lens_does_not_get_a_good_verdict(tmp_path):
     session = a_session(lens=1.02)
     doubtful = calibrate(replace(session, estimate=Estimate("dh", "fixed")), force=True)
-    verdict = judge(doubtful, doubtful.to_dict())
-    assert verdict.level == "bad"
+    assert verdict(doubtful).level == "bad"
     write_report(tmp_path / "report.html", doubtful)
     page = Page((tmp_path / "report.html").read_text())
     assert ("section", "verdict bad") in page.elements
@@ -145,10 +143,10 @@ def test_a_wrong_lens_does_not_get_a_good_verdict(tmp_path):
 
 def test_a_clean_session_gets_a_good_verdict_and_a_warning_makes_it_doubtful():
     good = calibrate(a_session("ur5", outlier=False))
-    assert judge(good, good.to_dict()).level == "good"
+    assert verdict(good).level == "good"
     warned = replace(good, warnings=("joint E never moves",))
-    verdict = judge(warned, warned.to_dict())
-    assert (verdict.level, verdict.reasons) == ("doubtful", ("joint E never moves",))
+    found = verdict(warned)
+    assert (found.level, found.reasons) == ("doubtful", ("joint E never moves",))
 
 
 def test_held_out_figures_are_the_headline_with_their_interval(calibration, tmp_path):
@@ -162,10 +160,10 @@ def test_held_out_figures_are_the_headline_with_their_interval(calibration, tmp_
     }
     overview = Overview.of(calibration)
     document = {**overview.document, "validation": validation}
-    assert judge(calibration, document).headline.text(document) == "1.5 -> 0.25 mm"
+    assert headline(document) == "1.5 -> 0.25 mm"
     worse = {**document, "validation": {**validation, "rms_mm": 1.6}}
-    assert judge(calibration, worse).level == "bad"
-    overview = replace(overview, document=document, verdict=judge(calibration, document))
+    assert verdict(calibration, worse).level == "bad"
+    overview = replace(overview, document=document, verdict=verdict(calibration, document))
     write_report(tmp_path / "report.html", calibration, overview)
     page = Page((tmp_path / "report.html").read_text())
     assert "1.5 → 0.25 mm (95 %: 0.2 to 0.3 )" in page.text
@@ -182,14 +180,14 @@ def test_names_are_text_and_no_markup(tmp_path):
 
 
 def test_the_workspace_forgives_where_the_base_stands(calibration):
-    found = survey(calibration)
+    found = sample_workspace(calibration)
     T = np.eye(4)
     T[:3, 3] = [0.1, -0.2, 0.3]
     moved = replace(calibration)
     object.__setattr__(
         moved, "placements", np.concatenate([[T @ calibration.placements[0]], calibration.placements[1:]])
     )
-    np.testing.assert_allclose(survey(moved).before, found.before, atol=1e-12)
+    np.testing.assert_allclose(sample_workspace(moved).before, found.before, atol=1e-12)
     assert 1e-4 < np.median(found.before) < 1e-2
 
 

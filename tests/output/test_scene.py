@@ -5,14 +5,13 @@ import pinocchio as pin
 import pytest
 
 from urdfcal.arrays import inverse
-from urdfcal.estimation.state import State
+from urdfcal.estimation.blocks.base_pose import BASE
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.output.blueprint import viewpoint
 from urdfcal.output.palette import by_sigma
-from urdfcal.output.placing import joint_frames, led_positions
-from urdfcal.output.rows import dh_frames
-from urdfcal.output.scene import exaggerated, lay_out, readable
+from urdfcal.output.placing import dh_frames, joint_frames, link_frames
+from urdfcal.output.scene import build_scene, exaggerated, magnification
 from urdfcal.output.stream import quaternions
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.dh import PARAMETERS, DHTable
@@ -35,13 +34,11 @@ def test_frames_agree_with_the_dh_product_and_the_tip(rig):
     for i, row in enumerate(table.rows):
         for name in row.free if i + 1 < len(table.rows) else (row.variable,):
             offsets[i, PARAMETERS.index(name)] = rng.normal(0, 0.01)
-    state = State(offsets=offsets, T_world_base=np.eye(4), leds=rng.normal(0, 0.1, (2, 3)))
     q = chain.random_values(5, rng)
-    frames = joint_frames(table, state, q)
+    frames = joint_frames(chain, table.placements(offsets), q)
     np.testing.assert_allclose(dh_frames(table, offsets, frames), [table.frames(q_k, offsets) for q_k in q], atol=1e-12)
-    T = tip_poses(chain, q, table.placements(offsets))
-    leds = np.einsum("nij,lj->nli", T[:, :3, :3], state.leds) + T[:, None, :3, 3]
-    np.testing.assert_allclose(led_positions(chain, frames, state.leds), leds, atol=1e-12)
+    tips = tip_poses(chain, q, table.placements(offsets))
+    np.testing.assert_allclose(link_frames(frames, chain.tips[0]), tips, atol=1e-12)
 
 
 def test_exaggeration_goes_nowhere_there_and_further():
@@ -68,14 +65,14 @@ def test_quaternions_are_the_rotations_they_came_from():
 
 @pytest.mark.parametrize("length", np.logspace(-4, 0, 30))
 def test_enlarged_lengths_reach_but_never_pass_the_target(length):
-    factor = readable(length, 0.1)
+    factor = magnification(length, 0.1)
     assert factor in {1, 2, 5, 10, 20, 50, 100, 200, 500, 1000}
     assert factor == 1 or factor * length <= 0.1
     assert factor == 1000 or 2.5 * factor * length >= 0.1 * (1 - 1e-12)
 
 
 def test_no_deviation_is_not_enlarged():
-    assert readable(0.0, 0.1) == 1.0
+    assert magnification(0.0, 0.1) == 1.0
 
 
 def test_colours_run_from_green_to_red_and_unpredictable_is_red():
@@ -87,14 +84,14 @@ def test_colours_run_from_green_to_red_and_unpredictable_is_red():
 
 @pytest.mark.parametrize("rig", ["elbow3r", "stanford"])
 def test_all_is_in_view_at_first(rig):
-    scene = lay_out(calibrate(simulate(read_rig(find_rig(rig)), seed=3, poses=15).session))
+    scene = build_scene(calibrate(simulate(read_rig(find_rig(rig)), seed=3, poses=15).session))
     eye, target = viewpoint(scene)
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, [0, 0, 1])
     right /= np.linalg.norm(right)
     up = np.cross(right, forward)
     assert up[2] > 0.5  # looking across, not down
-    points = np.concatenate([scene.frames[..., :3, 3].reshape(-1, 3), scene.leds.measured, scene.T_base_cam[:, :3, 3]])
+    points = np.concatenate([scene.frames[..., :3, 3].reshape(-1, 3), scene.leds.measured, scene.views[:, 0, :3, 3]])
     depth = (points - eye) @ forward
     assert np.all(depth > 0)
     half = np.tan(np.radians(55 / 2))
@@ -104,14 +101,11 @@ def test_all_is_in_view_at_first(rig):
 
 def test_the_ghost_is_the_nominal_arm_where_it_fits_the_sightings_best():
     calibration = calibrate(simulate(read_rig(find_rig("elbow3r")), seed=0, poses=15).session)
-    scene = lay_out(calibration)
+    scene = build_scene(calibration)
     chain, q = calibration.chain, calibration.session.q
     T_base_world = inverse(calibration.estimate.T_world_base)
     nominal = (
-        T_base_world
-        @ calibration.comparison.drawn.fit.state.T_world_base
-        @ tip_poses(chain, q)
-        @ inverse(chain.T_last_tip)
+        T_base_world @ calibration.comparison.drawn.fit.state[BASE] @ tip_poses(chain, q) @ inverse(chain.T_last_tip)
     )
     calibrated = scene.frames[:, -1, :3, 3]
     expected = calibrated + scene.factor * (nominal[:, :3, 3] - calibrated)

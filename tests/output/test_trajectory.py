@@ -7,7 +7,7 @@ import pytest
 
 from tests.io.making import ACTUATED, write_valid
 from urdfcal.errors import SessionError
-from urdfcal.output.trajectory import Trajectory
+from urdfcal.output.trajectory import CommandTable
 from urdfcal.robot.chain import Chain
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ def test_what_is_no_command_stays_as_it_was(chain: Chain, tmp_path: Path) -> Non
     path = tmp_path / "given.csv"
     text = 't,roll,slide,grip,shoulder,waist\n00.10,100,0.1,7e-2,-0,0.5\n0.20,-100,0.2,,0.1,"-0.5"\n'
     path.write_text(text)
-    trajectory = Trajectory.read(path, chain)
+    trajectory = CommandTable.read(path, chain)
     assert trajectory.joints == ACTUATED
     np.testing.assert_array_equal(trajectory.q, [[0.5, 0.0, 0.1, 100.0], [-0.5, 0.1, 0.2, -100.0]])
     written = trajectory.with_commands(trajectory.q + 0.125)
@@ -45,10 +45,10 @@ def test_what_makes_no_sense_is_refused(header: str, row: str, message: str, cha
     path = tmp_path / "given.csv"
     path.write_text(f"{header}\n{row}\n")
     with pytest.raises(SessionError, match=message):
-        Trajectory.read(path, chain)
+        CommandTable.read(path, chain)
 
 
 def test_files_round_at_limits(chain: Chain, tmp_path: Path) -> None:
     path = tmp_path / "given.csv"
     path.write_text("waist,shoulder,slide,roll\n2.9000005,0,-0.0000005,0\n")
-    assert Trajectory.read(path, chain).q[0, 0] > 2.9
+    assert CommandTable.read(path, chain).q[0, 0] > 2.9

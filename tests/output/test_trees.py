@@ -11,16 +11,16 @@ import pytest
 from tests.output.test_recording import Recorded
 from urdfcal.arrays import inverse
 from urdfcal.cameras.rig import Rig
-from urdfcal.estimation.linearize import view
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
+from urdfcal.output import fitted
+from urdfcal.output.findings import Overview
 from urdfcal.output.overlay import overlays
-from urdfcal.output.overview import Overview
-from urdfcal.output.placing import Places
-from urdfcal.output.projection import arm_in_picture
+from urdfcal.output.placing import RobotPoses
+from urdfcal.output.projection import arm_in_image
 from urdfcal.output.recording import write_recording
 from urdfcal.output.report import write_report
-from urdfcal.output.scene import lay_out
+from urdfcal.output.scene import build_scene
 from urdfcal.output.stream import CORNER
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.kinematics import link_poses
@@ -73,19 +73,23 @@ def recorded(calibration, overview, tmp_path_factory):
 @pytest.mark.parametrize("which", ["estimate", "nominal"])
 def test_leds_and_cameras_are_where_the_estimate_has_them(calibration, which):
     state, (block,) = getattr(calibration, which), calibration.observations
-    places = Places.of(calibration, state, calibration.session.q)
-    T = inverse(places.T_base_cam[block.camera, block.pose[:, None]])
-    p_base = places.leds[block.pose[:, None], block.led]
+    arm = fitted.nominal(calibration) if which == "nominal" else fitted.calibrated(calibration)
+    places = RobotPoses.of(calibration.session, arm, calibration.session.q)
+    camera = block.index["camera"]
+    T = inverse(places.T_base_cam[camera, block.pose[:, None]])
+    p_base = places.leds[block.pose[:, None], block.index["led"]]
     p_cam = (T[..., :3, :3] @ p_base[..., None])[..., 0] + T[..., :3, 3]
-    T_cam_view = state.T_cam_world[block.camera]
-    expected = view(calibration.geometry, block, state)
+    T_cam_view = state.T_cam_frame[camera]
+    fit = calibration.nominal_fit if which == "nominal" else calibration.fit
+    links = calibration.problem.links(block.readings, fit.state)
+    expected = block.table.points(block, links, fit.state)[1]
     expected = (T_cam_view[..., :3, :3] @ expected[..., None])[..., 0] + T_cam_view[..., :3, 3]
     np.testing.assert_allclose(p_cam[block.valid], expected[block.valid], atol=1e-12)
 
 
 def test_the_drawn_leds_are_as_their_camera_sees_them(calibration):
-    scene, drawn = lay_out(calibration), calibration.comparison.drawn.fit.state
-    places = Places.of(calibration, drawn, calibration.session.q)
+    scene, drawn = build_scene(calibration), calibration.snapshot(calibration.comparison.drawn.fit.state)
+    places = RobotPoses.of(calibration.session, fitted.nominal(calibration, same_cameras=True), calibration.session.q)
     pixels = scene.pixels
     for s in range(0, len(pixels.pose), 7):
         pose, led, camera = pixels.pose[s], pixels.led[s], pixels.camera[s]
@@ -95,12 +99,12 @@ def test_the_drawn_leds_are_as_their_camera_sees_them(calibration):
             for T, p in ((scene.views, scene.leds.nominal[row]), (places.T_base_cam, places.leds[pose, led]))
         )
         if calibration.session.attachments.camera[camera]:  # the drawn camera sits elsewhere on the same link
-            expected = calibration.estimate.T_cam_world[camera] @ inverse(drawn.T_cam_world[camera]) @ expected
+            expected = calibration.estimate.T_cam_frame[camera] @ inverse(drawn.T_cam_frame[camera]) @ expected
         np.testing.assert_allclose(seen, expected, atol=1e-9)
 
 
 def test_an_led_that_stands_still_is_drawn_in_one_place():
-    scene = lay_out(calibrate(simulate(in_hand(1), seed=1, poses=POSES).session))
+    scene = build_scene(calibrate(simulate(in_hand(1), seed=1, poses=POSES).session))
     for led in range(4):
         rows = scene.leds.led == led
         np.testing.assert_allclose(np.ptp(scene.leds.predicted[rows], axis=0), 0.0, atol=1e-12)
@@ -109,7 +113,7 @@ def test_an_led_that_stands_still_is_drawn_in_one_place():
 
 
 def test_two_cameras_in_one_hand_triangulate():
-    scene = lay_out(calibrate(simulate(in_hand(2), seed=1, poses=POSES).session))
+    scene = build_scene(calibrate(simulate(in_hand(2), seed=1, poses=POSES).session))
     both = np.isfinite(scene.leds.covariance).all(axis=(1, 2))
     assert both.mean() > 0.5
     off = (scene.leds.predicted - scene.leds.measured)[both]
@@ -126,13 +130,13 @@ def test_cameras_on_the_robot_move_and_the_others_stand(calibration, recorded):
         entity = f"/base/cameras/{camera.name}"
         frame = frames.camera[c]
         if frame == 0:
-            expected = inverse(estimate.T_world_base) @ inverse(estimate.T_cam_world[c])
+            expected = inverse(estimate.T_world_base) @ inverse(estimate.T_cam_frame[c])
             place = recorded.static(entity, "Transform3D:translation")[0]
             np.testing.assert_allclose(place, expected[:3, 3], atol=1e-6)
         else:
             rows = recorded.rows(entity, "Transform3D:translation")
             assert list(rows) == list(range(POSES))
-            expected = links[frame - 1] @ inverse(estimate.T_cam_world[c])
+            expected = links[frame - 1] @ inverse(estimate.T_cam_frame[c])
             np.testing.assert_allclose(np.concatenate(list(rows.values())), expected[:, :3, 3], atol=1e-6)
         assert f"{entity}/image" in recorded.entities
         assert f"/base/rays/{camera.name}" in recorded.entities
@@ -154,7 +158,7 @@ def test_every_branch_is_recorded(calibration, recorded):
 
 def test_the_arm_in_the_pictures_is_cut_where_no_camera_sees_it(calibration, recorded):
     for c, camera in enumerate(calibration.estimate.cameras):
-        uv = arm_in_picture(calibration, calibration.session.q, c)
+        uv = arm_in_image(calibration, calibration.session.q, c)
         image = f"/base/cameras/{camera.name}/image"
         for pose, pieces in strips(recorded, f"{image}/arm/calibrated", "LineStrips2D:strips").items():
             if pieces:
@@ -181,7 +185,7 @@ def test_overlay_and_report_are_written(calibration, overview, recorded, tmp_pat
 
 def test_a_robot_without_meshes_is_a_stick_figure_with_all_its_limbs(calibration, overview, tmp_path):
     bare = replace(calibration, session=replace(calibration.session, urdf=None))
-    write_recording(tmp_path / "stick.rrd", bare, overview)
+    write_recording(tmp_path / "stick.rrd", bare, replace(overview, calibration=bare))
     recorded = Recorded(tmp_path / "stick.rrd")
     tips = link_poses(bare.chain, bare.session.q, bare.chain.tips, bare.placements)
     for pose, limbs in strips(recorded, "/base/calibrated/stick\\ figure", "LineStrips3D:strips").items():

@@ -18,7 +18,7 @@ from urdfcal.errors import CalibrationError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from urdfcal.output.overview import Overview
+    from urdfcal.output.findings import Overview
     from urdfcal.pipeline import FittedCalibration, Method
     from urdfcal.session.model import Session
 
@@ -94,13 +94,13 @@ def run(
 ) -> FittedCalibration:
     """Calibrate a session, write its results and print the summary."""
     from urdfcal.cli.console import status_line
-    from urdfcal.output.overview import Overview
-    from urdfcal.output.results import write_results
+    from urdfcal.output.findings import Overview
+    from urdfcal.output.recording import write_results
     from urdfcal.pipeline import calibrate
 
     view = None
     if live:
-        from urdfcal.output.live import LiveView
+        from urdfcal.output.recording import LiveView
 
         view = LiveView()
     with status_line(show=report != "nothing") as say:
@@ -145,11 +145,11 @@ def _print(overview: Overview, paths: Sequence[Path], remarks: Sequence[str]) ->
     from rich.text import Text
 
     from urdfcal.cli.console import output
-    from urdfcal.output.findings import look_up
+    from urdfcal.output.findings import HEADLINE, headline
 
     console = output()
     document, verdict, calibration = overview.document, overview.verdict, overview.calibration
-    fit, headline = document["fit"], verdict.headline
+    fit, (low, high) = document["fit"], document["validation"]["interval_mm"]
 
     def line(text: str, style: str = "") -> None:
         # Piped, a line is as long as it is; on a screen it must not wrap, or the summary grows.
@@ -160,11 +160,8 @@ def _print(overview: Overview, paths: Sequence[Path], remarks: Sequence[str]) ->
 
     tone = {"good": "bold green", "doubtful": "bold yellow", "bad": "bold red"}[verdict.level]
     line(f"{calibration.chain.name}: {verdict.sentence}", tone)
-    interval = ""
-    if headline.interval:
-        low, high = look_up(document, headline.interval)
-        interval = f" (95 %: {low:.3g} to {high:.3g})"
-    line(f"{headline.text(document)}{interval} {headline.meaning}, as drawn -> calibrated", "bold")
+    interval = f"(95 %: {low:.3g} to {high:.3g})"
+    line(f"{headline(document)} {interval} {HEADLINE}, nominal -> calibrated", "bold")
     parts = [
         f"{fit[f'rms_nominal_{unit}']:.3f} -> {fit[f'rms_{unit}']:.3f} {unit}"
         for unit in ("px", "mm")
@@ -208,7 +205,7 @@ def _corrections(calibration: FittedCalibration) -> object:
     import numpy as np
 
     from urdfcal.cli.console import sheet
-    from urdfcal.output.scene import LENGTHS
+    from urdfcal.output.fitted import LENGTHS
 
     columns = [f"{name} ({'mm' if name in LENGTHS else 'mrad'})" for name in calibration.geometry.columns]
     table = sheet("offsets ± standard deviation", ["joint", *columns])

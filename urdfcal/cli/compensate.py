@@ -11,7 +11,7 @@ from urdfcal.errors import OutputError
 
 if TYPE_CHECKING:
     from urdfcal.arrays import Floats
-    from urdfcal.output.trajectory import Trajectory
+    from urdfcal.output.trajectory import CommandTable
     from urdfcal.result.calibration import Calibration
     from urdfcal.robot.compensation import Compensation
 
@@ -32,11 +32,11 @@ def command(result: Path, trajectory: Path, output: Path) -> None:
     """
     from urdfcal import files
     from urdfcal.cli.console import progress_bar
-    from urdfcal.output.trajectory import Trajectory
+    from urdfcal.output.trajectory import CommandTable
     from urdfcal.result.calibration import Calibration
 
     calibration = Calibration.load(result)
-    given = Trajectory.read(trajectory, calibration.chain)
+    given = CommandTable.read(trajectory, calibration.chain)
     if output.exists() and output.samefile(trajectory):
         raise OutputError(
             "this is the trajectory itself", where=str(output), remedy="Name another file: nothing is corrected twice."
@@ -77,7 +77,7 @@ def _errors(calibration: Calibration, nominal_commands: Floats, commands: Floats
     return {tip.link: _rms_length(T[:, :3, 3] - S[:, :3, 3]) for tip, T, S in zip(tips, real, nominal, strict=True)}
 
 
-def _print(path: Path, given: Trajectory, found: Compensation, before: float) -> None:
+def _print(path: Path, given: CommandTable, found: Compensation, before: float) -> None:
     """Print the error that the commands leave, and the lines of the worst poses: singular, at a limit, out of reach."""
     import numpy as np
 

@@ -1,4 +1,4 @@
-"""The terminal: tables, and progress that is shown only where somebody looks at it."""
+"""Tables on the terminal, and progress that is shown only on a terminal."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def progress_bar(what: str, total: int | None) -> Iterator[Callable[[int], None]
 
 @contextmanager
 def status_line(*, show: bool = True) -> Iterator[Callable[[str], None]]:
-    """Show a spinner with a changing text on standard error, where somebody looks at it; yield what changes it."""
+    """Show a spinner with a changing text on standard error, if it is a terminal; yield what changes it."""
     from rich.console import Console
 
     console = Console(stderr=True)

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
+
+    from urdfcal.robot.urdf.urdf import Urdf
 
 _FORMATS = ("ros-kinematics", "ros-static-tf", "mjcf", "offsets", "dh-csv", "xacro-patch")
 
@@ -24,14 +26,14 @@ _FORMATS = ("ros-kinematics", "ros-static-tf", "mjcf", "offsets", "dh-csv", "xac
 )
 @click.option("--link-keys", is_flag=True, help="ros-kinematics: name origins by links, as ur_description does.")
 @click.option("--add-frames", is_flag=True, help="ros-static-tf: fixed joints in the URDF instead of a launch file.")
-@click.option("--model", type=click.Path(path_type=Path), help="mjcf: a MuJoCo file of the robot, as drawn.")
+@click.option("--model", type=click.Path(path_type=Path), help="mjcf: a MuJoCo file of the nominal robot.")
 def command(
     result: Path, target: str, output: Path | None, link_keys: bool, add_frames: bool, model: Path | None
 ) -> None:
     """Write the result in OUT, a folder that calibrate has written, for ROS, MuJoCo, xacro or a controller.
 
-    ros-kinematics: the origins as ur_description's default_kinematics.yaml has them. ros-static-tf: where cameras and
-    LEDs are. mjcf: a MuJoCo model of the robot with the calibrated placements. offsets: the joints' zero offsets to
+    ros-kinematics: origins as ur_description's default_kinematics.yaml has them. ros-static-tf: the poses of cameras
+    and LEDs. mjcf: a MuJoCo model of the robot with the calibrated placements. offsets: the joints' zero offsets to
     enter in a controller, and the URDF without them. dh-csv: the calibrated DH rows. xacro-patch: a table of origins
     for a xacro file.
     """
@@ -59,37 +61,27 @@ def command(
 def _files(
     result: Path, beside: Path, target: str, *, link_keys: bool, add_frames: bool, model: Path | None
 ) -> Mapping[str, str | bytes]:
-    from urdfcal.output.exports.source import corrected_urdf
+    from urdfcal.output.exports import frames, mjcf, origins, tables
     from urdfcal.result.calibration import Calibration
 
     calibration = Calibration.load(result)
-    if target == "ros-kinematics":
-        from urdfcal.output.exports.ros_kinematics import joint_keys, ros_kinematics
-        from urdfcal.output.exports.ros_kinematics import link_keys as keys_of_links
 
-        named = link_keys and keys_of_links(calibration, corrected_urdf(calibration, beside))
-        return ros_kinematics(calibration, named or joint_keys(calibration))
-    if target == "ros-static-tf":
-        from urdfcal.output.exports.frames import found_frames
-        from urdfcal.output.exports.static_transforms import static_transforms
-        from urdfcal.output.exports.urdf_frames import urdf_with_frames
+    def urdf() -> Urdf:
+        return origins.corrected_urdf(calibration, beside)
 
-        frames = found_frames(calibration)
-        return (
-            urdf_with_frames(corrected_urdf(calibration, beside), frames) if add_frames else static_transforms(frames)
-        )
-    if target == "offsets":
-        from urdfcal.output.exports.offsets import joint_offsets
+    def keys() -> Mapping[str, str]:
+        return origins.link_keys(calibration, urdf()) if link_keys else origins.joint_keys(calibration)
 
-        return joint_offsets(calibration, corrected_urdf(calibration, beside))
-    if target == "dh-csv":
-        from urdfcal.output.exports.dh_csv import dh_csv
+    def found() -> Mapping[str, str | bytes]:
+        own = frames.found_frames(calibration)
+        return frames.urdf_with_frames(urdf(), own) if add_frames else frames.static_transforms(own)
 
-        return dh_csv(calibration)
-    if model is not None:
-        from urdfcal.output.exports.mjcf import mjcf
-
-        return mjcf(calibration, corrected_urdf(calibration, beside), model)
-    from urdfcal.output.exports.xacro_patch import xacro_patch
-
-    return xacro_patch(calibration)
+    exports: dict[str, Callable[[], Mapping[str, str | bytes]]] = {
+        "ros-kinematics": lambda: origins.ros_kinematics(calibration, keys()),
+        "ros-static-tf": found,
+        "mjcf": lambda: mjcf.mjcf(calibration, urdf(), model or Path()),
+        "offsets": lambda: tables.joint_offsets(calibration, urdf()),
+        "dh-csv": lambda: tables.dh_csv(calibration),
+        "xacro-patch": lambda: origins.xacro_patch(calibration),
+    }
+    return exports[target]()

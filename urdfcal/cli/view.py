@@ -1,4 +1,4 @@
-"""``urdfcal view``: look at a result."""
+"""``urdfcal view``: show a result."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import click
 @click.argument("output", type=click.Path(path_type=Path), metavar="OUT")
 @click.option("--web", is_flag=True, help="Serve it as a web page, to this machine only.")
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="Of the web page.  [default: any free one]")
-@click.option("--overlay", metavar="POSE", help="Draw the arm into the cameras' pictures of a pose instead: a PNG.")
+@click.option("--overlay", metavar="POSE", help="Draw the arm into the cameras' images of a pose instead: a PNG.")
 @click.option("--save", type=click.Path(path_type=Path), help="Write the recording, or the overlay, to this file.")
 def command(output: Path, web: bool, port: int, overlay: str | None, save: Path | None) -> None:
     """Open the recording in OUT, a folder that calibrate has written, in the rerun viewer."""

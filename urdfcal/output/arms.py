@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import rerun as rr
 
-from urdfcal.output.bodies import MESH_FORMATS, visible_bodies
+from urdfcal.output.bodies import MESH_FORMATS, visible_links
 from urdfcal.output.palette import CALIBRATED, GHOST, NOMINAL, PARAMETER_COLORS
 from urdfcal.output.placing import link_frames
 from urdfcal.output.stream import placed
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from rerun import AsComponents
 
     from urdfcal.arrays import Floats
-    from urdfcal.output.bodies import Body, Shape
-    from urdfcal.output.scene import Scene
+    from urdfcal.output.bodies import Shape, VisibleLink
+    from urdfcal.output.scene import CalibrationScene
     from urdfcal.output.stream import Layer
     from urdfcal.robot.dh import DHTable
     from urdfcal.robot.mechanism import Mechanism
@@ -29,13 +29,13 @@ Color = tuple[int, ...]
 _NO_LENGTH = 2e-3
 
 
-def log_arms(layer: Layer, session: Session, scene: Scene) -> tuple[str, ...]:
-    """Log the calibrated arm solid and the arm as drawn as a ghost; where shapes are missing, stick figures too.
+def log_arms(layer: Layer, session: Session, scene: CalibrationScene) -> tuple[str, ...]:
+    """Log the calibrated arm solid and the nominal arm as a ghost; where shapes are missing, stick figures too.
 
     Returns:
         Warnings about shapes that cannot be shown.
     """
-    bodies, warnings = visible_bodies(session.urdf, session.chain) if session.urdf else ((), ())
+    bodies, warnings = visible_links(session.urdf, session.chain) if session.urdf else ((), ())
     arms = (("calibrated", scene.frames, None, CALIBRATED), ("nominal", scene.ghost, GHOST, NOMINAL))
     for name, frames, tint, line in arms:
         arm = layer.at(name)
@@ -62,17 +62,17 @@ def _sticks(mechanism: Mechanism, frames: Floats) -> list[Floats]:
     return lines
 
 
-def log_dh(layer: Layer, table: DHTable | TreeTable, offsets: Floats, scene: Scene) -> None:
+def log_dh(layer: Layer, table: DHTable | TreeTable, scene: CalibrationScene) -> None:
     """Log the DH frames as axes, and each row's way from one to the next, with d and a as labels.
 
-    Rows are numbered as in the table that stands beside them, from 1.
+    Rows are numbered as in the table beside them, from 1.
     """
     length = 0.08 * table.chain.reach
     for i in range(scene.dh.shape[1]):
         layer.at(f"F{i}").moving(scene.dh[:, i])
         layer.at(f"F{i}").fixed(rr.TransformAxes3D(axis_length=length))
     sliding = {joint.name for joint in table.chain.joints if joint.prismatic}
-    for i, (joint, values) in enumerate(zip(table.labels, table.nominal + offsets, strict=True)):
+    for i, (joint, values) in enumerate(zip(table.labels, table.nominal + scene.arm.row_offsets, strict=True)):
         for name, value, stretch in (
             ("d", values[1], scene.corners[:, i, :2]),
             ("a", values[2], scene.corners[:, i, 1:]),
@@ -90,7 +90,7 @@ def log_dh(layer: Layer, table: DHTable | TreeTable, offsets: Floats, scene: Sce
             row.each(rr.LineStrips3D.columns(strips=stretch.astype(np.float32)))
 
 
-def _log_body(layer: Layer, body: Body, frames: Floats, tint: Color | None) -> None:
+def _log_body(layer: Layer, body: VisibleLink, frames: Floats, tint: Color | None) -> None:
     T = frames[:, body.frame] @ body.T_frame_link
     if body.frame == 0:
         layer.fixed(placed(T[0]))
@@ -98,10 +98,10 @@ def _log_body(layer: Layer, body: Body, frames: Floats, tint: Color | None) -> N
         layer.moving(T)
     for k, shape in enumerate(body.shapes):
         scale = shape.size if shape.mesh else (1.0, 1.0, 1.0)
-        layer.at(f"shape {k}").fixed(placed(shape.T_link_shape, scale), _drawn(shape, tint))
+        layer.at(f"shape {k}").fixed(placed(shape.T_link_shape, scale), _visual(shape, tint))
 
 
-def _drawn(shape: Shape, tint: Color | None) -> AsComponents:
+def _visual(shape: Shape, tint: Color | None) -> AsComponents:
     color = tint or (tuple(round(255 * c) for c in shape.color) if shape.color else None)
     if shape.mesh:
         suffix = shape.mesh.suffix.lower()

@@ -9,15 +9,18 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from urdfcal.output import charts
+from urdfcal.output.findings import HEADLINE, headline
 from urdfcal.output.palette import BACKGROUND, VERDICT_COLORS
-from urdfcal.output.scene import picture_range
+from urdfcal.output.plots import chart_view
+from urdfcal.output.scene import image_range
 from urdfcal.output.stream import POSE
 
 if TYPE_CHECKING:
     from urdfcal.arrays import Floats
     from urdfcal.output.chart import Chart
-    from urdfcal.output.overview import Overview
-    from urdfcal.output.scene import Scene, Sightings
+    from urdfcal.output.findings import Overview
+    from urdfcal.output.fitted import Measurements
+    from urdfcal.output.scene import CalibrationScene
 
 # rerun's eye opens 55 degrees high; on a laptop's screen the view is at least so much wider than high.
 _HALF_VIEW = np.radians(55 / 2)
@@ -36,15 +39,13 @@ def layout(root: str, overview: Overview, active: int = 0) -> rrb.Blueprint:
     """
     scene, calibration = overview.scene, overview.calibration
     parent = f"{root}/charts"
-    images = [
-        f"{root}/cameras/{rr.escape_entity_path_part(camera.name)}/image" for camera in calibration.estimate.cameras
-    ]
+    images = [f"{root}/cameras/{rr.escape_entity_path_part(camera.name)}/image" for camera in scene.arm.cameras]
     arm = rrb.Horizontal(_arm(root, images, scene), _beside_arm(root, scene), column_shares=[3, 1])
     tabs: list[rrb.Container | rrb.View] = [
         rrb.Vertical(_banner(root, overview), arm, row_shares=[1, 13], name="Arm"),
     ]
     if scene.pixels is not None:
-        tabs.append(rrb.Grid(*_pictures(images, overview, scene.pixels), grid_columns=len(images), name="Pixels"))
+        tabs.append(rrb.Grid(*_images(images, overview, scene.pixels), grid_columns=len(images), name="Pixels"))
     tabs += [
         _grid(root, "convergence", charts.convergence_charts(calibration)),
         _parameters(root, parent, overview),
@@ -60,16 +61,16 @@ def layout(root: str, overview: Overview, active: int = 0) -> rrb.Blueprint:
 
 
 def _banner(root: str, overview: Overview) -> rrb.View:
-    """A stripe in the verdict's colour; what it says stands in the title, readable on dark and on light screens."""
+    """A stripe in the verdict's colour; its text is the title, legible on dark and on light screens."""
     verdict = overview.verdict
-    number = f"{verdict.headline.text(overview.document)} {verdict.headline.meaning}"
+    number = f"{headline(overview.document)} {HEADLINE}"
     return rrb.Spatial2DView(
         origin=f"{root}/banner", name=f"{verdict.sentence}  {number}", background=VERDICT_COLORS[verdict.level]
     )
 
 
-def _arm(root: str, images: list[str], scene: Scene) -> rrb.View:
-    # The pictures' own arrows would fill the space before the cameras.
+def _arm(root: str, images: list[str], scene: CalibrationScene) -> rrb.View:
+    # The images' own arrows would fill the space before the cameras.
     hidden = [expression for image in images for expression in (f"- {image}/**", f"+ {image}")]
     elsewhere = [f"- $origin/{name}/**" for name in _ELSEWHERE]
     contents = ["+ $origin/**", *hidden, *elsewhere]
@@ -78,8 +79,8 @@ def _arm(root: str, images: list[str], scene: Scene) -> rrb.View:
     )
 
 
-def _beside_arm(root: str, scene: Scene) -> rrb.Container:
-    unit = "mm" if scene.pixels is None else "px"
+def _beside_arm(root: str, scene: CalibrationScene) -> rrb.Container:
+    unit = scene.tables[0].unit
     return rrb.Vertical(
         rrb.TextDocumentView(origin=f"{root}/texts/about", name="What you see"),
         rrb.TimeSeriesView(
@@ -104,8 +105,8 @@ def _parameters(root: str, parent: str, overview: Overview) -> rrb.Container:
         background=BACKGROUND,
         overrides={row: rr.LineStrips3D.from_fields(show_labels=True) for row in rows},
     )
-    bars = [chart.view(parent) for chart in charts.parameter_charts(overview.calibration)]
-    text = rrb.TextDocumentView(origin=f"{root}/texts/parameters", name="DH rows: drawn, offset, standard deviation")
+    bars = [chart_view(chart, parent) for chart in charts.parameter_charts(overview.calibration)]
+    text = rrb.TextDocumentView(origin=f"{root}/texts/parameters", name="DH rows: nominal, offset, standard deviation")
     return rrb.Horizontal(
         arm, rrb.Vertical(rrb.Horizontal(*bars), text, row_shares=[3, 2]), column_shares=[2, 3], name="Parameters"
     )
@@ -119,7 +120,7 @@ def _workspace(root: str, parent: str, overview: Overview) -> rrb.Container:
     tips = overview.calibration.chain.tips
     tip = "tip" if len(tips) == 1 else tips[0].link
     found = (
-        ("nominal", f"As drawn: distance to the calibrated {tip}", workspace.before),
+        ("nominal", f"Nominal: distance to the calibrated {tip}", workspace.before),
         ("calibrated", "Calibrated: predicted standard deviation", workspace.after),
     )
     smallest, largest = (1e3 * limit for limit in workspace.range)
@@ -134,26 +135,26 @@ def _workspace(root: str, parent: str, overview: Overview) -> rrb.Container:
         )
         for name, title, error in found
     ]
-    shares = charts.workspace_chart(workspace).view(parent)
+    shares = chart_view(charts.workspace_chart(workspace), parent)
     return rrb.Vertical(rrb.Horizontal(*views), shares, row_shares=[3, 2], name="Workspace")
 
 
 def _grid(root: str, name: str, shown: list[Chart]) -> rrb.Container:
     text = rrb.TextDocumentView(origin=f"{root}/texts/{name}", name="How to read this")
-    return rrb.Grid(*(chart.view(f"{root}/charts") for chart in shown), text, name=name.capitalize())
+    return rrb.Grid(*(chart_view(chart, f"{root}/charts") for chart in shown), text, name=name.capitalize())
 
 
-def _pictures(images: list[str], overview: Overview, pixels: Sightings) -> list[rrb.View]:
-    """The residuals of all poses, as drawn above and calibrated below, with the arm of this pose."""
-    scene, cameras = overview.scene, overview.calibration.estimate.cameras
+def _images(images: list[str], overview: Overview, pixels: Measurements) -> list[rrb.View]:
+    """The residuals of all poses, nominal above and calibrated below, with the arm of this pose."""
+    scene, cameras = overview.scene, overview.scene.arm.cameras
     views: list[rrb.View] = []
     for what, factor, hidden in (
-        ("as drawn", scene.pixel_factor, ("field", "arm/calibrated", "predicted")),
+        ("nominal", scene.pixel_factor, ("field", "arm/calibrated", "predicted")),
         ("calibrated", scene.field_factor, ("field\\ nominal", "arm/nominal", "nominal", "residual\\ nominal")),
     ):
         for c, (image, camera) in enumerate(zip(images, cameras, strict=True)):
             seen = pixels.measured[pixels.camera == c]
-            u, v = picture_range(camera.resolution, seen)
+            u, v = image_range(camera.resolution, seen)
             views.append(
                 rrb.Spatial2DView(
                     origin=image,
@@ -170,7 +171,7 @@ def _eye(position: Floats, target: Floats) -> rrb.EyeControls3D:
     return rrb.EyeControls3D(position=position, look_target=target, eye_up=[0, 0, 1])
 
 
-def viewpoint(scene: Scene) -> tuple[Floats, Floats]:
+def viewpoint(scene: CalibrationScene) -> tuple[Floats, Floats]:
     """Find a place from which arm, LEDs and cameras are all in view, cameras to one side.
 
     Returns:

@@ -1,28 +1,29 @@
-"""The visible shapes of a URDF, hung on the frames of its joints."""
+"""The visible shapes of a URDF, by the joint frames that carry them.
+
+yourdfpy reads them; rerun's own loader takes all limbs or none, and neither names the meshes that it does not find nor
+looks for them where ``package://`` is looked for elsewhere in urdfcal.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal, TypeAlias, cast
-from xml.etree.ElementTree import TreeBuilder
-from xml.parsers import expat
+import io
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from urdfcal.arrays import Floats, frozen
 from urdfcal.errors import RobotError
 from urdfcal.robot.urdf.urdf import find_urdf
-from urdfcal.rotations import rpy_to_matrix
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
-    from xml.etree.ElementTree import Element
 
     from urdfcal.robot.mechanism import Mechanism
     from urdfcal.robot.urdf.urdf import Urdf
 
-Color: TypeAlias = tuple[float, float, float, float]
+Rgba = tuple[float, ...]
 MESH_FORMATS = {
     ".stl": "model/stl",
     ".dae": "model/vnd.collada+xml",
@@ -48,14 +49,14 @@ class Shape:
     """
 
     kind: Literal["mesh", "box", "cylinder", "sphere"]
-    size: tuple[float, ...]
+    size: Rgba
     T_link_shape: Floats
     mesh: Path | None = None
-    color: Color | None = None
+    color: Rgba | None = None
 
 
 @dataclass(frozen=True)
-class Body:
+class VisibleLink:
     """A link that moves with a joint.
 
     Attributes:
@@ -71,7 +72,7 @@ class Body:
     shapes: tuple[Shape, ...]
 
 
-def visible_bodies(urdf: Urdf, chain: Mechanism) -> tuple[tuple[Body, ...], tuple[str, ...]]:
+def visible_links(urdf: Urdf, chain: Mechanism) -> tuple[tuple[VisibleLink, ...], tuple[str, ...]]:
     """Collect the links of the arm that have something to show.
 
     These are the links that its joints carry, what is fixed to them, and everything beyond the last joints (a gripper's
@@ -80,13 +81,31 @@ def visible_bodies(urdf: Urdf, chain: Mechanism) -> tuple[tuple[Body, ...], tupl
     Returns:
         The links, and warnings about shapes that cannot be shown.
     """
-    shapes = _Shapes(urdf)
-    bodies = []
+    import yourdfpy
+
+    try:
+        robot = yourdfpy.URDF.load(io.BytesIO(urdf.data), load_meshes=False, build_scene_graph=False).robot
+    except ValueError as error:  # a word that should be a number, or a shape that is none
+        return (), (f"The recording does not show the robot's shapes: {error}.",)
+    visuals = {link.name: link.visuals for link in robot.links}
+    # A material is known by its name everywhere, wherever it is given its colour.
+    materials = [*robot.materials, *(visual.material for found in visuals.values() for visual in found)]
+    colors = {
+        material.name: tuple(material.color.rgba.tolist()) for material in materials if material and material.color
+    }
+    shown, missing = [], []
     for link, frame, T in _carried_links(urdf, chain):
-        found = shapes.of(link)
-        if found:
-            bodies.append(Body(link, frame, frozen(T), found))
-    return tuple(bodies), shapes.warnings()
+        shapes = []
+        for visual in visuals[link]:
+            try:
+                shapes.append(_shape(urdf, visual, colors))
+            except (RobotError, ValueError) as error:
+                missing.append(str(error))
+        if shapes:
+            shown.append(VisibleLink(link, frame, frozen(T), tuple(shapes)))
+    count = "1 shape" if len(missing) == 1 else f"{len(missing)} shapes"
+    warnings = (f"The recording does not show {count} of the robot: {missing[0]}",) if missing else ()
+    return tuple(shown), warnings
 
 
 def _carried_links(urdf: Urdf, chain: Mechanism) -> list[tuple[str, int, Floats]]:
@@ -104,99 +123,26 @@ def _carried_links(urdf: Urdf, chain: Mechanism) -> list[tuple[str, int, Floats]
     return carried
 
 
-@dataclass
-class _Shapes:
-    """Reads the shapes of links and keeps account of those that cannot be shown."""
+def _shape(urdf: Urdf, visual: Any, colors: Mapping[str, Rgba]) -> Shape:
+    """Bring one of yourdfpy's visuals into a shape.
 
-    urdf: Urdf
-    links: Mapping[str, Element] = field(init=False)
-    colors: Mapping[str, Color] = field(init=False)
-    lost: list[tuple[str, str]] = field(init=False, default_factory=list)
-
-    def __post_init__(self) -> None:
-        # Not ElementTree's own parser: it stumbles over prefixes that are nowhere declared. Urdf has refused entities.
-        builder, parser = TreeBuilder(), expat.ParserCreate()
-        parser.StartElementHandler = builder.start
-        parser.EndElementHandler = builder.end
-        parser.Parse(self.urdf.data, True)
-        root = builder.close()
-        self.links = {link.get("name", ""): link for link in root.iterfind("link")}
-        # A material is known by its name everywhere, wherever it is given its colour.
-        self.colors = {
-            material.get("name", ""): color for material in root.iter("material") if (color := _color(material))
-        }
-
-    def of(self, link: str) -> tuple[Shape, ...]:
-        """Read the shapes of a link that can be shown."""
-        shapes = (self._shape(link, visual) for visual in self.links[link].iterfind("visual"))
-        return tuple(shape for shape in shapes if shape is not None)
-
-    def warnings(self) -> tuple[str, ...]:
-        """Say which shapes are not shown, and why the first of them is not."""
-        if not self.lost:
-            return ()
-        names = ", ".join(name for name, _ in self.lost[:3]) + (", ..." if len(self.lost) > 3 else "")
-        return (f"{len(self.lost)} shapes of the robot are not shown in the recording ({names}): {self.lost[0][1]}",)
-
-    def _shape(self, link: str, visual: Element) -> Shape | None:
-        geometry = visual.find("geometry/*")
-        if geometry is None:
-            return None
-        try:
-            return self._read(visual, geometry)
-        except RobotError as error:
-            self.lost.append((geometry.get("filename", "?").rpartition("/")[2], str(error)))
-        except ValueError as error:
-            self.lost.append((f"<{geometry.tag}> of {link}", str(error)))
-        return None
-
-    def _read(self, visual: Element, geometry: Element) -> Shape:
-        T, color = _placement(visual.find("origin")), self._color(visual)
-        if geometry.tag == "box":
-            return Shape("box", _numbers(geometry, "size", 3), T, color=color)
-        if geometry.tag == "sphere":
-            return Shape("sphere", _numbers(geometry, "radius", 1), T, color=color)
-        if geometry.tag == "cylinder":
-            size = _numbers(geometry, "radius", 1) + _numbers(geometry, "length", 1)
-            return Shape("cylinder", size, T, color=color)
-        if geometry.tag == "mesh":
-            return Shape("mesh", _numbers(geometry, "scale", 3, "1 1 1"), T, self._mesh(geometry), color)
-        raise ValueError(f"<{geometry.tag}> is no shape of URDF")
-
-    def _mesh(self, geometry: Element) -> Path:
-        reference = geometry.get("filename", "")
-        folder = self.urdf.path.parent if self.urdf.path else None
-        path = find_urdf(reference.removeprefix("file://"), relative_to=folder)
+    Raises:
+        RobotError: its mesh is not found.
+        ValueError: its mesh has another format, or its numbers are too few.
+    """
+    T = np.eye(4) if visual.origin is None else visual.origin
+    color, geometry = colors.get(visual.material.name) if visual.material else None, visual.geometry
+    if geometry.mesh is not None:
+        folder = urdf.path.parent if urdf.path else None
+        path = find_urdf(geometry.mesh.filename.removeprefix("file://"), relative_to=folder)
         if path.suffix.lower() not in MESH_FORMATS:
             raise ValueError(f"{path.name} is not one of {', '.join(MESH_FORMATS)}")
-        return path
-
-    def _color(self, visual: Element) -> Color | None:
-        material = visual.find("material")
-        if material is None:
-            return None
-        return _color(material) or self.colors.get(material.get("name", ""))
-
-
-def _color(material: Element) -> Color | None:
-    element = material.find("color")
-    try:
-        return None if element is None else cast("Color", _numbers(element, "rgba", 4))
-    except ValueError:
-        return None  # no reason to leave the shape out
-
-
-def _placement(origin: Element | None) -> Floats:
-    T = np.eye(4)
-    if origin is not None:
-        T[:3, 3] = _numbers(origin, "xyz", 3, "0 0 0")
-        T[:3, :3] = rpy_to_matrix(np.array(_numbers(origin, "rpy", 3, "0 0 0")))
-    return T
-
-
-def _numbers(element: Element, attribute: str, count: int, default: str = "") -> tuple[float, ...]:
-    text = element.get(attribute, default)
-    numbers = tuple(float(word) for word in text.split())
-    if len(numbers) != count:
-        raise ValueError(f"{attribute} of <{element.tag}> is {text!r}, not {count} numbers")
-    return numbers
+        scale = np.broadcast_to(1.0 if geometry.mesh.scale is None else geometry.mesh.scale, 3)
+        return Shape("mesh", tuple(scale.tolist()), T, path, color)
+    if geometry.box is not None:
+        if len(geometry.box.size) != 3:
+            raise ValueError(f"the size of a box is {geometry.box.size.tolist()}, not 3 numbers")
+        return Shape("box", tuple(geometry.box.size.tolist()), T, color=color)
+    if geometry.cylinder is not None:
+        return Shape("cylinder", (geometry.cylinder.radius, geometry.cylinder.length), T, color=color)
+    return Shape("sphere", (geometry.sphere.radius,), T, color=color)

@@ -1,37 +1,28 @@
-"""Charts made of lines and dots: rerun's own plots run over the chosen timeline only, these are always there."""
+"""Charts as data: drawn into the report as SVG (svg.py) and into the recording as lines and dots (plots.py).
+
+One description serves both. The recording needs such charts because rerun's own plots run over the chosen timeline
+only; drawing the report's with matplotlib took a quarter of the time of a whole calibration.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
-import rerun as rr
-import rerun.blueprint as rrb
-
-from urdfcal.output.palette import BACKGROUND, FAINT, GRID, INK
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import ArrayLike
+    from numpy.typing import ArrayLike, NDArray
 
     from urdfcal.arrays import Floats
-    from urdfcal.output.stream import Layer
 
-Color: TypeAlias = tuple[int, ...]
+Color: TypeAlias = "tuple[int, ...] | NDArray[np.uint8]"
 
-# Size of the plotted area; only its shape is seen.
-_WIDTH, _HEIGHT = 150.0, 105.0
-# Rows with names need so much height each, lest the names overlap; beyond the limit they had better.
-_ROW, _TALLEST = 7.0, 205.0
-# Room for tick labels: numbers and names to the left, and right, above and below.
-_NUMBERS, _NAMES, _RIGHT, _ABOVE, _BELOW = 24.0, 75.0, 8.0, 6.0, 16.0
 # A logarithmic range shorter than this factor has hardly a round number inside.
 _FLAT = 4.0
 _TICKS = 5
-# rerun takes negative radii as points on the screen.
-_DOT, _LINE, _HAIR, _NONE = -2.0, -0.9, -0.5, 0.0
 
 
 @dataclass(frozen=True)
@@ -42,14 +33,16 @@ class Scale:
         low: at the left or the bottom.
         high: at the right or the top.
         logarithmic: whether equal factors take equal room.
+        whole: whether only whole numbers mean something.
     """
 
     low: float
     high: float
     logarithmic: bool = False
+    whole: bool = False
 
     @classmethod
-    def holding(cls, *values: ArrayLike, logarithmic: bool = False) -> Scale:
+    def holding(cls, *values: ArrayLike, logarithmic: bool = False, whole: bool = False) -> Scale:
         """A range that holds all finite values (the positive ones, if logarithmic) with some room beside them."""
         flat = np.concatenate([np.ravel(np.asarray(v, dtype=float)) for v in values])
         flat = flat[np.isfinite(flat) & ((flat > 0.0) | (not logarithmic))]
@@ -58,7 +51,7 @@ class Scale:
             room = (high / low) ** 0.05
             return cls(low / room, high * room, logarithmic=True)
         room = 0.05 * (high - low) if high > low else max(abs(high), 1e-3)
-        return cls(low - room, high + room)
+        return cls(low - room, high + room, whole=whole)
 
     def share(self, values: ArrayLike) -> Floats:
         """Where values lie between ``low`` (0) and ``high`` (1); NaN where a logarithm has none."""
@@ -69,122 +62,96 @@ class Scale:
         result: Floats = np.log(ratio) / np.log(self.high / self.low)
         return result
 
-    def ticks(self) -> Floats:
-        """A handful of round values within the range."""
+    def ticks(self) -> dict[float, str]:
+        """A handful of round values within the range, and how they are written."""
         if self.logarithmic:
             decades = 10.0 ** np.arange(np.floor(np.log10(self.low)), np.ceil(np.log10(self.high)) + 1)
             inside = np.count_nonzero((decades >= self.low) & (decades <= self.high))
-            ticks = decades[:: 1 + inside // (_TICKS + 1)] if inside > 1 else np.outer(decades, [1, 2, 5]).ravel()
+            ticks = decades[:: 1 + inside // (_TICKS + 1)] if inside > 2 else np.outer(decades, [1, 2, 5]).ravel()
         else:
-            raw = (self.high - self.low) / _TICKS
+            raw = max((self.high - self.low) / _TICKS, 1.0 if self.whole else 0.0)
             power = 10.0 ** np.floor(np.log10(raw))
             step = power * next((m for m in (1, 2, 5) if m * power >= raw), 10)
             ticks = step * np.arange(np.ceil(self.low / step), np.floor(self.high / step) + 1)
-        result: Floats = ticks[(ticks >= self.low) & (ticks <= self.high)]
-        return result
+        inside_range = ticks[(ticks >= self.low) & (ticks <= self.high)].tolist()
+        return {tick: f"{tick + 0.0:.6g}" for tick in inside_range}
 
 
 @dataclass(frozen=True, eq=False)
-class Dots:
-    """Dots of a chart.
+class Mark:
+    """Dots, lines or cells of a chart.
 
     Attributes:
-        name: below the chart's entity.
-        x: (K,) values.
-        y: (K,) values.
-        color: of all of them.
+        kind: dots, lines or cells; cells are squares of side ``size`` around their values.
+        name: of its own in the chart.
+        x: (K,) values, of lines also (L, K).
+        y: (K,) or (L, K) values.
+        color: of all of them, or (K, 3) or (L, 3), one for each dot, line or cell.
+        size: of cells, in the values' unit.
     """
 
+    kind: Literal["dots", "lines", "hairlines", "cells"]
     name: str
     x: ArrayLike
     y: ArrayLike
     color: Color
-
-
-@dataclass(frozen=True, eq=False)
-class Lines:
-    """Lines of a chart.
-
-    Attributes:
-        name: below the chart's entity.
-        x: (L, K) values, or (K,) of one line.
-        y: (L, K) or (K,) values.
-        color: of all of them.
-        thin: whether to draw hairlines.
-    """
-
-    name: str
-    x: ArrayLike
-    y: ArrayLike
-    color: Color
-    thin: bool = False
+    size: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class Chart:
-    """A chart, as data.
+    """A chart.
 
     Attributes:
-        name: its entity.
-        title: what it shows, its colours and units.
+        name: of its own in a recording.
+        title: what it shows, and the units.
         x: the horizontal range.
         y: the vertical range.
-        marks: what is drawn, the last on top.
+        marks: its contents, the last on top.
         x_names: ticks that are names instead of numbers.
         y_names: likewise.
+        x_label: what the report writes below.
+        legend: names of the marks that the report explains by their colours.
+        breadth: its share of a row in the report.
+        equal: whether both axes have one unit.
+        axes: whether the report draws axes and grid.
+        colors: range of the values that cells' colours stand for.
     """
 
     name: str
     title: str
     x: Scale
     y: Scale
-    marks: Sequence[Dots | Lines]
+    marks: Sequence[Mark]
     x_names: Mapping[float, str] | None = None
     y_names: Mapping[float, str] | None = None
+    x_label: str = ""
+    legend: tuple[str, ...] = ()
+    breadth: float = 1.0
+    equal: bool = False
+    axes: bool = True
+    colors: Scale | None = None
 
     @property
-    def _height(self) -> float:
-        """Of the plotted area."""
-        return max(_HEIGHT, min(_ROW * len(self.y_names or ()), _TALLEST))
+    def x_ticks(self) -> Mapping[float, str]:
+        """Where the horizontal axis is marked, and with what."""
+        return self.x.ticks() if self.x_names is None else self.x_names
 
-    def view(self, parent: str) -> rrb.View:
-        """The chart's view, its entity being a child of ``parent``."""
-        left = _NUMBERS if self.y_names is None else _NAMES
-        return rrb.Spatial2DView(
-            origin=f"{parent}/{rr.escape_entity_path_part(self.name)}",
-            name=self.title,
-            visual_bounds=rrb.VisualBounds2D(
-                x_range=[-left, _WIDTH + _RIGHT], y_range=[-_ABOVE, self._height + _BELOW]
-            ),
-            background=BACKGROUND,
-        )
+    @property
+    def y_ticks(self) -> Mapping[float, str]:
+        """Where the vertical axis is marked, and with what."""
+        return self.y.ticks() if self.y_names is None else self.y_names
 
-    def log(self, parent: Layer) -> None:
-        """Draw the chart at a child of ``parent``."""
-        chart = parent.at(self.name)
-        x_names = {t: f"{t + 0.0:.6g}" for t in self.x.ticks()} if self.x_names is None else self.x_names
-        y_names = {t: f"{t + 0.0:.6g}" for t in self.y.ticks()} if self.y_names is None else self.y_names
-        x, y = _WIDTH * self.x.share(list(x_names)), self._height * (1.0 - self.y.share(list(y_names)))
-        grid = [[[0.0, v], [_WIDTH, v]] for v in y]
-        chart.at("grid").fixed(rr.LineStrips2D(grid, colors=GRID, radii=_HAIR, draw_order=-1.0))
-        frame = [[0.0, 0.0], [0.0, self._height], [_WIDTH, self._height]]
-        chart.at("frame").fixed(rr.LineStrips2D([frame], colors=FAINT, radii=_HAIR))
-        beside = _NUMBERS if self.y_names is None else _NAMES
-        # rerun writes labels centred below their points.
-        places = [*([u, self._height] for u in x), *([-beside / 2, v - 5.0] for v in y)]
-        names = [*x_names.values(), *y_names.values()]
-        chart.at("ticks").fixed(rr.Points2D(places, radii=_NONE, labels=names, colors=INK, show_labels=True))
-        for order, mark in enumerate(self.marks):
-            self._log_mark(chart.at(mark.name), mark, float(order))
+    def shapes(self, mark: Mark, width: float, height: float) -> tuple[list[Floats] | Floats, Color]:
+        """Bring a mark onto an area of the given size, its origin at the top left.
 
-    def _log_mark(self, layer: Layer, mark: Dots | Lines, order: float) -> None:
-        u, v = np.broadcast_arrays(_WIDTH * self.x.share(mark.x), self._height * (1.0 - self.y.share(mark.y)))
-        places = np.stack([u, v], axis=-1)
-        if isinstance(mark, Dots):
-            inside = ((places > -1e-6) & (places < np.add([_WIDTH, self._height], 1e-6))).all(axis=-1)
-            layer.fixed(rr.Points2D(places[inside], radii=_DOT, colors=mark.color, draw_order=order))
-        else:
-            lines = np.clip(places.reshape(-1, *places.shape[-2:]), 0.0, [_WIDTH, self._height])
-            strips = [line[np.isfinite(line).all(axis=1)] for line in lines]
-            radius = _HAIR if mark.thin else _LINE
-            layer.fixed(rr.LineStrips2D(strips, colors=mark.color, radii=radius, draw_order=order))
+        Returns:
+            Points (K, 2) of dots and cells within the range, or lines (K, 2) each cut at the range; and their colours.
+        """
+        u, v = np.broadcast_arrays(width * self.x.share(mark.x), height * (1.0 - self.y.share(mark.y)))
+        points = np.stack([u, v], axis=-1)
+        if mark.kind in ("dots", "cells"):
+            inside = ((points > -1e-6) & (points < np.add([width, height], 1e-6))).all(axis=-1)
+            return points[inside], mark.color if isinstance(mark.color, tuple) else mark.color[inside]
+        lines = np.clip(points.reshape(-1, *points.shape[-2:]), 0.0, [width, height])
+        return [line[np.isfinite(line).all(axis=1)] for line in lines], mark.color

@@ -1,4 +1,4 @@
-"""The charts of a recording: residuals and what they might depend on, parameters, convergence."""
+"""The charts of report and recording: residuals and what they might depend on, parameters, convergence, workspace."""
 
 from __future__ import annotations
 
@@ -6,32 +6,35 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.output.chart import Chart, Dots, Lines, Scale
+from urdfcal.output.chart import Chart, Mark, Scale
+from urdfcal.output.fitted import LENGTHS, convergence_of, entries_of_rows
 from urdfcal.output.palette import CALIBRATED, COMPONENTS, INK, NOMINAL, PARAMETER_COLORS
-from urdfcal.output.scene import LENGTHS, UNITS, rms_by_pose
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
-    from urdfcal.arrays import Floats, Ints
-    from urdfcal.output.overview import Overview
-    from urdfcal.output.scene import Sightings
-    from urdfcal.output.workspace import Workspace
+    from urdfcal.arrays import Floats
+    from urdfcal.output.chart import Color
+    from urdfcal.output.findings import Overview
+    from urdfcal.output.fitted import Measurements
+    from urdfcal.output.scene import Workspace
     from urdfcal.pipeline import FittedCalibration
 
 # Residuals in standard deviations beyond this are off the charts.
 _SIGMAS = 6.0
 _BINS = 8
+_BOTH = (NOMINAL, CALIBRATED)
+SYMBOLS = {"theta": "\u03b8", "alpha": "\u03b1", "beta": "\u03b2"}
 
 RESIDUALS = """\
-**Residuals** without the sightings taken out of the fit. Blue: as drawn, green: calibrated, white: declared noise.
+**Residuals** without the measurements taken out of the fit. Blue: nominal, green: calibrated, grey: declared noise.
 
 Against distance and joints: calibrated, in units of the declared noise; {parts}. Lines are means of bins: noise keeps
-them near zero, a trend is something the model does not have.
+them near zero, a trend is an effect that the model lacks.
 """
-PARTS = {2: "light blue: u, orange: v", 3: "light blue: x, orange: y, violet: z"}
+PART_COLORS = ("light blue", "orange", "violet")
 CONVERGENCE = """\
-**Convergence**, iteration by iteration (0: as drawn). Each joint's offsets in mm and mrad; light blue: theta, dark
+**Convergence**, iteration by iteration (0: nominal). Each joint's offsets in mm and mrad; light blue: theta, dark
 blue: d, red: a, orange: alpha, violet: beta. Hairlines: the estimate minus and plus one standard deviation.
 
 The same as time series: below `plots`, on the timeline `iteration`.
@@ -50,15 +53,12 @@ def all_charts(overview: Overview) -> list[Chart]:
 
 def residual_charts(overview: Overview) -> list[Chart]:
     """Residuals by pose and camera, against the declared noise, the distance, and every joint."""
-    scene, calibration = overview.scene, overview.calibration
-    table = scene.tables[0]
-    charts = [_by_pose(table), _spread(table)]
+    scene, calibration, table = overview.scene, overview.calibration, overview.scene.tables[0]
+    charts = [by_pose(table), spread(table)]
     if scene.pixels is not None:
-        names = [camera.name for camera in calibration.estimate.cameras]
-        charts.insert(1, _by_camera(scene.pixels, names))
-        eyes = scene.views[scene.pixels.camera, scene.pixels.pose, :3, 3]
-        seen = scene.rays[:, 1]
-        charts.append(_against("distance", "Distance to the camera [m]", np.linalg.norm(seen - eyes, axis=1), table))
+        charts.insert(1, _by_camera(scene.pixels, [camera.name for camera in scene.arm.cameras]))
+        distance = np.linalg.norm(scene.rays[:, 1] - scene.rays[:, 0], axis=1)
+        charts.append(_against("distance", "Distance to the camera [m]", distance, scene.pixels))
     for j, joint in enumerate(calibration.chain.joints):
         unit = "m" if joint.prismatic else "rad"
         value = calibration.session.q[table.pose, j]
@@ -66,120 +66,122 @@ def residual_charts(overview: Overview) -> list[Chart]:
     return charts
 
 
-def _by_pose(table: Sightings) -> Chart:
-    unit, scale = UNITS[table.measured.shape[1]]
-    used = ~table.outlier
-    series = [
-        rms_by_pose(table.pose[used], scale * (predicted - table.measured)[used])
-        for predicted in (table.nominal, table.predicted)
-    ]
-    (pose, before), (_, after) = series
-    noise = scale * np.sqrt(table.measured.shape[1]) * np.median(table.sigma)
-    x = Scale.holding(pose)
+def by_pose(table: Measurements) -> Chart:
+    """The rms residual of each pose, nominal and calibrated."""
+    (pose, before), (_, after) = (table.rms_by_pose(predicted) for predicted in (table.nominal, table.predicted))
+    x = Scale.holding(pose + 1, whole=True)
     return Chart(
         "by pose",
-        f"By pose [{unit}]",
+        f"rms of each pose [{table.unit}]",
         x,
-        Scale.holding(before, after, noise, logarithmic=True),
+        Scale.holding(before, after, table.noise, logarithmic=True),
         [
-            Lines("declared", [x.low, x.high], [noise, noise], INK),
-            Dots("nominal", pose, before, NOMINAL),
-            Dots("calibrated", pose, after, CALIBRATED),
+            Mark("lines", "declared", [x.low, x.high], [table.noise, table.noise], INK),
+            Mark("dots", "nominal", pose + 1, before, NOMINAL),
+            Mark("dots", "calibrated", pose + 1, after, CALIBRATED),
         ],
+        x_label="pose",
+        legend=("nominal", "calibrated", "declared"),
+        breadth=3.0,
     )
 
 
-def _by_camera(pixels: Sightings, names: list[str]) -> Chart:
-    used = ~pixels.outlier
+def _by_camera(pixels: Measurements, names: list[str]) -> Chart:
+    camera = pixels.camera[pixels.used]
     index = np.arange(float(len(names)))
-    before, after = (
-        _grouped_rms(pixels.camera[used], (predicted - pixels.measured)[used], len(names))
-        for predicted in (pixels.nominal, pixels.predicted)
-    )
-    x, y = Scale(-0.7, len(names) - 0.3), Scale(0.0, 1.1 * float(np.nanmax(np.append(before, after))))
+    with np.errstate(invalid="ignore"):
+        before, after = (
+            np.sqrt(
+                np.bincount(camera, np.sum((predicted - pixels.measured)[pixels.used] ** 2, axis=1), len(names))
+                / np.bincount(camera, minlength=len(names))
+            )
+            for predicted in (pixels.nominal, pixels.predicted)
+        )
     return Chart(
         "by camera",
         "By camera [px]",
-        x,
-        y,
-        [*_bars("nominal", index - 0.15, before, NOMINAL), *_bars("calibrated", index + 0.15, after, CALIBRATED)],
-        x_names=dict(zip(index.astype(float).tolist(), names, strict=True)),
+        Scale(-0.7, len(names) - 0.3),
+        Scale(0.0, 1.1 * float(np.nanmax(np.append(before, after)))),
+        [
+            Mark("lines", "nominal", *_bars(index - 0.15, before, 0.1), NOMINAL),
+            Mark("lines", "calibrated", *_bars(index + 0.15, after, 0.1), CALIBRATED),
+        ],
+        x_names=dict(zip(index.tolist(), names, strict=True)),
     )
 
 
-def _grouped_rms(group: Ints, residual: Floats, count: int) -> Floats:
-    square = np.sum(residual**2, axis=1)
-    with np.errstate(invalid="ignore"):
-        result: Floats = np.sqrt(np.bincount(group, square, count) / np.bincount(group, minlength=count))
-    return result
+def _bars(at: Floats, length: Floats, half: float) -> tuple[Floats, Floats]:
+    """Outlines (L, 4) of bars from zero: across, and along."""
+    zero = np.zeros_like(length)
+    across = np.stack([at - half, at - half, at + half, at + half], axis=-1)
+    return across, np.stack([zero, length, length, zero], axis=-1)
 
 
-def _bars(name: str, x: Floats, height: Floats, color: tuple[int, ...]) -> list[Lines]:
-    half = 0.1
-    outline = np.stack([x - half, x - half, x + half, x + half], axis=-1)
-    zero = np.zeros_like(height)
-    return [Lines(name, outline, np.stack([zero, height, height, zero], axis=-1), color)]
-
-
-def _spread(table: Sightings) -> Chart:
-    used = ~table.outlier
-    edges = np.linspace(-_SIGMAS, _SIGMAS, 49)
-    x = np.linspace(-_SIGMAS, _SIGMAS, 121)
+def spread(table: Measurements) -> Chart:
+    """How the residuals are distributed, beside the normal distribution that was declared."""
+    edges, x = np.linspace(-_SIGMAS, _SIGMAS, 49), np.linspace(-_SIGMAS, _SIGMAS, 121)
     bell = np.exp(-(x**2) / 2) / np.sqrt(2 * np.pi)
-    marks: list[Dots | Lines] = [Lines("declared", x, bell, INK)]
+    marks = [Mark("lines", "declared", x, bell, INK)]
     tallest = float(bell.max())
-    for name, predicted, color in (("nominal", table.nominal, NOMINAL), ("calibrated", table.predicted, CALIBRATED)):
-        sigmas = ((predicted - table.measured) / table.sigma[:, None])[used].ravel()
+    for name, predicted, color in zip(("nominal", "calibrated"), (table.nominal, table.predicted), _BOTH, strict=True):
+        sigmas = table.sigmas(predicted).ravel()
         share = np.histogram(sigmas, edges)[0] / max(len(sigmas), 1) / np.diff(edges)
-        marks.append(Lines(name, np.repeat(edges, 2)[1:-1], np.repeat(share, 2), color))
+        marks.append(Mark("lines", name, np.repeat(edges, 2)[1:-1], np.repeat(share, 2), color))
         tallest = max(tallest, float(share.max()))
-    return Chart("spread", "Spread [declared noise]", Scale(-_SIGMAS, _SIGMAS), Scale(0.0, 1.1 * tallest), marks)
+    return Chart(
+        "spread",
+        "Spread [declared noise]",
+        Scale(-_SIGMAS, _SIGMAS),
+        Scale(0.0, 1.1 * tallest),
+        marks,
+        x_label="residual / declared standard deviation",
+        breadth=2.0,
+    )
 
 
-def _against(name: str, title: str, value: Floats, table: Sightings) -> Chart:
+def _against(name: str, title: str, value: Floats, table: Measurements) -> Chart:
     """Residuals over something they should not depend on, and the means of bins of equal number."""
-    used = ~table.outlier & np.isfinite(value)
-    sigmas = ((table.predicted - table.measured) / table.sigma[:, None])[used]
-    value = value[used]
+    known = np.isfinite(value[table.used])
+    value, sigmas = value[table.used][known], table.sigmas(table.predicted)[known]
     bins = np.array_split(np.argsort(value, kind="stable"), min(_BINS, max(1, len(value) // 5)))
     centre = [np.mean(value[b]) for b in bins]
-    marks: list[Dots | Lines] = [
-        Dots(f"component {k}", value, sigmas[:, k], tuple(c // 2 for c in COMPONENTS[k]))
-        for k in range(sigmas.shape[1])
-    ]
+    components = range(sigmas.shape[1])
+    faint = [tuple(c // 2 for c in color) for color in COMPONENTS]
+    marks = [Mark("dots", f"component {k}", value, sigmas[:, k], faint[k]) for k in components]
     marks += [
-        Lines(f"mean {k}", centre, [np.mean(sigmas[b, k]) for b in bins], COMPONENTS[k]) for k in range(sigmas.shape[1])
+        Mark("lines", f"mean {k}", centre, [np.mean(sigmas[b, k]) for b in bins], COMPONENTS[k]) for k in components
     ]
     reach = float(np.clip(np.nanpercentile(np.abs(sigmas), 99), 3.0, 100.0))
     return Chart(name, title, Scale.holding(value), Scale(-reach, reach), marks)
 
 
 def parameter_charts(calibration: FittedCalibration) -> list[Chart]:
-    """Corrections of the DH rows as bars with their standard deviations, lengths and angles apart."""
-    offsets, sigmas = 1e3 * calibration.estimate.offsets, 1e3 * calibration.sigmas()
+    """Corrections of the arm's rows as bars with their 95 % intervals, lengths and angles apart."""
+    offsets, sigmas = convergence_of(calibration).offsets[-1], calibration.sigmas()
     columns, labels = calibration.geometry.columns, calibration.geometry.labels
     charts = []
     for kind, unit in (("lengths", "mm"), ("angles", "mrad")):
-        entries = [
-            (row, columns.index(name)) for row, name in calibration.corrected if (name in LENGTHS) == (unit == "mm")
-        ]
+        entries = [(row, k) for row, k in entries_of_rows(calibration) if (columns[k] in LENGTHS) == (unit == "mm")]
         if not entries:
             continue
-        value, sigma = (np.nan_to_num([values[i] for i in entries]) for values in (offsets, sigmas))
+        value, margin = (np.array([of[i] for i in entries]) for of in (offsets, 1.96e3 * sigmas))
+        known = np.isfinite(margin)
         y = np.arange(len(entries), 0.0, -1.0)
-        ends = np.stack([y - 0.25, y - 0.25, y + 0.25, y + 0.25], axis=-1)
-        zero = np.zeros_like(value)
-        names = [f"{labels[row]} {columns[k]}" for row, k in entries]
+        ends = np.stack([value - margin, value + margin], axis=-1)[known]
+        across, along = _bars(y[known], value[known], 0.25)
+        names = [f"{labels[row]} {SYMBOLS.get(columns[k], columns[k])}" for row, k in entries]
+        height = Scale(0.2, len(entries) + 0.8)
         charts.append(
             Chart(
                 kind,
-                f"Corrections of {kind} [{unit}]",
-                Scale.holding(value - sigma, value + sigma, 0.0),
-                Scale(0.2, len(entries) + 0.8),
+                f"{kind} [{unit}]",
+                Scale.holding(ends, 0.0),
+                height,
                 [
-                    Lines("offsets", np.stack([zero, value, value, zero], axis=-1), ends, CALIBRATED),
-                    Lines("sigmas", np.stack([value - sigma, value + sigma], axis=-1), np.stack([y, y], axis=-1), INK),
-                    Lines("zero", [0.0, 0.0], [0.2, len(entries) + 0.8], INK, thin=True),
+                    Mark("lines", "offsets", along, across, CALIBRATED),
+                    Mark("lines", "intervals", ends, np.stack([y[known], y[known]], axis=-1), INK),
+                    Mark("hairlines", "zero", [0.0, 0.0], [height.low, height.high], INK),
+                    Mark("dots", "fixed", value[~known], y[~known], NOMINAL),
                 ],
                 y_names=dict(zip(y.tolist(), names, strict=True)),
             )
@@ -188,60 +190,52 @@ def parameter_charts(calibration: FittedCalibration) -> list[Chart]:
 
 
 def convergence_charts(calibration: FittedCalibration) -> list[Chart]:
-    """Cost, damping and step of every iteration, and how each joint's parameters found their place."""
-    history = calibration.fit.history
-    number = np.arange(1.0, len(history) + 1)
-    charts = []
-    for name, title, values in (
-        ("cost", "Cost", [step.cost for step in history]),
-        ("damping", "Damping", [step.damping for step in history]),
-        ("step", "Step [standard deviations]", [step.step for step in history]),
-    ):
-        y = Scale.holding(values, logarithmic=True)
-        marks: list[Dots | Lines] = [
-            Lines("line", number, values, CALIBRATED),
-            Dots("dots", number, values, CALIBRATED),
-        ]
-        charts.append(Chart(name, title, Scale.holding(number), y, marks))
-    return [*charts, *_paths(calibration)]
+    """Cost, damping and step of every iteration, and how each joint's parameters converged."""
+    way = convergence_of(calibration)
+    number = np.arange(1.0, len(way.cost) + 1)
+    return [
+        _course("cost", "cost", number, way.cost),
+        _course("damping", "damping", number, way.damping),
+        _course("step", "step, in standard deviations of the estimate", number, way.step),
+        *_paths(calibration, way.offsets),
+    ]
 
 
-def _paths(calibration: FittedCalibration) -> Iterable[Chart]:
-    paths, sigmas = parameter_paths(calibration), 1e3 * calibration.sigmas()
+def _course(name: str, title: str, number: Floats, values: Floats) -> Chart:
+    marks = [Mark("lines", "line", number, values, CALIBRATED), Mark("dots", "dots", number, values, CALIBRATED)]
+    x, y = Scale.holding(number, whole=True), Scale.holding(values, logarithmic=True)
+    return Chart(name, title, x, y, marks, x_label="iteration")
+
+
+def _paths(calibration: FittedCalibration, paths: Floats) -> Iterable[Chart]:
+    sigmas = 1e3 * calibration.sigmas()
     number = np.arange(paths.shape[0], dtype=float)
     columns = calibration.geometry.columns
     for i, joint in enumerate(calibration.geometry.labels):
-        estimated = [k for k in range(len(columns)) if np.isfinite(sigmas[i, k])]
-        if not estimated:
-            continue
-        marks: list[Dots | Lines] = []
-        for k in estimated:
-            color = PARAMETER_COLORS[columns[k]]
-            low, high = paths[-1, i, k] - sigmas[i, k], paths[-1, i, k] + sigmas[i, k]
-            ends = [[number[0], number[-1]]] * 2
-            marks.append(Lines(f"{columns[k]} band", ends, [[low, low], [high, high]], color, thin=True))
-            marks.append(Lines(columns[k], number, paths[:, i, k], color))
-        lines = [mark.y for mark in marks]
-        yield Chart(
-            f"path of {joint}",
-            f"{joint} [mm, mrad]",
-            Scale.holding(number),
-            Scale.holding(*lines),
-            marks,
-        )
-
-
-def parameter_paths(calibration: FittedCalibration) -> Floats:
-    """The arm's offsets at the start and after every iteration, (I + 1, rows, columns) in mm and mrad."""
-    states = [calibration.nominal_fit.state, *(step.state for step in calibration.fit.history)]
-    return 1e3 * np.array([calibration.problem.offsets(state) for state in states])
+        marks = []
+        for k in np.flatnonzero(np.isfinite(sigmas[i])):
+            color, ends = PARAMETER_COLORS[columns[k]], paths[-1, i, k] + sigmas[i, k] * np.array([[-1.0], [1.0]])
+            band = np.repeat(ends, 2, axis=1)
+            marks.append(Mark("hairlines", f"{columns[k]} band", [[number[0], number[-1]]] * 2, band, color))
+            marks.append(Mark("lines", columns[k], number, paths[:, i, k], color))
+        if marks:
+            y = Scale.holding(*(mark.y for mark in marks))
+            yield Chart(f"path of {joint}", f"{joint} [mm, mrad]", Scale.holding(number, whole=True), y, marks)
 
 
 def workspace_chart(workspace: Workspace) -> Chart:
-    """Which share of the workspace has a tip error below a value."""
-    found = (("nominal", workspace.before, NOMINAL), ("calibrated", workspace.after, CALIBRATED))
+    """The share of the workspace that has a tip error below a value."""
+    errors: Sequence[tuple[str, Floats, Color]] = (
+        ("nominal", workspace.before, NOMINAL),
+        ("calibrated", workspace.after, CALIBRATED),
+    )
     share = np.linspace(0.0, 100.0, len(workspace.tip))
-    marks = [Lines(name, 1e3 * np.sort(error), share, color) for name, error, color in found]
-    title = "% of the workspace with a tip error below x mm (blue: as drawn, green: calibrated)"
-    x = Scale.holding(1e3 * workspace.before, 1e3 * workspace.after, logarithmic=True)
-    return Chart("shares", title, x, Scale(0.0, 100.0), marks)
+    return Chart(
+        "shares",
+        "% of the workspace below",
+        Scale.holding(1e3 * workspace.before, 1e3 * workspace.after, logarithmic=True),
+        Scale(0.0, 100.0),
+        [Mark("lines", name, 1e3 * np.sort(error), share, color) for name, error, color in errors],
+        x_label="tip error [mm]",
+        legend=("nominal", "calibrated"),
+    )

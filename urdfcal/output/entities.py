@@ -1,4 +1,4 @@
-"""What a recording shows besides the arm: cameras, LEDs, residuals, plots, and a legend."""
+"""What a recording shows besides the arm: cameras, LEDs, residuals, workspace, and texts."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import rerun as rr
 
-from urdfcal.output.charts import CONVERGENCE, PARTS, RESIDUALS
-from urdfcal.output.fastening import fastening_sentences
+from urdfcal.output.chart import Scale
+from urdfcal.output.fitted import nominal
 from urdfcal.output.palette import (
     CALIBRATED,
     FAINT,
@@ -16,15 +16,13 @@ from urdfcal.output.palette import (
     MEASURED,
     NOMINAL,
     OUTLIER,
-    SIGMA_LEGEND,
-    by_magnitude,
     by_sigma,
+    viridis,
 )
 from urdfcal.output.photographs import compressed, find_photographs
-from urdfcal.output.placing import Places
-from urdfcal.output.projection import finite_pieces, project_line, skeleton
+from urdfcal.output.projection import arm_in_images, finite_pieces
 from urdfcal.output.stream import CORNER, placed, quaternions
-from urdfcal.output.summary import parameter_text
+from urdfcal.output.texts import ELLIPSOID
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -32,46 +30,41 @@ if TYPE_CHECKING:
 
     from urdfcal.arrays import Floats, Ints
     from urdfcal.cameras.camera import Camera
-    from urdfcal.output.overview import Overview
-    from urdfcal.output.scene import Scene, Sightings
+    from urdfcal.output.fitted import Measurements
+    from urdfcal.output.scene import CalibrationScene, Workspace
     from urdfcal.output.stream import Layer
-    from urdfcal.output.workspace import Workspace
     from urdfcal.pipeline import FittedCalibration
 
 # rerun takes negative radii as points on the screen instead of metres.
 _DOT, _SMALL_DOT, _THIN, _LINE, _ARROW = -4.0, -2.0, -0.8, -1.5, -3.0
 # Below a nanometre an error is none. [m]
 _SMALLEST = 1e-9
-ELLIPSOID = 2.0
-"""Half axes of the covariance ellipsoids, in standard deviations."""
 
 
-def log_cameras(base: Layer, calibration: FittedCalibration, scene: Scene) -> None:
-    """Log the cameras' places and frusta, their rays to the LEDs, their pictures, and the arm drawn into these."""
-    estimate, nominal, q = calibration.estimate, calibration.nominal, calibration.session.q
+def log_cameras(base: Layer, calibration: FittedCalibration, scene: CalibrationScene) -> None:
+    """Log the cameras' poses and frusta, their rays to the LEDs, their images, and the arm drawn into these."""
     photographs = find_photographs(calibration.session)
-    if estimate.cameras:
-        arms = [
-            (name, Places.of(calibration, state, q).T_base_cam, skeleton(calibration, state, q), color, radius)
-            for name, state, color, radius in (
-                ("nominal", nominal, NOMINAL, 2 * _LINE),
-                ("calibrated", estimate, CALIBRATED, _THIN),
-            )
-        ]
-    for index, camera in enumerate(estimate.cameras):
+    arms = [
+        (name, arm_in_images(calibration, arm, calibration.session.q), color, radius)
+        for name, arm, color, radius in (
+            ("nominal", nominal(calibration), NOMINAL, 2 * _LINE),
+            ("calibrated", scene.arm, CALIBRATED, _THIN),
+        )
+    ]
+    for index, camera in enumerate(scene.arm.cameras):
         image = base.at("cameras", camera.name, "image")
         _log_camera(base, index, camera, scene)
         _log_photographs(image, photographs[index])
-        for name, views, corners, color, radius in arms:
-            _log_arm(image.at("arm", name), project_line(camera, views[index], corners), color, radius)
+        for name, lines, color, radius in arms:
+            _log_arm(image.at("arm", name), lines[index], color, radius)
 
 
-def _log_camera(base: Layer, index: int, camera: Camera, scene: Scene) -> None:
+def _log_camera(base: Layer, index: int, camera: Camera, scene: CalibrationScene) -> None:
     link, views = scene.links[index], scene.views[index]
     distance = float(np.median(np.linalg.norm(scene.leds.measured - views[scene.leds.pose, :3, 3], axis=1)))
     body = base.at("cameras", camera.name)
     if link is None:
-        body.fixed(placed(scene.T_base_cam[index]))
+        body.fixed(placed(views[0]))
     else:
         body.moving(views)
     body.fixed(rr.TransformAxes3D(axis_length=0.05 * distance))
@@ -106,7 +99,7 @@ def _log_photographs(image: Layer, photographs: Mapping[int, Path]) -> None:
 
 
 def _log_arm(layer: Layer, uv: Floats, color: tuple[int, ...], radius: float) -> None:
-    """Log the arm in a camera's picture, drawn from joint values alone: (N, P, 2) px."""
+    """Log the arm in a camera's image, drawn from joint values alone: (N, P, 2) px."""
     # The calibrated arm, thinner, lies on the nominal one.
     layer.fixed(rr.LineStrips2D.from_fields(colors=color, radii=radius, draw_order=10.0 + radius))
     pieces = [(pose, piece + CORNER) for pose, line in enumerate(uv) for piece in finite_pieces(line)]
@@ -115,30 +108,30 @@ def _log_arm(layer: Layer, uv: Floats, color: tuple[int, ...], radius: float) ->
         layer.each(strips, np.array([pose for pose, _ in pieces]))
 
 
-def _log_image(image: Layer, scene: Scene, pixels: Sightings, seen: Ints) -> None:
+def _log_image(image: Layer, scene: CalibrationScene, pixels: Measurements, seen: Ints) -> None:
     pose = pixels.pose[seen]
-    sighted, predicted, nominal = (uv[seen] + CORNER for uv in (pixels.measured, pixels.predicted, pixels.nominal))
+    detected, predicted, expected = (uv[seen] + CORNER for uv in (pixels.measured, pixels.predicted, pixels.nominal))
     for name, places, color in (
-        ("sighted", sighted, MEASURED),
+        ("sighted", detected, MEASURED),
         ("predicted", predicted, CALIBRATED),
-        ("nominal", nominal, NOMINAL),
+        ("nominal", expected, NOMINAL),
     ):
         image.at(name).fixed(rr.Points2D.from_fields(colors=color, radii=_DOT))
         image.at(name).each(rr.Points2D.columns(positions=places), pose)
-    arrows = rr.Arrows2D.columns(origins=sighted, vectors=scene.pixel_factor * (nominal - sighted))
+    arrows = rr.Arrows2D.columns(origins=detected, vectors=scene.pixel_factor * (expected - detected))
     image.at("residual nominal").fixed(rr.Arrows2D.from_fields(colors=NOMINAL))
     image.at("residual nominal").each(arrows, pose)
     cut = pixels.outlier[seen]
     for name, factor, places, size in (
         ("field", scene.field_factor, predicted, pixels.size[seen]),
-        ("field nominal", scene.pixel_factor, nominal, pixels.size_nominal[seen]),
+        ("field nominal", scene.pixel_factor, expected, pixels.size_nominal[seen]),
     ):
-        vectors, colors = factor * (places - sighted)[~cut], by_sigma(size[~cut])
-        image.at(name).fixed(rr.Arrows2D(origins=sighted[~cut], vectors=vectors, colors=colors, radii=_THIN))
-    image.at("outliers").fixed(rr.Points2D(sighted[cut], colors=OUTLIER, radii=_DOT))
+        vectors, colors = factor * (places - detected)[~cut], by_sigma(size[~cut])
+        image.at(name).fixed(rr.Arrows2D(origins=detected[~cut], vectors=vectors, colors=colors, radii=_THIN))
+    image.at("outliers").fixed(rr.Points2D(detected[cut], colors=OUTLIER, radii=_DOT))
 
 
-def log_leds(base: Layer, scene: Scene) -> None:
+def log_leds(base: Layer, scene: CalibrationScene) -> None:
     """Log where the LEDs were measured and predicted, and the enlarged residuals between them."""
     leds, factor = scene.leds, scene.factor
     for name, places, color in (
@@ -162,7 +155,7 @@ def log_leds(base: Layer, scene: Scene) -> None:
     base.at("residuals", "field").fixed(field)
 
 
-def _log_ellipsoids(layer: Layer, scene: Scene) -> None:
+def _log_ellipsoids(layer: Layer, scene: CalibrationScene) -> None:
     """Log what the declared noise lets one know of each LED's place, enlarged as the residuals are."""
     leds = scene.leds
     known = np.isfinite(leds.covariance).all(axis=(1, 2))
@@ -183,61 +176,8 @@ def _log_ellipsoids(layer: Layer, scene: Scene) -> None:
 
 def log_workspace(layer: Layer, workspace: Workspace) -> None:
     """Log the tip's places over the workspace, coloured by how far it is off, on one scale before and after."""
-    smallest, largest = (max(limit, _SMALLEST) for limit in workspace.range)
+    smallest, largest = workspace.range
+    scale = Scale(max(smallest, _SMALLEST), max(largest, 2.0 * _SMALLEST), logarithmic=True)
     for name, error in (("nominal", workspace.before), ("calibrated", workspace.after)):
-        colors = by_magnitude(error, smallest, largest)
+        colors = viridis(scale.share(np.maximum(error, _SMALLEST)))
         layer.at(name).fixed(rr.Points3D(workspace.tip, colors=colors, radii=_SMALL_DOT))
-
-
-def log_texts(base: Layer, overview: Overview) -> None:
-    """Log the verdict, what there is to see at each pose, the table of the DH rows, and the poses' names."""
-    verdict, session = overview.verdict, overview.calibration.session
-    number = verdict.headline.text(overview.document)
-    banner = f"{verdict.sentence}   {number}, {verdict.headline.meaning}"
-    base.at("banner").fixed(rr.Points2D([[0.0, 0.0]], radii=0.0, labels=banner, show_labels=False))
-    texts = base.at("texts")
-    texts.at("about").fixed(rr.TextDocument.from_fields(media_type=rr.MediaType.MARKDOWN))
-    texts.at("about").each(rr.TextDocument.columns(text=_about(overview)))
-    parts = PARTS[overview.scene.tables[0].measured.shape[1]]
-    for name, text in (
-        ("parameters", parameter_text(overview.document)),
-        ("residuals", RESIDUALS.format(parts=parts)),
-        ("convergence", CONVERGENCE),
-    ):
-        texts.at(name).fixed(rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
-    texts.at("poses").fixed(rr.AnyValues(poses=session.poses))
-
-
-def _about(overview: Overview) -> list[str]:
-    """For each pose its residuals in space, and what colours and enlarged things mean."""
-    scene, session = overview.scene, overview.calibration.session
-    poses, names, leds = session.poses, session.led_names, scene.leds
-    new, old = (_millimetres(places - leds.measured) for places in (leds.predicted, leds.nominal))
-    lines: list[list[str]] = [[] for _ in poses]
-    for m, (pose, led, cut) in enumerate(zip(leds.pose, leds.led, leds.outlier, strict=True)):
-        taken_out = ", taken out of the fit" if cut else ""
-        lines[pose].append(f"{names[led]} {new[m]:.2f} mm off, nominal {old[m]:.2f} mm{taken_out}")
-    legend = _LEGEND.format(factor=scene.factor)
-    if fastened := fastening_sentences(session):
-        legend += "\n" + " ".join(fastened) + "\n"
-    if overview.verdict.reasons:
-        legend += "\n**To check:**\n" + "\n".join(f"- {text}" for text in overview.verdict.reasons)
-    return [
-        f"**Pose {pose}**: {'; '.join(line) or 'nothing seen'}.\n\n{legend}"
-        for pose, line in zip(poses, lines, strict=True)
-    ]
-
-
-_LEGEND = f"""\
-Solid arm: **calibrated**. Blue ghost: **nominal**, as drawn in the URDF, placed to fit the sightings best. Its
-deviation and the residual arrows are enlarged **{{factor:g}} times**.
-
-LED: white as measured, green by the calibrated arm, blue by the nominal one. Arrows from measured to predicted:
-{SIGMA_LEGEND}. Purple: taken out of the fit. White ellipsoid: {ELLIPSOID:g} standard deviations of the measurement,
-enlarged alike.
-"""
-
-
-def _millimetres(vectors: Floats) -> Floats:
-    lengths: Floats = 1e3 * np.linalg.norm(vectors, axis=1)
-    return lengths

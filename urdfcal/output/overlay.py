@@ -1,4 +1,4 @@
-"""One pose of a recording as a picture: what the cameras saw, and the arm drawn into it."""
+"""One pose of a recording as an image: what the cameras saw, and the arm drawn into it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from urdfcal.errors import OutputError
 from urdfcal.files import write_bytes
 from urdfcal.output.photographs import decompressed
-from urdfcal.output.projection import draw_picture
+from urdfcal.output.projection import draw_image
 from urdfcal.output.stream import CORNER, POSE
 
 if TYPE_CHECKING:
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 _GAP = 8
 _ARMS = (("nominal", "arm/nominal"), ("calibrated", "arm/calibrated"))
-_LEDS = (("sighted", "sighted"), ("nominal", "nominal"), ("calibrated", "predicted"))
+_LEDS = (("detected", "sighted"), ("nominal", "nominal"), ("calibrated", "predicted"))
 
 
 def write_overlay(path: Path, recording: Path, pose: str) -> None:
-    """Draw the arm, as drawn and calibrated, and the LEDs into every camera's picture at a pose; write a PNG.
+    """Draw the arm, nominal and calibrated, and the LEDs into every camera's image at a pose; write a PNG.
 
     Args:
         path: the PNG; replaced in one step.
@@ -37,17 +37,17 @@ def write_overlay(path: Path, recording: Path, pose: str) -> None:
     """
     import cv2
 
-    pictures = overlays(recording, pose)
-    height = max(picture.shape[0] for picture in pictures.values())
-    parts = [np.pad(picture, ((0, height - len(picture)), (0, _GAP), (0, 0))) for picture in pictures.values()]
+    images = overlays(recording, pose)
+    height = max(image.shape[0] for image in images.values())
+    parts = [np.pad(image, ((0, height - len(image)), (0, _GAP), (0, 0))) for image in images.values()]
     done, data = cv2.imencode(".png", np.hstack(parts)[:, :-_GAP])
     if not done:
-        raise OutputError("this picture cannot be encoded", where=str(path))
+        raise OutputError("OpenCV cannot encode this image", where=str(path))
     write_bytes(path, data.tobytes())
 
 
 def overlays(recording: Path, pose: str) -> dict[str, NDArray[np.uint8]]:
-    """The pictures of :func:`write_overlay`, (h, w, 3) blue first, by camera.
+    """The images of :func:`write_overlay`, (h, w, 3) blue first, by camera.
 
     Raises:
         OutputError: there is no such pose, or no camera.
@@ -59,7 +59,9 @@ def overlays(recording: Path, pose: str) -> dict[str, NDArray[np.uint8]]:
         raise OutputError(f"there is no pose {pose!r}", where=str(recording), remedy=f"There are: {shown}.")
     images = sorted(entity for entity in found.entities if entity.endswith("/image") and "/cameras/" in entity)
     if not images:
-        raise OutputError("no camera took part", where=str(recording), remedy="Points have no pictures to draw into.")
+        raise OutputError(
+            "no camera took part", where=str(recording), remedy="A tracker's points have no images to draw into."
+        )
     at = poses.index(pose)
     return {image.split("/")[-2].replace("\\", ""): _overlay(found, image, at) for image in images}
 
@@ -67,14 +69,14 @@ def overlays(recording: Path, pose: str) -> dict[str, NDArray[np.uint8]]:
 def _overlay(found: _Recorded, image: str, at: int) -> NDArray[np.uint8]:
     width, height = (int(side) for side in (found.fixed(image, "Pinhole:resolution") or [[0, 0]])[0])
     photograph = found.row(image, "EncodedImage:blob", at)
-    picture = decompressed(bytes(photograph[0])) if photograph else (width, height)
+    background = decompressed(bytes(photograph[0])) if photograph else (width, height)
     lines = [
         (kind, _pixels(strip))
         for kind, name in _ARMS
         for strip in found.row(f"{image}/{name}", "LineStrips2D:strips", at)
     ]
     leds = [(kind, _pixels(found.row(f"{image}/{name}", "Points2D:positions", at))) for kind, name in _LEDS]
-    return draw_picture(picture, lines, leds)
+    return draw_image(background, lines, leds)
 
 
 def _pixels(values: Any) -> Floats:

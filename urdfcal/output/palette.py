@@ -1,4 +1,4 @@
-"""The colours that mean the same in every view."""
+"""Colours that mean the same in every view."""
 
 from __future__ import annotations
 
@@ -50,9 +50,8 @@ def by_sigma(size: Floats) -> NDArray[np.uint8]:
     return np.stack(channels, axis=-1).astype(np.uint8)
 
 
-def by_magnitude(values: Floats, low: float, high: float) -> NDArray[np.uint8]:
-    """Colour positive values on a logarithmic scale from dark violet at ``low`` to yellow at ``high``, (M, 3)."""
-    share = np.log(np.maximum(values, low) / low) / np.log(high / low) if high > low else np.zeros(len(values))
+def viridis(share: Floats) -> NDArray[np.uint8]:
+    """Colours from dark violet at 0 to yellow at 1, (M,) -> (M, 3)."""
     stops = np.linspace(0.0, 1.0, len(_VIRIDIS))
     channels = [np.interp(share, stops, channel) for channel in zip(*_VIRIDIS, strict=True)]
     return np.stack(channels, axis=-1).astype(np.uint8)

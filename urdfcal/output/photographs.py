@@ -1,4 +1,4 @@
-"""The cameras' pictures, where the session has them, small enough to be carried in a recording."""
+"""The cameras' images, where the session has them, small enough for a recording."""
 
 from __future__ import annotations
 
@@ -7,9 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.detection.image_index import read_album
 from urdfcal.errors import SessionError
-from urdfcal.images.video import Video
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -20,21 +18,24 @@ if TYPE_CHECKING:
     from urdfcal.session.model import Session
 
 _FOLDER = "images"
-# A 1.3-megapixel picture takes about 100 kB then.
+# A 1.3-megapixel image takes about 100 kB then.
 _QUALITY = 80
 
 
 def find_photographs(session: Session) -> tuple[dict[int, Path], ...]:
-    """For each camera the picture of each pose, that of the first LED where several are lit one by one."""
-    cameras = session.rig.names
+    """For each camera the image of each pose, that of the first LED where several are lit one by one."""
     folder = session.folder / _FOLDER if session.folder is not None else None
-    if folder is None or not folder.is_dir() or not cameras:
-        return tuple({} for _ in cameras)
+    none: tuple[dict[int, Path], ...] = ({},) * len(session.attachments.camera)
+    if folder is None or not folder.is_dir() or not none:
+        return none
+    from urdfcal.detection.image_index import read_album
+    from urdfcal.images.video import Video
+
     try:
         album = read_album(folder, session)
     except SessionError:  # a folder of other images: nothing that a calibration from tables should fail for
-        return tuple({} for _ in cameras)
-    # Videos stay where they are: every frame as a picture of its own would be a hundred times their size.
+        return none
+    # Videos stay where they are: every frame as an image of its own would be a hundred times their size.
     return tuple(
         {}
         if isinstance(pictures, Video)
@@ -58,7 +59,7 @@ def _compressed(path: Path) -> bytes:
 
 
 def decompressed(data: bytes) -> NDArray[np.uint8]:
-    """A picture from a recording, (h, w, 3), blue first."""
+    """An image from a recording, (h, w, 3), blue first."""
     import cv2
 
     return np.asarray(cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR), dtype=np.uint8)

@@ -1,69 +1,108 @@
-"""The curves of a recording: residuals by pose, and how the solver got there."""
+"""Charts and time series of a recording."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import rerun as rr
+import rerun.blueprint as rrb
 
-from urdfcal.output.charts import parameter_paths
-from urdfcal.output.palette import CALIBRATED, NOMINAL, PARAMETER_COLORS
-from urdfcal.output.scene import UNITS, rms_by_pose
+from urdfcal.output.fitted import convergence_of, rms_by_iteration
+from urdfcal.output.palette import BACKGROUND, CALIBRATED, FAINT, GRID, INK, NOMINAL, PARAMETER_COLORS
 from urdfcal.output.stream import ITERATION
 
 if TYPE_CHECKING:
     from urdfcal.arrays import Floats
-    from urdfcal.output.scene import Scene
+    from urdfcal.output.chart import Chart
+    from urdfcal.output.scene import CalibrationScene
     from urdfcal.output.stream import Layer
     from urdfcal.pipeline import FittedCalibration
 
+# Size of the plotted area; only its shape is seen.
+_WIDTH, _HEIGHT = 150.0, 105.0
+# Rows with names need so much height each, lest the names overlap; beyond the limit they had better.
+_ROW, _TALLEST = 7.0, 205.0
+# Room for tick labels: numbers and names to the left, and right, above and below.
+_NUMBERS, _NAMES, _RIGHT, _ABOVE, _BELOW = 24.0, 75.0, 8.0, 6.0, 16.0
+# rerun takes negative radii as points on the screen.
+_HAIR, _NONE = -0.5, 0.0
+_RADII = {"dots": -2.0, "lines": -0.9, "hairlines": _HAIR}
 
-def log_residuals(base: Layer, scene: Scene) -> None:
-    """Log the rms residual of every pose before and after, in px or mm, without the sightings taken out of the fit."""
+
+def chart_view(chart: Chart, parent: str) -> rrb.View:
+    """The view of a chart whose entity is a child of ``parent``."""
+    name = f"{chart.title}, by {chart.x_label}" if chart.x_label else chart.title
+    return rrb.Spatial2DView(
+        origin=f"{parent}/{rr.escape_entity_path_part(chart.name)}",
+        name=f"{name} (blue: nominal, green: calibrated)" if chart.legend else name,
+        visual_bounds=rrb.VisualBounds2D(
+            x_range=[-_beside(chart), _WIDTH + _RIGHT], y_range=[-_ABOVE, _height(chart) + _BELOW]
+        ),
+        background=BACKGROUND,
+    )
+
+
+def log_chart(parent: Layer, chart: Chart) -> None:
+    """Draw a chart at a child of ``parent``."""
+    layer, height = parent.at(chart.name), _height(chart)
+    x = _WIDTH * chart.x.share(list(chart.x_ticks))
+    y = height * (1.0 - chart.y.share(list(chart.y_ticks)))
+    grid = [[[0.0, v], [_WIDTH, v]] for v in y]
+    layer.at("grid").fixed(rr.LineStrips2D(grid, colors=GRID, radii=_HAIR, draw_order=-1.0))
+    frame = [[0.0, 0.0], [0.0, height], [_WIDTH, height]]
+    layer.at("frame").fixed(rr.LineStrips2D([frame], colors=FAINT, radii=_HAIR))
+    # rerun writes labels centred below their points.
+    ticks = [*([u, height] for u in x), *([-_beside(chart) / 2, v - 5.0] for v in y)]
+    names = [*chart.x_ticks.values(), *chart.y_ticks.values()]
+    layer.at("ticks").fixed(rr.Points2D(ticks, radii=_NONE, labels=names, colors=INK, show_labels=True))
+    for order, mark in enumerate(chart.marks):
+        shapes, colors = chart.shapes(mark, _WIDTH, height)
+        kind: Any = rr.Points2D if mark.kind == "dots" else rr.LineStrips2D
+        layer.at(mark.name).fixed(kind(shapes, radii=_RADII[mark.kind], colors=colors, draw_order=float(order)))
+
+
+def _height(chart: Chart) -> float:
+    return max(_HEIGHT, min(_ROW * len(chart.y_names or ()), _TALLEST))
+
+
+def _beside(chart: Chart) -> float:
+    return _NUMBERS if chart.y_names is None else _NAMES
+
+
+def log_residuals(base: Layer, scene: CalibrationScene) -> None:
+    """Log the rms residual of every pose, nominal and calibrated, in px or mm, without outliers."""
     for table in scene.tables:
-        unit, scale = UNITS[table.measured.shape[1]]
-        used = ~table.outlier
         for name, predicted, color in (
             ("nominal", table.nominal, NOMINAL),
             ("calibrated", table.predicted, CALIBRATED),
         ):
-            pose, rms = rms_by_pose(table.pose[used], scale * (predicted - table.measured)[used])
-            plot = base.at("plots", f"residual_{unit}", name)
-            plot.fixed(rr.SeriesLines(colors=color, names=f"{name} [{unit}]", widths=1.5))
+            pose, rms = table.rms_by_pose(predicted)
+            plot = base.at("plots", f"residual_{table.unit}", name)
+            plot.fixed(rr.SeriesLines(colors=color, names=f"{name} [{table.unit}]", widths=1.5))
             plot.each(rr.Scalars.columns(scalars=rms), pose)
 
 
-def log_convergence(base: Layer, calibration: FittedCalibration) -> None:
+def log_convergence(base: Layer, calibration: FittedCalibration, scene: CalibrationScene) -> None:
     """Log cost, damping, step, the rms residual (from the nominal arm's on) and every parameter, step by step.
 
     A parameter comes with its final value minus and plus one standard deviation. [mm, mrad]
     """
-    history = calibration.fit.history
-    plots = base.at("plots")
-    for name, values in (
-        ("cost", [step.cost for step in history]),
-        ("damping", [step.damping for step in history]),
-        ("step", [step.step for step in history]),
-    ):
-        _log_iterations(plots.at(name), 1, np.array(values))
-    states = [calibration.nominal_fit.state, *(step.state for step in history)]
-    for block, outlier in zip(calibration.observations, calibration.fit.outlier, strict=True):
-        unit, scale = UNITS[block.dimension]
-        used = block.valid & ~outlier
-        residuals = [calibration.problem.residual(block, state)[used] for state in states]
-        rms = scale * np.sqrt([np.mean(np.sum(r**2, axis=1)) for r in residuals])
+    plots, way = base.at("plots"), convergence_of(calibration)
+    for name in ("cost", "damping", "step"):
+        _log_iterations(plots.at(name), 1, getattr(way, name))
+    for unit, rms in rms_by_iteration(calibration, scene.tables).items():
         _log_iterations(plots.at(f"rms_{unit}"), 0, rms)
-    paths, sigmas = parameter_paths(calibration), 1e3 * calibration.sigmas()
-    for i, joint in enumerate(calibration.geometry.labels):
-        for k, name in enumerate(calibration.geometry.columns):
-            if np.isfinite(sigmas[i, k]):
-                band = np.repeat([paths[-1, i, k] + sigmas[i, k] * np.array([-1.0, 1.0])], len(paths), axis=0)
-                color = PARAMETER_COLORS[name]
-                series = rr.SeriesLines(
-                    colors=[color] * 3, widths=[2.0, 0.7, 0.7], names=[name, f"{name} - sigma", f"{name} + sigma"]
-                )
-                _log_iterations(plots.at("parameters", joint, name), 0, np.column_stack([paths[:, i, k], band]), series)
+    paths, sigmas = way.offsets, 1e3 * calibration.sigmas()
+    for i, k in np.argwhere(np.isfinite(sigmas)):
+        joint, name = calibration.geometry.labels[i], calibration.geometry.columns[k]
+        band = np.repeat([paths[-1, i, k] + sigmas[i, k] * np.array([-1.0, 1.0])], len(paths), axis=0)
+        series = rr.SeriesLines(
+            colors=[PARAMETER_COLORS[name]] * 3,
+            widths=[2.0, 0.7, 0.7],
+            names=[name, f"{name} - sigma", f"{name} + sigma"],
+        )
+        _log_iterations(plots.at("parameters", joint, name), 0, np.column_stack([paths[:, i, k], band]), series)
 
 
 def _log_iterations(plot: Layer, first: int, values: Floats, series: rr.SeriesLines | None = None) -> None:

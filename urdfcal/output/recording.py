@@ -1,11 +1,13 @@
-"""The rerun recording of a calibration: one file, one look, and one sees whether to trust it."""
+"""The rerun recording of a calibration, the folder of results that it is part of, and a live view of the solver."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from urdfcal.files import replacing
-from urdfcal.output.overview import Overview
+from urdfcal import files
+from urdfcal.errors import OutputError
+from urdfcal.output.findings import Overview
+from urdfcal.result.calibration import FILE_NAME
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -15,7 +17,37 @@ if TYPE_CHECKING:
     from urdfcal.pipeline import FittedCalibration
 
 ROOT = "base"
-"""Entity of the base link; all of a recording stands in its frame."""
+"""Entity of the base link; all of a recording is in its frame."""
+REPORT, RECORDING = "report.html", "calibration.rrd"
+
+
+def write_results(
+    calibration: FittedCalibration, folder: Path, overview: Overview | None = None
+) -> tuple[tuple[Path, ...], tuple[str, ...]]:
+    """Write corrected URDF, calibration.json, report and recording, all of them or nothing.
+
+    Args:
+        calibration: the result.
+        folder: where to; made if need be. Results of an earlier run are replaced.
+        overview: ``Overview.of(calibration)``, if it is there already.
+
+    Returns:
+        The files written, and notes such as meshes that the recording could not find.
+
+    Raises:
+        OutputError: the folder cannot be written, or the corrected URDF fails its checks.
+    """
+    from urdfcal.output.report import write_report
+
+    urdf = calibration.calibrated_urdf()
+    overview = overview or Overview.of(calibration)
+    with files.staged(folder) as stage:
+        files.write_bytes(stage / calibration.urdf_name, urdf)
+        calibration.save(stage / FILE_NAME)
+        write_report(stage / REPORT, calibration, overview)
+        notes = write_recording(stage / RECORDING, calibration, overview)
+        names = sorted(path.name for path in stage.iterdir())
+    return tuple(folder / name for name in names), notes
 
 
 def write_recording(path: Path, calibration: FittedCalibration, overview: Overview | None = None) -> tuple[str, ...]:
@@ -37,48 +69,102 @@ def write_recording(path: Path, calibration: FittedCalibration, overview: Overvi
     from urdfcal.output.blueprint import layout
 
     overview = overview or Overview.of(calibration)
-    with replacing(path) as temporary:
+    with files.replacing(path) as temporary:
         stream = rr.RecordingStream("urdfcal")
         try:
             stream.save(temporary, default_blueprint=layout(ROOT, overview))
             stream.send_recording_name(calibration.session.chain.name)
-            return log_calibration(stream, calibration, overview)
+            return log_overview(stream, overview)
         finally:
             stream.disconnect()
 
 
 def log_calibration(
-    stream: RecordingStream, calibration: FittedCalibration, overview: Overview | None = None, path: str = ROOT
+    stream: RecordingStream, calibration: FittedCalibration, entity_path: str = ROOT
 ) -> tuple[str, ...]:
-    """Log a calibration into a rerun stream, below an entity that stands for the base link.
+    """Log everything there is to see of a calibration into a rerun stream.
 
     Args:
-        stream: any rerun stream.
+        stream: the caller's recording.
         calibration: what to show.
-        overview: ``Overview.of(calibration)``, if it is there already.
-        path: the entity.
+        entity_path: where in it; the base link's frame.
 
     Returns:
         Warnings, such as meshes that were not found.
     """
+    return log_overview(stream, Overview.of(calibration), entity_path)
+
+
+def log_overview(stream: RecordingStream, overview: Overview, entity_path: str = ROOT) -> tuple[str, ...]:
+    """Log what was worked out of a calibration; see :func:`log_calibration`."""
     import rerun as rr
 
-    from urdfcal.output import arms, charts, entities, plots
-    from urdfcal.output.rows import row_offsets
+    from urdfcal.output import arms, charts, entities, plots, texts
     from urdfcal.output.stream import Layer
 
-    overview = overview or Overview.of(calibration)
-    session, scene = calibration.session, overview.scene
-    base = Layer(stream, path, len(session.q))
+    calibration, scene = overview.calibration, overview.scene
+    session = calibration.session
+    base = Layer(stream, entity_path, len(session.q))
     base.fixed(rr.ViewCoordinates.RIGHT_HAND_Z_UP, rr.TransformAxes3D(axis_length=0.1 * session.chain.reach))
     warnings = arms.log_arms(base, session, scene)
-    arms.log_dh(base.at("dh"), calibration.table, row_offsets(calibration, calibration.estimate), scene)
+    arms.log_dh(base.at("dh"), calibration.table, scene)
     entities.log_cameras(base, calibration, scene)
     entities.log_leds(base, scene)
     entities.log_workspace(base.at("workspace"), overview.workspace)
     plots.log_residuals(base, scene)
-    plots.log_convergence(base, calibration)
+    plots.log_convergence(base, calibration, scene)
     for chart in charts.all_charts(overview):
-        chart.log(base.at("charts"))
-    entities.log_texts(base, overview)
+        plots.log_chart(base.at("charts"), chart)
+    texts.log_texts(base, overview)
     return warnings
+
+
+class LiveView:
+    """A viewer that shows the cost while the solver runs, and the whole calibration when it is done.
+
+    Raises:
+        OutputError: no viewer can be started.
+    """
+
+    def __init__(self, stream: RecordingStream | None = None) -> None:
+        """Start a viewer, or send to a stream that is already watched."""
+        import rerun as rr
+        import rerun.blueprint as rrb
+
+        from urdfcal.output.stream import ITERATION
+
+        waiting = rrb.Blueprint(
+            rrb.TimeSeriesView(origin="live", name="The solver at work: cost of every step"),
+            rrb.TimePanel(timeline=ITERATION, state="collapsed"),
+            collapse_panels=True,
+        )
+        self._steps = 0
+        self._stream = stream or rr.RecordingStream("urdfcal")
+        if stream is None:
+            try:
+                self._stream.spawn()
+            except RuntimeError as error:
+                raise OutputError(f"the rerun viewer does not start: {error}", remedy="Leave --live out.") from error
+        self._stream.send_blueprint(waiting)
+        self._stream.log("live/cost", rr.SeriesLines(names="cost"), static=True)
+
+    def step(self, iteration: int, cost: float) -> None:
+        """Show a step of the solver; several fits follow each other."""
+        import rerun as rr
+
+        from urdfcal.output.stream import ITERATION
+
+        del iteration  # starts anew with every fit
+        self._steps += 1
+        self._stream.set_time(ITERATION, sequence=self._steps)
+        self._stream.log("live/cost", rr.Scalars(cost))
+
+    def finish(self, calibration: FittedCalibration, overview: Overview | None = None) -> None:
+        """Show the result."""
+        from urdfcal.output.blueprint import layout
+
+        overview = overview or Overview.of(calibration)
+        self._stream.reset_time()
+        log_overview(self._stream, overview)
+        self._stream.send_blueprint(layout(ROOT, overview))
+        self._stream.flush()

@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal import files
-from urdfcal.output import figures
-from urdfcal.output.fastening import MOUNTS, fastening_sentences, listed
-from urdfcal.output.findings import look_up
-from urdfcal.output.overview import Overview
+from urdfcal.output import charts, figures
+from urdfcal.output.findings import HEADLINE, Overview, look_up
+from urdfcal.output.fitted import LENGTHS
 from urdfcal.output.palette import SIGMA_LEGEND
-from urdfcal.output.scene import LENGTHS
+from urdfcal.output.texts import MOUNTS, fastening_sentences, fixed_parameters, listed
 from urdfcal.robot.tree_dh import MOUNT
 
 if TYPE_CHECKING:
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
 
     from markupsafe import Markup
 
-    from urdfcal.output.findings import Document
+    from urdfcal.output.findings import ResultData
     from urdfcal.pipeline import FittedCalibration
 
 _TEMPLATE = "report.html.jinja"
@@ -48,7 +47,7 @@ def write_report(path: Path, calibration: FittedCalibration, overview: Overview 
 
     overview = overview or Overview.of(calibration)
     document = overview.document
-    drawn = figures.draw(calibration, overview.scene, overview.workspace)
+    svgs = figures.draw(overview)
     outliers = document["outliers"]
     largest = sorted(range(len(outliers)), key=lambda i: -outliers[i]["sigmas"])[:_OUTLIERS_SHOWN]
     environment = jinja2.Environment(
@@ -59,18 +58,19 @@ def write_report(path: Path, calibration: FittedCalibration, overview: Overview 
         document,
         n=_number_of(document),
         verdict=overview.verdict,
+        meaning=HEADLINE,
         misfit=f"{np.sqrt(document['fit']['reduced_chi2']):.2g}",
-        figures={name: Markup(svg) for name, svg in drawn.items()},  # noqa: S704  # made by us, labels escaped
+        figures={name: Markup(svg) for name, svg in svgs.items()},  # noqa: S704  # made by us, labels escaped
         sigma_legend=SIGMA_LEGEND,
         rows=_rows(document),
         columns=[
-            f"{figures.SYMBOLS.get(c, c)} [{'mm' if c in LENGTHS else 'mrad'}]" for c in calibration.geometry.columns
+            f"{charts.SYMBOLS.get(c, c)} [{'mm' if c in LENGTHS else 'mrad'}]" for c in calibration.geometry.columns
         ],
         is_dh=calibration.geometry is calibration.table,
         tips=listed([tip.link for tip in calibration.chain.tips]),
         fastened=" ".join(fastening_sentences(calibration.session)),
         mounts=MOUNTS if any(label.endswith(MOUNT) for label in calibration.geometry.labels) else "",
-        held=_held(document),
+        fixed=fixed_parameters(document),
         largest=largest,
         shown=_OUTLIERS_SHOWN,
         urdf_name=calibration.urdf_name,
@@ -79,7 +79,7 @@ def write_report(path: Path, calibration: FittedCalibration, overview: Overview 
     files.write_text(path, page)
 
 
-def _number_of(document: Document) -> Callable[..., Markup]:
+def _number_of(document: ResultData) -> Callable[..., Markup]:
     """What writes a number of ``calibration.json`` into the page, its full value and key beside it.
 
     No number gets into a table any other way, so that page and JSON cannot disagree.
@@ -102,18 +102,9 @@ def _number_of(document: Document) -> Callable[..., Markup]:
     return number
 
 
-def _rows(document: Document) -> list[tuple[str, list[int]]]:
+def _rows(document: ResultData) -> list[tuple[str, list[int]]]:
     """Joint by joint, which entries of the DH list are its five parameters."""
     rows: dict[str, list[int]] = {}
     for i, entry in enumerate(document["dh"]):
         rows.setdefault(entry["joint"], []).append(i)
     return list(rows.items())
-
-
-def _held(document: Document) -> list[tuple[str, list[str]]]:
-    """The parameters that were held for a reason not among the lost directions, reason by reason."""
-    held: dict[str, list[str]] = {}
-    for entry in document["dh"]:
-        if entry["status"] == "fixed" and entry["reason"] not in document["identifiability"]["lost"]:
-            held.setdefault(entry["reason"], []).append(f"{entry['joint']}.{entry['parameter']}")
-    return list(held.items())

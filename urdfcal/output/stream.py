@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pinocchio as pin
 import rerun as rr
 
 if TYPE_CHECKING:
@@ -60,19 +61,5 @@ def placed(T: Floats, scale: tuple[float, ...] = (1.0, 1.0, 1.0)) -> rr.Transfor
 
 
 def quaternions(R: Floats) -> Floats:
-    """Turn rotation matrices (N, 3, 3) into quaternions (N, 4), x y z w.
-
-    Of the four ways to write a quaternion from a matrix, each dividing by one component, the one with the largest
-    divisor is taken (Shepperd, J. Guidance and Control 1(3), 1978).
-    """
-    x, y, z = R[:, 0, 0], R[:, 1, 1], R[:, 2, 2]
-    # 4 q q^T, whose columns are all parallel to q.
-    outer = np.empty((len(R), 4, 4))
-    outer[:, range(4), range(4)] = 1 + np.stack([x - y - z, y - z - x, z - x - y, x + y + z], axis=1)
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        outer[:, i, j] = outer[:, j, i] = R[:, i, j] + R[:, j, i]
-        outer[:, k, 3] = outer[:, 3, k] = R[:, j, i] - R[:, i, j]
-    best = np.argmax(outer[:, range(4), range(4)], axis=1)
-    q = outer[np.arange(len(R)), best]
-    result: Floats = q / np.linalg.norm(q, axis=1, keepdims=True)
-    return result
+    """Turn rotation matrices (N, 3, 3) into quaternions (N, 4), x y z w."""
+    return np.array([pin.Quaternion(np.ascontiguousarray(R_k)).coeffs() for R_k in R]).reshape(-1, 4)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory:
+class CommandTable:
     """A table of joint commands, and whatever else its columns hold.
 
     Attributes:
@@ -32,7 +32,7 @@ class Trajectory:
     q: Floats
 
     @classmethod
-    def read(cls, path: Path, chain: Mechanism) -> Trajectory:
+    def read(cls, path: Path, chain: Mechanism) -> CommandTable:
         """Read a trajectory.
 
         Args:

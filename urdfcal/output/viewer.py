@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from urdfcal.errors import OutputError
-from urdfcal.output.results import RECORDING
+from urdfcal.output.recording import RECORDING
 
 _LOOPBACK = "127.0.0.1"
 

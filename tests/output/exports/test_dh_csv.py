@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from urdfcal.errors import OutputError
-from urdfcal.output.exports.dh_csv import dh_csv
+from urdfcal.output.exports.tables import dh_csv
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.dh import DHTable, row_transform
 from urdfcal.robot.kinematics import tip_poses

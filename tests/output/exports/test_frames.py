@@ -15,9 +15,7 @@ import yourdfpy
 
 from urdfcal.errors import OutputError
 from urdfcal.estimation.measurements import Detections
-from urdfcal.output.exports.frames import found_frames
-from urdfcal.output.exports.static_transforms import static_transforms
-from urdfcal.output.exports.urdf_frames import urdf_with_frames
+from urdfcal.output.exports.frames import found_frames, static_transforms, urdf_with_frames
 from urdfcal.robot.urdf.urdf import Urdf
 
 if TYPE_CHECKING:

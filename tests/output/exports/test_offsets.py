@@ -10,7 +10,7 @@ import pytest
 
 import urdfcal
 from urdfcal.errors import OutputError
-from urdfcal.output.exports.offsets import joint_offsets
+from urdfcal.output.exports.tables import joint_offsets
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.kinematics import tip_poses
@@ -68,5 +68,5 @@ def test_whole_placements_have_no_offsets(simulated: Callable) -> None:
     session = replace(simulated("elbow3r").session, estimate=Estimate(geometry="full"))
     fitted = calibrate(session)
     assert isinstance(fitted, urdfcal.Calibration)
-    with pytest.raises(OutputError, match="no zero offset stands apart"):
+    with pytest.raises(OutputError, match="zero offsets are no parameters"):
         joint_offsets(fitted, session.urdf)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from urdfcal.arrays import Bools, Floats
+    from urdfcal.arrays import Floats
     from urdfcal.cameras.rig import Rig
     from urdfcal.estimation.measurements import Measurement
     from urdfcal.io.frame_tables import LogTable
@@ -153,9 +153,9 @@ def _check_reading_units(inputs: Inputs) -> None:
     boundless = np.where(prismatic, _TOO_WIDE * inputs.scale, _WOUND_UP)
     lower, upper = np.maximum(lower, -boundless) - OVERRUN, np.minimum(upper, boundless) + OVERRUN
     factor = np.where(prismatic, 1e-3, np.pi / 180.0)
-    outside: Bools = np.asarray((readings < lower) | (readings > upper))
     # No radian reading is beyond a whole turn by mistake; most readings in degrees are.
-    outside &= prismatic | (np.abs(readings) > 2.0 * np.pi)
+    far = prismatic | (np.abs(readings) > 2.0 * np.pi)
+    outside = np.asarray((readings < lower) | (readings > upper)) & far
     fits = ((readings * factor >= lower) & (readings * factor <= upper)).all(axis=0)
     for unit, meant, kind in (("degrees", "radians", ~prismatic), ("millimetres", "metres", prismatic)):
         suspects = np.flatnonzero(outside.any(axis=0) & kind)

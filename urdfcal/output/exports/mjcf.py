@@ -1,38 +1,46 @@
 """MuJoCo: the calibrated placements in an existing model of the same robot.
 
-Body i of joint i is placed anew by
+A MuJoCo file may put its bodies' frames elsewhere than a URDF its links', fuse what fixed joints hold, and count a
+joint from another zero (``ref``). Two robots move alike if with all joints at zero their axes are the same lines. With
+Z_i joint i's body in its parent body with all joints at zero, as MuJoCo computes it, S_i the place that the file gives
+it, C_i the URDF link's frame in the body's, and D_i and B_i the joint's nominal and calibrated placement, the new place
+is
 
-    S_i' = S_i M_i(-ref) C_i (D_i^-1 B_i) C_i^-1 M_i(ref),
+    S_i' = Z_i C_i (D_i^-1 B_i) C_i^-1 Z_i^-1 S_i.
 
-S_i its place in the file, M_i(value) what its joint does to it, C_i the URDF link's frame in the body's, and D_i and
-B_i the joint's placement as drawn and as built.
+The text is edited because ``MjSpec.to_xml`` loses comments and layout, and rounds to six digits.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import pinocchio as pin
 
-from urdfcal.arrays import Floats, inverse
+from urdfcal.arrays import Floats, Ints, inverse
 from urdfcal.errors import OutputError, RobotError
-from urdfcal.output.exports.mjcf_bodies import match
-from urdfcal.output.exports.mjcf_text import Mjcf
+from urdfcal.names import suggest
+from urdfcal.output.exports.mjcf_text import joint_bodies, with_places
+from urdfcal.output.placing import joint_frames
 from urdfcal.robot.kinematics import link_poses
 from urdfcal.robot.mechanism import BASE
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator
     from pathlib import Path
 
-    from urdfcal.output.exports.mjcf_bodies import Match
     from urdfcal.result.calibration import Calibration
+    from urdfcal.robot.mechanism import Mechanism
     from urdfcal.robot.urdf.urdf import Urdf
 
 # MuJoCo's kinematics and ours round differently. [m, entries of the rotation]
 _AGREEMENT = 1e-9
 # What a file of rounded numbers is off before, it may be off after, and a little more for other directions.
 _CARRIED = 2.0
+# The same robot through different roundings: MuJoCo writes six digits, which sum to some 1e-5 over seven joints.
+# [m, entries of a direction]
+_SAME = 5e-5
 _CHECK_POSES = 20
 
 
@@ -55,23 +63,29 @@ def mjcf(calibration: Calibration, urdf: Urdf, path: Path) -> dict[str, bytes]:
         data = path.read_bytes()
     except OSError as error:
         raise RobotError(f"cannot be read: {error.strerror}", where=str(path)) from error
-    text, model = Mjcf.parse(data, str(path)), _compiled(data, path)
-    chain, built = calibration.chain, calibration.placements
-    found = match(model, chain, built, urdf, str(path))
-    for name in (name for name in chain.names if name not in text.bodies):
+    elements, model = joint_bodies(data, str(path)), _compiled(data, path)
+    chain, placements = calibration.chain, calibration.placements
+    joints = _joints(model, chain, str(path))
+    for name in (name for name in chain.names if name not in elements):
         raise RobotError(
             f"joint {name!r} is not written out in this file",
             where=str(path),
             remedy="Write its body without <replicate> or <attach>.",
         )
-    before = {body.joint.name: body.place for body in found.bodies}
-    after = dict(before)
-    for body, C, D, B in zip(found.bodies, found.T_body_link, chain.placements, built, strict=True):
-        if not np.array_equal(D, B):
-            to_link = body.motion(-body.ref) @ C
-            after[body.joint.name] = body.place @ to_link @ inverse(D) @ B @ inverse(to_link)
-    written = text.with_places(before, after)
-    _check(calibration, found, model, _compiled(written, path), str(path))
+    zero = np.zeros((1, len(joints.ids)))
+    T_world_base = _base(model, joints, calibration, urdf, str(path))
+    links = T_world_base @ joint_frames(chain, chain.placements, zero)[0, 1:]
+    T_world, _ = _moved(model, joints, zero)
+    edited = []
+    for i, body in enumerate(joints.body):
+        if np.array_equal(chain.placements[i], placements[i]):
+            continue
+        place, Z = _place(model, body), inverse(T_world[0, model.body_parentid[body]]) @ T_world[0, body]
+        to_link = Z @ inverse(T_world[0, body]) @ links[i]
+        new = to_link @ inverse(chain.placements[i]) @ placements[i] @ inverse(to_link) @ place
+        edited.append((elements[chain.names[i]], place, new))
+    written = with_places(data, edited)
+    _check(calibration, joints, T_world_base, model, _compiled(written, path), str(path))
     return {f"{path.stem}_calibrated{path.suffix}": written}
 
 
@@ -92,42 +106,169 @@ def _compiled(data: bytes, path: Path) -> Any:
         raise RobotError(f"MuJoCo cannot load it: {reason}", where=str(path)) from error
 
 
-def _check(calibration: Calibration, found: Match, old: Any, new: Any, where: str) -> None:
-    """Let MuJoCo move both models and compare with the chain, as drawn and as built."""
+class _Joints(NamedTuple):
+    """The robot's joints in MuJoCo's model: their indices, and those of the bodies that they move."""
+
+    ids: Ints
+    body: Ints
+
+
+def _joints(model: Any, chain: Mechanism, where: str) -> _Joints:
+    """Find the robot's joints by name.
+
+    Raises:
+        RobotError: one is missing or of another type, or bodies hang in another order.
+    """
+    import mujoco
+
+    kinds = {mujoco.mjtJoint.mjJNT_HINGE: False, mujoco.mjtJoint.mjJNT_SLIDE: True}
+    names = [model.joint(i).name for i in range(model.njnt)]
+    index: list[int] = []
+    bodies: list[int] = []
+    for joint, parent in zip(chain.joints, chain.parents, strict=True):
+        if joint.name not in names:
+            raise RobotError(
+                f"there is no joint {joint.name!r}", where=where, remedy=suggest(joint.name, names, "joints")
+            )
+        index.append(names.index(joint.name))
+        if kinds.get(mujoco.mjtJoint(int(model.jnt_type[index[-1]]))) is not joint.prismatic:
+            raise RobotError(f"joint {joint.name!r} is not a {joint.type} joint", where=where)
+        bodies.append(int(model.jnt_bodyid[index[-1]]))
+        if model.body_jntnum[bodies[-1]] != 1:
+            raise RobotError(
+                f"the body of joint {joint.name!r} has {model.body_jntnum[bodies[-1]]} joints",
+                where=where,
+                remedy="Give each joint a body of its own.",
+            )
+        carrier = _above(model, bodies[-1])[-1]
+        if carrier != (_above(model, bodies[0])[-1] if parent == BASE else bodies[parent]):
+            raise RobotError(
+                f"joint {joint.name!r} does not hang where it did when it was calibrated",
+                where=where,
+                remedy="Give a model of the same robot.",
+            )
+    return _Joints(np.array(index), np.array(bodies))
+
+
+def _above(model: Any, body: int) -> list[int]:
+    """Parent body, its parent and so on to one that a joint moves, or the world."""
+    above = [int(model.body_parentid[body])]
+    while above[-1] != 0 and model.body_jntnum[above[-1]] == 0:
+        above.append(int(model.body_parentid[above[-1]]))
+    return above
+
+
+def _place(model: Any, body: int) -> Floats:
+    """Where a body is in its parent body before its joint moves it, (4, 4) in m."""
+    w, x, y, z = model.body_quat[body]
+    T: Floats = pin.SE3(pin.Quaternion(w, x, y, z), model.body_pos[body]).homogeneous
+    return T
+
+
+def _moved(model: Any, joints: _Joints, q: Floats) -> tuple[Floats, Any]:
+    """T_world_body (N, bodies, 4, 4) at joint values (N, n), and MuJoCo's data at the last of them."""
+    import mujoco
+
+    data = mujoco.MjData(model)
+    T = np.tile(np.eye(4), (len(q), model.nbody, 1, 1))
+    for k, q_k in enumerate(q):
+        data.qpos[:] = model.qpos0
+        data.qpos[model.jnt_qposadr[joints.ids]] = q_k
+        mujoco.mj_kinematics(model, data)
+        T[k, :, :3, :3], T[k, :, :3, 3] = data.xmat.reshape(-1, 3, 3), data.xpos
+    return T, data
+
+
+def _base(model: Any, joints: _Joints, calibration: Calibration, urdf: Urdf, where: str) -> Floats:
+    """Find T_world_base (4, 4) by which the model's axes are those of the nominal robot.
+
+    The base link's frame is that of a body above the first joint, or of the world; or such a body's is that of another
+    link that is fixed to the base link.
+
+    Raises:
+        RobotError: axes are elsewhere.
+    """
+    chain, zero = calibration.chain, np.zeros((1, len(joints.ids)))
+    T_world, data = _moved(model, joints, zero)
+    lines = data.xanchor[joints.ids], data.xaxis[joints.ids]
+    nominal, already = (joint_frames(chain, of, zero)[0, 1:] for of in (chain.placements, calibration.placements))
+    fixed = _fixed_to(urdf, chain.base_link)
+    pairs = [(body, link) for body in _above(model, joints.body[0]) for link in fixed]
+    misfits = []
+    for body, link in sorted(
+        pairs, key=lambda pair: model.body(pair[0]).name != pair[1]
+    ):  # bodies named as links first
+        T_world_base: Floats = T_world[0, body] @ inverse(fixed[link])
+        misfit = _misfit(*lines, chain, T_world_base @ nominal)
+        if misfit is None:
+            return T_world_base
+        if _misfit(*lines, chain, T_world_base @ already) is None:
+            raise RobotError(
+                "its joints are placed as calibrated already",
+                where=where,
+                remedy="Give the nominal model: a calibration is applied once.",
+            )
+        misfits.append(misfit)
+    # Of several base frames, the one that explains most joints is the one that was meant.
+    index, distance, angle = max(misfits)
+    raise RobotError(
+        f"the axis of joint {chain.names[index]!r} is not where it was when the robot was calibrated: "
+        f"it is {1e3 * distance:.3g} mm and {1e3 * angle:.3g} mrad off",
+        where=where,
+        remedy="Give a model of the same nominal robot, its base body's frame that of the base link.",
+    )
+
+
+def _fixed_to(urdf: Urdf, base_link: str) -> dict[str, Floats]:
+    """T_base_link of every link that no joint moves against the base link, itself first."""
+    found = {base_link: np.eye(4)}
+    for link in (going := [base_link]):  # grows while it is walked
+        for near, far, T in _fixed_neighbours(urdf):
+            if near == link and far not in found:
+                found[far] = found[link] @ T
+                going.append(far)
+    return found
+
+
+def _fixed_neighbours(urdf: Urdf) -> Iterator[tuple[str, str, Floats]]:
+    for joint in urdf.joints.values():
+        if joint.type == "fixed":
+            yield joint.parent, joint.child, joint.T_parent_joint
+            yield joint.child, joint.parent, inverse(joint.T_parent_joint)
+
+
+def _misfit(anchors: Floats, axes: Floats, chain: Mechanism, links: Floats) -> tuple[int, float, float] | None:
+    """The first joint whose axis is another line than the link's: its index, distance [m] and angle [rad]."""
+    for i, (joint, T) in enumerate(zip(chain.joints, links, strict=True)):
+        axis, between = T[:3, :3] @ joint.axis, T[:3, 3] - anchors[i]
+        distance = 0.0 if joint.prismatic else float(np.linalg.norm(np.cross(between, axis)))
+        angle = float(np.arctan2(np.linalg.norm(np.cross(axis, axes[i])), axis @ axes[i]))
+        if max(distance, angle) > _SAME:
+            return i, distance, angle
+    return None
+
+
+def _check(calibration: Calibration, joints: _Joints, T_world_base: Floats, old: Any, new: Any, where: str) -> None:
+    """Let MuJoCo move both models and compare with the nominal and the calibrated chain."""
     chain = calibration.chain
     q = chain.random_values(_CHECK_POSES, np.random.default_rng(0))
     tips = [tip for tip in chain.tips if tip.joint != BASE]  # what is fixed to the base link no body carries
-    joints = [tip.joint for tip in tips]
-    at_zero = _bodies_at(old, found, joints, np.zeros((1, len(chain.joints))))[0, 0]
-    T_world_base = at_zero @ inverse(found.T_base_body[joints[0]])
-    to_tip = np.array([found.T_body_link[tip.joint] @ tip.T_joint_link for tip in tips])[:, None]
-    drawn_error, built_error = (
+    bodies = joints.body[[tip.joint for tip in tips]]
+    zero = np.zeros((1, len(joints.ids)))
+    links = np.array(link_poses(chain, zero, tips))[:, 0]
+    to_tip = inverse(_moved(old, joints, zero)[0][0, bodies]) @ T_world_base @ links
+    nominal_error, calibrated_error = (
         float(
             np.abs(
-                _bodies_at(model, found, joints, q) @ to_tip
-                - T_world_base @ np.array(link_poses(chain, q, tips, placements))
+                _moved(model, joints, q)[0][:, bodies] @ to_tip
+                - T_world_base @ np.stack(link_poses(chain, q, tips, placements), axis=1)
             ).max()
         )
         for model, placements in ((old, chain.placements), (new, calibration.placements))
     )
-    if not built_error <= _CARRIED * drawn_error + _AGREEMENT:
+    if not calibrated_error <= _CARRIED * nominal_error + _AGREEMENT:
         raise OutputError(
-            f"the new model does not move as the calibrated robot: {built_error:.1e} m or in the rotation",
+            f"the new model does not move as the calibrated robot: {calibrated_error:.1e} m or in the rotation",
             where=where,
             remedy="This is a defect of urdfcal: please report it with the file.",
         )
-
-
-def _bodies_at(model: Any, found: Match, joints: Sequence[int], q: Floats) -> Floats:
-    """T_world_body (K, N, 4, 4) of K joints' bodies at joint values (N, n), by MuJoCo."""
-    import mujoco
-
-    data = mujoco.MjData(model)
-    T = np.tile(np.eye(4), (len(joints), len(q), 1, 1))
-    for k, q_k in enumerate(q):
-        data.qpos[:] = model.qpos0
-        data.qpos[[body.address for body in found.bodies]] = q_k
-        mujoco.mj_kinematics(model, data)
-        for i, body in enumerate(found.bodies[joint].index for joint in joints):
-            T[i, k, :3, :3], T[i, k, :3, 3] = data.xmat[body].reshape(3, 3), data.xpos[body]
-    return T

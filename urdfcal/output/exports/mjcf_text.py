@@ -1,8 +1,7 @@
-"""A MuJoCo file as text: which ``<body>`` a joint moves, and new places for such bodies."""
+"""Bodies of a MuJoCo file as text: which ``<body>`` a joint moves, and new places for such bodies."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 from xml.parsers import expat
 
@@ -13,7 +12,7 @@ from urdfcal.errors import RobotError
 from urdfcal.robot.urdf.markup import Edit, Element, apply_edits, changed_attributes, start_tag
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterable, Iterator
 
     from urdfcal.arrays import Floats
 
@@ -21,73 +20,59 @@ if TYPE_CHECKING:
 _ORIENTATIONS = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
 
 
-@dataclass(frozen=True)
-class Mjcf:
-    """What of a MuJoCo file matters for moving bodies.
+def joint_bodies(data: bytes, path: str) -> dict[str, Element]:
+    """Find the ``<body>`` that each named joint of a MuJoCo file moves.
 
-    Attributes:
+    Args:
+        data: the file's bytes.
         path: what to call it in messages.
-        data: its bytes.
-        bodies: the ``<body>`` that each named joint moves.
+
+    Raises:
+        RobotError: it is no MuJoCo file, or one whose text does not say where its bodies are.
     """
+    reader = _MjcfReader(path)
+    try:
+        reader.parser.Parse(data, True)
+    except expat.ExpatError as error:
+        raise RobotError(
+            f"not well-formed XML: {expat.ErrorString(error.code)}",
+            where=f"{path}:{error.lineno}, column {error.offset + 1}",
+        ) from error
+    except (LookupError, ValueError) as error:
+        raise RobotError(f"its encoding cannot be read: {error}", where=path, remedy="Save it as UTF-8.") from error
+    return reader.bodies
 
-    path: str
-    data: bytes
-    bodies: Mapping[str, Element]
 
-    @classmethod
-    def parse(cls, data: bytes, path: str) -> Mjcf:
-        """Read a file.
+def with_places(data: bytes, moved: Iterable[tuple[Element, Floats, Floats]]) -> bytes:
+    """Give bodies other places; only their ``pos`` and orientation change, and only where they differ.
 
-        Args:
-            data: its bytes.
-            path: what to call it in messages.
+    Args:
+        data: the file's bytes.
+        moved: bodies, each with its place (4, 4) in its parent body's frame, as MuJoCo reads it, and the new one. [m]
+    """
+    return apply_edits(data, [edit for body, old, new in moved for edit in _edits(data, body, old, new)])
 
-        Raises:
-            RobotError: it is no MuJoCo file, or one whose text does not say where its bodies are.
-        """
-        reader = _Reader(path)
-        try:
-            reader.parser.Parse(data, True)
-        except expat.ExpatError as error:
-            raise RobotError(
-                f"not well-formed XML: {expat.ErrorString(error.code)}",
-                where=f"{path}:{error.lineno}, column {error.offset + 1}",
-            ) from error
-        except (LookupError, ValueError) as error:
-            raise RobotError(f"its encoding cannot be read: {error}", where=path, remedy="Save it as UTF-8.") from error
-        return cls(path, data, reader.bodies)
 
-    def with_places(self, before: Mapping[str, Floats], after: Mapping[str, Floats]) -> bytes:
-        """Give bodies other places; only their ``pos`` and orientation change, and only where they differ.
-
-        Args:
-            before: (4, 4) place of a joint's body in its parent body's frame, as MuJoCo reads it, by joint. [m]
-            after: (4, 4) the new ones.
-        """
-        edits = [edit for joint, T in after.items() for edit in self._edits(self.bodies[joint], before[joint], T)]
-        return apply_edits(self.data, edits)
-
-    def _edits(self, body: Element, old: Floats, new: Floats) -> Iterator[Edit]:
-        values = {}
-        if not np.array_equal(old[:3, 3], new[:3, 3]):
-            values["pos"] = _text(new[:3, 3])
-        if not np.array_equal(old[:3, :3], new[:3, :3]):
-            x, y, z, w = pin.Quaternion(np.ascontiguousarray(new[:3, :3])).normalized().coeffs()
-            values["quat"] = _text(np.array([w, x, y, z]))
-        written = next((name for name in _ORIENTATIONS[1:] if name in body.attributes), None)
-        if written is not None and "quat" in values:
-            attribute = start_tag(self.data, body).attributes[written]
-            quote = attribute["quote"]
-            yield Edit(attribute.start("name"), attribute.end(), b"quat=" + quote + values.pop("quat") + quote)
-        yield from changed_attributes(self.data, body, values)
+def _edits(data: bytes, body: Element, old: Floats, new: Floats) -> Iterator[Edit]:
+    values = {}
+    if not np.array_equal(old[:3, 3], new[:3, 3]):
+        values["pos"] = _text(new[:3, 3])
+    if not np.array_equal(old[:3, :3], new[:3, :3]):
+        x, y, z, w = pin.Quaternion(np.ascontiguousarray(new[:3, :3])).normalized().coeffs()
+        values["quat"] = _text(np.array([w, x, y, z]))
+    written = next((name for name in _ORIENTATIONS[1:] if name in body.attributes), None)
+    if written is not None and "quat" in values:
+        attribute = start_tag(data, body).attributes[written]
+        quote = attribute["quote"]
+        yield Edit(attribute.start("name"), attribute.end(), b"quat=" + quote + values.pop("quat") + quote)
+    yield from changed_attributes(data, body, values)
 
 
 def _text(values: Floats) -> bytes:
     return " ".join(repr(float(value) + 0.0) for value in values).encode()
 
 
-class _Reader:
+class _MjcfReader:
     """Expat's handlers and what they have gathered."""
 
     def __init__(self, path: str) -> None:

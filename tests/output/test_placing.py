@@ -3,11 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from urdfcal.estimation.state import State
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
-from urdfcal.output.placing import joint_frames
-from urdfcal.output.rows import branches_of, dh_frames, row_corners, row_lines
+from urdfcal.output.placing import branches_of, dh_frames, joint_frames, row_corners, row_lines
 from urdfcal.robot.dh import PARAMETERS
 from urdfcal.robot.kinematics import link_poses
 from urdfcal.robot.tree_dh import MOUNT, rows_of
@@ -25,8 +23,7 @@ def built(request):
     for row, name in table.parameters:
         offsets[row, PARAMETERS.index(name)] = rng.normal(0, 0.01)
     q = chain.random_values(4, rng)
-    state = State(offsets=offsets, T_world_base=np.eye(4), leds=np.zeros((0, 3)))
-    return table, offsets, q, joint_frames(table, state, q)
+    return table, offsets, q, joint_frames(chain, table.placements(offsets), q)
 
 
 def test_every_joint_turns_about_the_z_axis_that_its_row_starts_from(built):

@@ -1,0 +1,53 @@
+from __future__ import annotations
+
+import re
+from xml.etree import ElementTree
+
+import numpy as np
+
+from urdfcal.output.chart import Chart, Mark, Scale
+from urdfcal.output.palette import CALIBRATED
+from urdfcal.output.svg import svg
+
+
+def drawn(*marks: Mark, **changes: object) -> ElementTree.Element:
+    chart = Chart(**{"name": "c", "title": "<a> & b", "x": Scale(0, 1), "y": Scale(0, 1), "marks": marks} | changes)
+    return ElementTree.fromstring(svg([[chart]], 200))  # noqa: S314  # our own
+
+
+def paths(figure: ElementTree.Element, color: str) -> list[str]:
+    return [element.get("d") for element in figure.iter() if color in (element.get("stroke"), element.get("fill"))]
+
+
+def test_fifty_thousand_dots_are_one_element_and_each_spot_appears_once():
+    rng = np.random.default_rng(0)
+    figure = drawn(Mark("dots", "d", rng.uniform(0, 1, 50_000), np.zeros(50_000), CALIBRATED))
+    (path,) = paths(figure, "#12875a")
+    assert 1000 < path.count("M") < 10_000
+
+
+def test_what_is_outside_the_range_is_left_out_or_cut():
+    figure = drawn(
+        Mark("dots", "d", [0.5, 2.0, np.nan], [0.5, 0.5, 0.5], CALIBRATED),
+        Mark("lines", "l", [0.0, 5.0], [0.5, 0.5], (1, 2, 3)),
+    )
+    (dots,), (line,) = paths(figure, "#12875a"), paths(figure, "#010203")
+    assert dots.count("M") == 1
+    (start, end) = (float(u) for u in re.findall(r"([\d.]+) [\d.]+", line))
+    assert start == 0.0
+    assert end < 720
+
+
+def test_texts_are_escaped_and_ticks_keep_apart():
+    figure = drawn(x_names=dict.fromkeys(np.linspace(0, 1, 200).tolist(), "a long name"))
+    texts = [element.text for element in figure.iter() if element.tag.endswith("text")]
+    assert "<a> & b" in texts
+    assert 2 < texts.count("a long name") < 12
+
+
+def test_equal_axes_have_one_unit_and_cells_their_colours():
+    colors = np.array([[10, 20, 30], [200, 210, 220]], dtype=np.uint8)
+    figure = drawn(Mark("cells", "m", [0.25, 0.75], [0.5, 0.5], colors, 0.5), equal=True, colors=Scale(0, 2))
+    sides = re.findall(r"h([\d.]+)v([\d.]+)", " ".join(p for e in figure.iter() if (p := e.get("d"))))
+    assert len(sides) == 2
+    assert all(width == height for width, height in sides)

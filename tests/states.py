@@ -1,0 +1,49 @@
+"""States of sessions with given values, and what they predict, for tests of the estimation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from urdfcal.estimation.blocks.arm import ARM
+from urdfcal.estimation.blocks.base_pose import BASE
+from urdfcal.estimation.blocks.leds import LEDS
+from urdfcal.estimation.joint_models import JOINT_MODELS
+from urdfcal.estimation.measurements.pixels import camera_state
+from urdfcal.estimation.state import State
+
+if TYPE_CHECKING:
+    from urdfcal.arrays import Floats
+    from urdfcal.estimation.observations import Observations
+    from urdfcal.estimation.problem import Problem
+    from urdfcal.session.model import Session
+    from urdfcal.simulation.truth import Simulated
+
+
+def state_of(
+    session: Session, offsets: Floats, T_world_base: Floats, leds: Floats, T_cam_frame: Floats, **more: Floats
+) -> State:
+    """A state of a session with given values; those of joint models may be given by name, such as ``time_offset``."""
+    models = (model.of(session) for model in JOINT_MODELS)
+    joints = {model.key: more.pop(model.name, model.nominal) for model in models if model is not None}
+    if more:
+        raise ValueError(f"the session has no joint models {sorted(more)}")
+    values = {ARM: offsets, BASE: T_world_base, LEDS: leds}
+    return State({**values, **joints, **camera_state(session, T_cam_frame)})
+
+
+def true_state_of(simulated: Simulated, **more: Floats) -> State:
+    """The true state of a simulated session."""
+    truth = simulated.truth
+    return state_of(simulated.session, truth.offsets, truth.T_world_base, truth.leds, truth.T_cam_frame, **more)
+
+
+def at_joint_values(observed: Observations, q: Floats) -> Observations:
+    """The same measurements with other joint readings (N, n)."""
+    return replace(observed, readings=replace(observed.readings, q=q))
+
+
+def points_of(problem: Problem, observed: Observations, state: State) -> Floats:
+    """What is measured (N, m, 3) in the frames that it is measured from. [m]."""
+    _, points = observed.table.points(observed, problem.links(observed.readings, state), state)
+    return points

@@ -1,0 +1,215 @@
+"""What pages and views read of a calibration, as plain arrays: the one place that knows the estimate from inside."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from urdfcal.estimation.blocks.arm import ArmBlock
+
+if TYPE_CHECKING:
+    from urdfcal.arrays import Bools, Floats, Ints
+    from urdfcal.cameras.camera import Camera
+    from urdfcal.estimation.snapshot import Snapshot
+    from urdfcal.estimation.state import State
+    from urdfcal.pipeline import FittedCalibration
+
+LENGTHS = ("d", "a", "x", "y", "z")
+"""Parameters in m; the others are in rad."""
+
+
+@dataclass(frozen=True, eq=False)
+class ArmEstimate:
+    """Robot, LEDs and cameras as one state of the estimate has them.
+
+    Attributes:
+        placements: (n, 4, 4) of the joints. [m]
+        offsets: (rows, columns) of what was estimated of the arm. [rad, m]
+        row_offsets: (R, 5) of the DH rows; zero where whole placements were estimated. [rad, m]
+        T_world_base: (4, 4) the base link in the world. [m]
+        leds: (L, 3) LEDs, each in the frame of what it is fastened to. [m]
+        cameras: the lenses; none where points were measured.
+        T_cam_frame: (C, 4, 4) in each camera the frame it is fixed in: the world, or its link. [m]
+    """
+
+    placements: Floats
+    offsets: Floats
+    row_offsets: Floats
+    T_world_base: Floats
+    leds: Floats
+    cameras: tuple[Camera, ...]
+    T_cam_frame: Floats
+
+
+def calibrated(calibration: FittedCalibration) -> ArmEstimate:
+    """The calibrated arm, LEDs and cameras."""
+    return _plain(calibration, calibration.estimate)
+
+
+def nominal(calibration: FittedCalibration, *, same_cameras: bool = False) -> ArmEstimate:
+    """The nominal arm, placed to fit the measurements best.
+
+    Args:
+        calibration: the result.
+        same_cameras: with the calibrated arm's lenses instead of the given ones.
+    """
+    other = calibration.comparison.drawn.fit.state
+    return _plain(calibration, calibration.snapshot(other) if same_cameras else calibration.nominal)
+
+
+def _plain(calibration: FittedCalibration, state: Snapshot) -> ArmEstimate:
+    geometry, table = calibration.geometry, calibration.table
+    return ArmEstimate(
+        placements=geometry.placements(state.offsets),
+        offsets=state.offsets,
+        row_offsets=state.offsets if geometry is table else np.zeros_like(table.nominal),
+        T_world_base=state.T_world_base,
+        leds=state.leds,
+        cameras=state.cameras,
+        T_cam_frame=state.T_cam_frame,
+    )
+
+
+def entries_of_rows(calibration: FittedCalibration) -> list[tuple[int, int]]:
+    """The entries (row, column) of the arm's offsets that were estimated."""
+    return [(row, calibration.geometry.columns.index(name)) for row, name in calibration.corrected]
+
+
+def far_corrections(calibration: FittedCalibration, tolerances: float) -> int:
+    """Count the corrections of more than so many tolerances; joints' zeros may be anywhere."""
+    fit, count = calibration.fit, 0
+    for block in fit.parameters.blocks:
+        if isinstance(block, ArmBlock):
+            offsets, _ = block.local(fit.state[block.key])
+            zeros = np.array([row in block.arm.zeros for row in block.rows])
+            count += int(np.count_nonzero(block.active & ~zeros & (np.abs(offsets) > tolerances * block.sigma)))
+    return count
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements:
+    """Measurements of one kind as a table, one row each, ordered by pose.
+
+    Attributes:
+        unit: of residuals: px for pixels, mm for points.
+        scale: what residuals are multiplied by to be in that unit.
+        components: the name of each component.
+        by_camera: whether cameras measured; else it is in the world.
+        pose: (S,) index of the pose.
+        led: (S,) index of the LED.
+        camera: (S,) index of the camera; -1 for points.
+        measured: (S, D) in px of the camera, or m in the world.
+        sigma: (S,) standard deviation of each component.
+        predicted: (S, D) by the calibrated arm.
+        nominal: (S, D) by the nominal arm.
+        size: (S,) rms of the whitened residual's components after calibration: about 1 where the noise is as declared.
+        size_nominal: (S,) the same for the nominal arm.
+        outlier: (S,) whether it was taken out of the fit.
+    """
+
+    unit: str
+    scale: float
+    components: tuple[str, ...]
+    by_camera: bool
+    pose: Ints
+    led: Ints
+    camera: Ints
+    measured: Floats
+    sigma: Floats
+    predicted: Floats
+    nominal: Floats
+    size: Floats
+    size_nominal: Floats
+    outlier: Bools
+
+    @property
+    def used(self) -> Bools:
+        """(S,) whether it took part in the fit."""
+        return ~self.outlier
+
+    @property
+    def noise(self) -> float:
+        """The declared noise as the rms length of a residual, in ``unit``."""
+        return float(self.scale * np.sqrt(len(self.components)) * np.median(self.sigma))
+
+    def sigmas(self, predicted: Floats) -> Floats:
+        """Residuals (used, D) of a prediction (S, D) in units of the declared noise, outliers left out."""
+        return ((predicted - self.measured) / self.sigma[:, None])[self.used]
+
+    def rms_by_pose(self, predicted: Floats) -> tuple[Ints, Floats]:
+        """The poses that have residuals, and their root mean square length in ``unit``, outliers left out."""
+        square = np.sum((self.scale * (predicted - self.measured)[self.used]) ** 2, axis=1)
+        count = np.bincount(self.pose[self.used])
+        poses = np.flatnonzero(count)
+        return poses, np.sqrt(np.bincount(self.pose[self.used], square)[poses] / count[poses])
+
+
+def measurements_of(calibration: FittedCalibration) -> tuple[Measurements, ...]:
+    """Bring the calibration's blocks of observations, and what became of them, into tables."""
+    fit, tables = calibration.fit, []
+    for index, block in enumerate(calibration.observations):
+        rows, (unit, scale) = block.valid, block.table.report
+        size, size_nominal = (
+            solution.norms[index][rows] / np.sqrt(block.dimension) for solution in (fit, calibration.nominal_fit)
+        )
+        tables.append(
+            Measurements(
+                unit=unit,
+                scale=scale,
+                components=block.table.columns,
+                by_camera="camera" in block.index,
+                pose=np.broadcast_to(block.pose[:, None], rows.shape)[rows],
+                led=block.index["led"][rows],
+                camera=block.index.get("camera", np.full_like(block.row, -1))[rows],
+                measured=block.value[rows],
+                sigma=np.sqrt(block.covariance[rows][:, 0, 0]),
+                predicted=calibration.problem.predict(block, fit.state)[rows],
+                nominal=calibration.problem.predict(block, calibration.nominal_fit.state)[rows],
+                size=size,
+                size_nominal=size_nominal,
+                outlier=fit.outlier[index][rows],
+            )
+        )
+    return tuple(tables)
+
+
+@dataclass(frozen=True, eq=False)
+class Convergence:
+    """The solver's way from the nominal arm to the estimate in I steps.
+
+    Attributes:
+        cost: (I,) after each step.
+        damping: (I,) Levenberg-Marquardt's lambda.
+        step: (I,) length of each step in standard deviations of the estimate.
+        offsets: (I + 1, rows, columns) of the arm, the nominal arm's first. [mrad, mm]
+    """
+
+    cost: Floats
+    damping: Floats
+    step: Floats
+    offsets: Floats
+
+
+def convergence_of(calibration: FittedCalibration) -> Convergence:
+    """The solver's steps."""
+    history = calibration.fit.history
+    cost, damping, step = np.array([(each.cost, each.damping, each.step) for each in history]).reshape(-1, 3).T
+    return Convergence(
+        cost, damping, step, 1e3 * np.array([calibration.problem.offsets(state) for state in _states(calibration)])
+    )
+
+
+def rms_by_iteration(calibration: FittedCalibration, tables: tuple[Measurements, ...]) -> dict[str, Floats]:
+    """The rms residual (I + 1,) at the nominal arm and after each step, by unit, outliers left out."""
+    result = {}
+    for block, outlier, table in zip(calibration.observations, calibration.fit.outlier, tables, strict=True):
+        used = block.valid & ~outlier
+        residuals = (calibration.problem.residual(block, s)[used] for s in _states(calibration))
+        result[table.unit] = table.scale * np.sqrt([np.mean(np.sum(r**2, axis=1)) for r in residuals])
+    return result
+
+
+def _states(calibration: FittedCalibration) -> list[State]:
+    return [calibration.nominal_fit.state, *(step.state for step in calibration.fit.history)]
