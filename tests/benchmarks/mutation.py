@@ -256,39 +256,33 @@ class Mutator:
             self._add(test, "condition", "True", at)
         self._boundary(test, at)
 
-    def _expression(self, node: ast.AST, at: _At, parent: ast.AST | None = None) -> None:
+    def _expression(self, node: ast.AST, at: _At, *, whole: bool = False) -> None:
+        """``whole``: it is all of a test, and has been mutated as a condition."""
         if isinstance(node, ast.JoinedStr):
             return  # a text; its parts have no exact places before Python 3.12
-        whole_test = isinstance(parent, (ast.If, ast.While, ast.IfExp))
-        if isinstance(node, ast.IfExp):
-            self._condition(node.test, at)
-        if isinstance(node, ast.comprehension):
-            for test in node.ifs:
-                self._condition(test, at)
-        if isinstance(node, ast.Compare) and len(node.ops) == 1 and not whole_test:
-            self._add(node, "comparison", _compared(node, _OPPOSITE[type(node.ops[0])]), at)
+        tests = [node.test] if isinstance(node, ast.IfExp) else node.ifs if isinstance(node, ast.comprehension) else []
+        for test in tests:
+            self._condition(test, at)
+        if isinstance(node, ast.Compare) and not whole:
+            opposite = _OPPOSITE[type(node.ops[0])]
+            new = _compared(node, opposite) if len(node.ops) == 1 else f"not ({ast.unparse(node)})"
+            self._add(node, "comparison", new, at)
             self._boundary(node, at)
         if isinstance(node, ast.BoolOp):
-            new = ast.BoolOp(ast.Or() if isinstance(node.op, ast.And) else ast.And(), node.values)
-            self._add(node, "boolean", ast.unparse(new), at)
+            swapped = ast.BoolOp(ast.Or() if isinstance(node.op, ast.And) else ast.And(), node.values)
+            self._add(node, "boolean", ast.unparse(swapped), at)
         if isinstance(node, ast.UnaryOp):
-            self._unary(node, at, whole_test=whole_test)
-            if isinstance(node.operand, ast.Constant):
-                return
+            self._unary(node, at, whole=whole)
         if isinstance(node, ast.BinOp):
             self._binary(node, at)
         if isinstance(node, ast.Constant):
             self._constant(node, at)
-        keywords = {id(k.value) for k in getattr(node, "keywords", []) if k.arg in _NO_BEHAVIOUR}
         for child in ast.iter_child_nodes(node):
-            if id(child) not in keywords and not isinstance(child, (ast.expr_context, ast.arguments)):
-                test = isinstance(node, ast.IfExp) and child is node.test
-                filters = isinstance(node, ast.comprehension) and child in node.ifs
-                self._expression(
-                    child.value if isinstance(child, ast.keyword) else child,
-                    at,
-                    ast.IfExp() if test or filters else node,
-                )
+            if isinstance(child, ast.keyword):
+                if child.arg not in _NO_BEHAVIOUR:
+                    self._expression(child.value, at)
+            elif not isinstance(child, (ast.expr_context, ast.arguments, ast.operator, ast.unaryop, ast.cmpop)):
+                self._expression(child, at, whole=child in tests)
 
     def _boundary(self, node: ast.expr, at: _At) -> None:
         if not isinstance(node, ast.Compare) or len(node.ops) != 1 or type(node.ops[0]) not in _BOUNDARY:
@@ -296,8 +290,8 @@ class Mutator:
         if any(_is_whole(side) for side in (node.left, *node.comparators)):
             self._add(node, "comparison", _compared(node, _BOUNDARY[type(node.ops[0])]), at)
 
-    def _unary(self, node: ast.UnaryOp, at: _At, *, whole_test: bool) -> None:
-        if isinstance(node.op, (ast.Not, ast.Invert)) and not whole_test:
+    def _unary(self, node: ast.UnaryOp, at: _At, *, whole: bool) -> None:
+        if isinstance(node.op, (ast.Not, ast.Invert)) and not whole:
             self._add(node, "boolean", ast.unparse(node.operand), at)
         elif isinstance(node.op, ast.USub) and not isinstance(node.operand, ast.Constant):
             self._add(node, "operator", ast.unparse(node.operand), at)
@@ -444,7 +438,7 @@ class Baseline:
         return passed
 
     def _read_contexts(self) -> dict[str, dict[int, list[str]]]:
-        from coverage import CoverageData
+        from coverage import CoverageData  # type: ignore[attr-defined]  # coverage.py beside this file is another
 
         data = CoverageData(basename=str(self.tree / ".coverage"))
         data.read()

@@ -48,7 +48,7 @@ def main() -> int:
     parser.add_argument("--imports", action="store_true", help="list the dearest imports")
     parser.add_argument("--cpu", action="store_true", help="count the processes' own time instead of the clock's")
     arguments = parser.parse_args()
-    clock = children_time if arguments.cpu else time.perf_counter
+    how = arguments.runs, children_time if arguments.cpu else time.perf_counter
     with tempfile.TemporaryDirectory() as folder:
         session = Path(folder) / "session"
         write_session(session, simulate(read_rig(find_rig(arguments.rig)), poses=POSES, seed=0).session)
@@ -56,16 +56,8 @@ def main() -> int:
         libraries = ["-c", f"import {', '.join(LIBRARIES)}"]
         show_help, numpy = ["-m", "urdfcal", "--help"], ["-c", "import numpy"]
         passed = [
-            compare(
-                f"urdfcal calibrate, {POSES} poses",
-                calibrate,
-                "bare imports",
-                libraries,
-                CALIBRATE,
-                arguments.runs,
-                clock,
-            ),
-            compare("urdfcal --help", show_help, "import numpy", numpy, HELP, arguments.runs, clock),
+            compare(f"urdfcal calibrate, {POSES} poses", calibrate, "bare imports", libraries, CALIBRATE, *how),
+            compare("urdfcal --help", show_help, "import numpy", numpy, HELP, *how),
         ]
         if arguments.imports:
             dearest_imports("urdfcal calibrate", calibrate)
@@ -85,7 +77,7 @@ def compare(
         f"{name} {mine:.3f} s, {bare_name} {least:.3f} s: {ratio:.2f} times ({low:.2f} to {high:.2f} in {runs} runs), "
         f"required: at most {limit:g}: {'pass' if ratio <= limit else 'FAIL'}"
     )
-    return ratio <= limit
+    return bool(ratio <= limit)
 
 
 def seconds(arguments: list[str], clock: Callable[[], float]) -> float:
