@@ -445,12 +445,8 @@ class Baseline:
 
         data = CoverageData(basename=str(self.tree / ".coverage"))
         data.read()
-        root = self.tree / PACKAGE
-        return {
-            Path(file).relative_to(root).as_posix(): data.contexts_by_lineno(file)
-            for file in data.measured_files()
-            if Path(file).is_relative_to(root)
-        }
+        files = ((file, file.rpartition(f"/{PACKAGE}/")[2]) for file in data.measured_files())
+        return {path: data.contexts_by_lineno(file) for file, path in files}
 
     @cached_property
     def _users(self) -> dict[str, list[tuple[str, range]]]:
