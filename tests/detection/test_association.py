@@ -109,7 +109,7 @@ def test_of_two_lights_whose_rays_meet_only_a_much_brighter_one_is_the_led(
     assert all(words in reason for reason in verdict.values())
 
 
-@pytest.mark.parametrize(("noise", "miss", "kept"), [(0.05, 0.6, True), (0.05, 2.5, False), (0.7, 2.5, True)])
+@pytest.mark.parametrize(("noise", "miss", "kept"), [(0.05, 0.6, True), (0.05, 2.0, False), (0.7, 2.0, True)])
 def test_the_gate_follows_how_well_rays_usually_meet(light: Lights, noise: float, miss: float, kept: bool) -> None:
     groups = honest(light, (0, 1), noise, 40)
     a, b = light.point(TARGET, (0, 1))
