@@ -120,6 +120,17 @@ def test_the_gate_follows_how_well_rays_usually_meet(light: Lights, noise: float
     assert all("miss each other by" in reason for reason in verdict.values())
 
 
+def test_poses_with_several_lights_do_not_say_how_well_rays_meet(light: Lights) -> None:
+    """Most poses have a stranger in each camera, listed first: their rays miss by tens of pixels."""
+    groups = honest(light, (0, 1), count=4)
+    strangers = []
+    for group in honest(light, (0, 1), count=10):
+        pair = [light(0, group[0].uv + AWAY), light(1, group[1].uv - AWAY)]
+        groups.append([*pair, *group])
+        strangers += pair
+    assert set(rejected(rig_of(2), groups)) == keys(strangers)
+
+
 def test_rays_that_run_apart_are_said_not_to_meet_at_all(light: Lights) -> None:
     groups = honest(light, (0, 1))
     apart = [light(0, np.array([1270.0, 500.0])), light(1, np.array([5.0, 500.0]))]

@@ -80,7 +80,8 @@ def test_most_of_the_brightest_lights_must_be_the_arms(pictures: Pictures) -> No
     misses = prediction.misses(lights)
     assert (misses[:20] < prediction.gate).all()
     assert (misses[20:] > prediction.gate).sum() >= 7
-    assert pictures.predict(20, strangers=14)[0] is None
+    for strangers in (12, 14):  # with eight true ones the camera's place would still be found
+        assert pictures.predict(20, strangers=strangers)[0] is None
 
 
 def test_an_led_may_be_off_as_far_as_its_sigma_says(pictures: Pictures) -> None:

@@ -190,6 +190,21 @@ class TestFrozenRecordings:
         with pytest.raises(SessionError, match="pose '3' shows exactly what pose '2' shows"):
             read_session(folder)
 
+    def test_a_single_measured_point_does_not_repeat_by_chance(self, tracked: Path) -> None:
+        """Not even where its coordinates are round; two whole pixels may."""
+        cells(POINTS, lambda _, row: row if row["led"] == "red" else None)(tracked)
+        for row in (4, 5):
+            put(POINTS, row, x="0.5", y="0.0", z="0.5")(tracked)
+        with pytest.raises(SessionError, match="pose '5' shows exactly what pose '4' shows"):
+            read_session(tracked)
+
+    def test_an_arm_that_moves_may_wait(self, moving: Path) -> None:
+        rows = (moving / JOINTS).read_text().split()
+        for k in range(101, 120):
+            rows[k] = ",".join([rows[k].split(",")[0], *rows[100].split(",")[1:]])
+        (moving / JOINTS).write_text("\n".join(rows) + "\n")
+        assert not [text for text in read_session(moving).warnings if "exactly" in text]
+
 
 class TestPixelsOutsideTheirImage:
     def test_one_is_an_error_of_typing_whatever_the_rays_do(self, folder: Path) -> None:
@@ -226,6 +241,13 @@ class TestPixelsOutsideTheirImage:
         with pytest.raises(SessionError, match="resolution"):
             read_session(folder)
 
+    def test_the_camera_file_is_named_where_cameras_have_more_keys(self, folder: Path) -> None:
+        write_cameras(folder / "cameras.yaml", placed=False)
+        swap(YAML, "cameras: cameras.yaml", "cameras: {file: cameras.yaml, right: {link: tip}}")(folder)
+        cells(PIXELS, lambda _, row: {**row, "u": str(2.0 * float(row["u"])), "v": str(1.9 * float(row["v"]))})(folder)
+        with pytest.raises(SessionError, match=r"at the resolution of cameras\.yaml\?"):
+            read_session(folder)
+
     def test_each_camera_has_its_own_image(self, folder: Path) -> None:
         text = (folder / "cameras.yaml").read_text()
         (folder / "cameras.yaml").write_text(text.replace("[1280, 1024]", "[1400, 1100]", 1))
@@ -246,6 +268,13 @@ class TestRays:
         (folder / "cameras.yaml").write_text(text[:start] + f"  T_cn_cnm1: {back.tolist()}\n")
         warning = next(text for text in read_session(folder).warnings if "camera file" in text)
         assert "% of the rays meet" in warning
+
+    def test_names_exchanged_in_most_poses_are_found(self, folder: Path) -> None:
+        """The rays of the few others meet well: that is no reason to believe the names."""
+        other = {"left": "right", "right": "left"}
+        cells(PIXELS, lambda _, row: {**row, "camera": other[row["camera"]]} if int(row["pose"]) < 5 else row)(folder)
+        with pytest.raises(SessionError, match="cameras 'left' and 'right' look exchanged"):
+            read_session(folder)
 
     def test_two_points_are_too_few_to_say_anything(self, folder: Path) -> None:
         """Three are needed: with two of them exchanged cameras pass."""
