@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from tests.io.broken import cells, put, swap
+from tests.io import making
+from tests.io.broken import cells, put, renamed_cameras, swap
 from tests.io.making import write_cameras, write_points, write_valid
 from tests.io.test_frame_tables import FRAMES, write_moving
 from urdfcal.errors import SessionError
@@ -85,13 +86,13 @@ class TestLimits:
 
         def in_degrees(share: int) -> None:
             write_valid(folder)
-            cells(JOINTS, lambda i, row: {**row, "shoulder": "80"} if i < share else {**row, "shoulder": "0.2"})(folder)
+            cells(JOINTS, lambda i, row: {**row, "shoulder": "80" if 0 < i <= share else "0.2"})(folder)
 
         in_degrees(3)
         with pytest.raises(SessionError, match="outside the joint's limits"):
             read_session(folder)
         in_degrees(5)
-        with pytest.raises(SessionError, match="look like degrees"):
+        with pytest.raises(SessionError, match=r"joints.csv:3:.*look like degrees: shoulder is 80"):
             read_session(folder)
 
     def test_what_no_unit_explains_is_outside_limits(self, folder: Path) -> None:
@@ -190,6 +191,15 @@ class TestFrozenRecordings:
         with pytest.raises(SessionError, match="pose '3' shows exactly what pose '2' shows"):
             read_session(folder)
 
+    def test_the_same_pixel_may_be_another_led(self, folder: Path) -> None:
+        cells(PIXELS, lambda i, row: row if i % 4 == int(row["pose"]) % 2 else None)(folder)
+        for row in (4, 5):
+            put(PIXELS, row, u="700.25", v="600.125")(folder)
+        assert not [text for text in read_session(folder).warnings if "shows" in text]
+        put(PIXELS, 6, u="700.25", v="600.125")(folder)  # by the LED of row 4
+        with pytest.raises(SessionError, match="pose '6' shows exactly what pose '4' shows"):
+            read_session(folder)
+
     def test_a_single_measured_point_does_not_repeat_by_chance(self, tracked: Path) -> None:
         """Not even where its coordinates are round; two whole pixels may."""
         cells(POINTS, lambda _, row: row if row["led"] == "red" else None)(tracked)
@@ -241,6 +251,17 @@ class TestPixelsOutsideTheirImage:
         with pytest.raises(SessionError, match="resolution"):
             read_session(folder)
 
+    def test_on_its_side_and_the_rays_miss(self, folder: Path) -> None:
+        """The image's shape says that u and v are exchanged; the cameras' poses are wrong besides."""
+        T = making.T_RIGHT_LEFT.copy()
+        T[1, 3] += 0.01
+        swap("cameras.yaml", str(making.T_RIGHT_LEFT.tolist()), str(T.tolist()))(folder)
+        for _ in range(2):
+            swap("cameras.yaml", "[1280, 1024]", "[700, 1100]")(folder)
+        cells(PIXELS, lambda _, row: row if float(row["v"]) < 690 else None)(folder)
+        with pytest.raises(SessionError, match=r"All would fit with u and v exchanged: are they\?"):
+            read_session(folder)
+
     def test_the_camera_file_is_named_where_cameras_have_more_keys(self, folder: Path) -> None:
         write_cameras(folder / "cameras.yaml", placed=False)
         swap(YAML, "cameras: cameras.yaml", "cameras: {file: cameras.yaml, right: {link: tip}}")(folder)
@@ -269,13 +290,6 @@ class TestRays:
         warning = next(text for text in read_session(folder).warnings if "camera file" in text)
         assert "% of the rays meet" in warning
 
-    def test_names_exchanged_in_most_poses_are_found(self, folder: Path) -> None:
-        """The rays of the few others meet well: that is no reason to believe the names."""
-        other = {"left": "right", "right": "left"}
-        cells(PIXELS, lambda _, row: {**row, "camera": other[row["camera"]]} if int(row["pose"]) < 5 else row)(folder)
-        with pytest.raises(SessionError, match="cameras 'left' and 'right' look exchanged"):
-            read_session(folder)
-
     def test_two_points_are_too_few_to_say_anything(self, folder: Path) -> None:
         """Three are needed: with two of them exchanged cameras pass."""
         other = {"left": "right", "right": "left"}
@@ -298,6 +312,52 @@ class TestRays:
         exchanged(3)
         with pytest.raises(SessionError, match="'left' and 'right' look exchanged"):
             read_session(folder)
+
+
+class TestRaysOfParallelCameras:
+    """Side by side, as a stereo camera has them: under exchanged names their rays run apart."""
+
+    @pytest.fixture
+    def parallel(self, folder: Path) -> Path:
+        shift = np.eye(4)
+        shift[0, 3] = -0.15
+        text = (folder / "cameras.yaml").read_text()
+        start = text.index("  T_cn_cnm1")
+        (folder / "cameras.yaml").write_text(text[:start] + f"  T_cn_cnm1: {shift.tolist()}\n")
+        chain, readings = read_positions(folder).chain, making.measured()[0]
+        points = making.T_LEFT_BASE @ making.tip_poses(chain, chain.joint_values(readings))
+
+        def seen(_: int, row: dict[str, str]) -> dict[str, str]:
+            led = making.LEDS[making.NAMES.index(row["led"])]
+            x, y, z, _ = (shift if row["camera"] == "right" else np.eye(4)) @ points[int(row["pose"])] @ [*led, 1.0]
+            return {**row, "u": f"{640.0 + 1400.0 * x / z:.3f}", "v": f"{512.0 + 1400.0 * y / z:.3f}"}
+
+        cells(PIXELS, seen)(folder)
+        assert read_session(folder).warnings == ()
+        return folder
+
+    def test_exchanged_names_are_found_where_no_ray_meets(self, parallel: Path) -> None:
+        cells(PIXELS, renamed_cameras)(parallel)
+        with pytest.raises(SessionError, match="'left' and 'right' look exchanged: as they are, 0% of the rays meet"):
+            read_session(parallel)
+
+    def test_and_where_they_are_exchanged_in_most_poses(self, parallel: Path) -> None:
+        """The rays of the few others meet well: that is no reason to believe the names."""
+        cells(PIXELS, lambda i, row: renamed_cameras(i, row) if int(row["pose"]) < 5 else row)(parallel)
+        with pytest.raises(SessionError, match="'left' and 'right' look exchanged: as they are, 38% of the rays meet"):
+            read_session(parallel)
+
+    def test_what_an_exchange_explains_in_fewer_than_half_of_the_poses_it_does_not_explain(
+        self, parallel: Path
+    ) -> None:
+        def mixed(i: int, row: dict[str, str]) -> dict[str, str]:
+            pose = int(row["pose"])
+            parted = {**row, "u": "640", "v": str(300 + 11 * i)}  # rays that are parallel
+            return renamed_cameras(i, row) if pose < 3 else parted if pose < 5 else row
+
+        cells(PIXELS, mixed)(parallel)
+        (warning,) = read_session(parallel).warnings
+        assert "38% of the rays meet: are the cameras where the camera file says?" in warning
 
 
 def test_an_arm_on_its_way_may_be_out_of_view_half_of_the_time(moving: Path) -> None:
