@@ -749,7 +749,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--time-limit", type=float, default=60.0, metavar="MINUTES")
-    parser.add_argument("--budget", type=float, default=30.0, metavar="S", help="of tests for each mutant")
+    parser.add_argument("--budget", type=float, default=20.0, metavar="S", help="of tests for each mutant")
     parser.add_argument("--list", action="store_true", help="list the mutants, run nothing")
     parser.add_argument("--serve", type=Path, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
