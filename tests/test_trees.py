@@ -1,4 +1,4 @@
-"""Robots that branch, cameras that ride on them: from a session to a corrected URDF and back."""
+"""Robots that branch, eye-in-hand cameras: from a session to a corrected URDF and back."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from tests.states import at_joint_values
 from urdfcal.errors import CalibrationError, RobotError
-from urdfcal.estimation.linearize import predict
 from urdfcal.pipeline import calibrate
 from urdfcal.result.calibration import Calibration
 from urdfcal.robot.chain import Tree, read_mechanism
 from urdfcal.robot.kinematics import link_poses
 from urdfcal.robot.urdf.urdf import Urdf
 from urdfcal.session.attachments import CameraMount
-from urdfcal.session.model import Estimate, Led
+from urdfcal.session.knowledge import Estimate, Led
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -47,12 +47,13 @@ def calibrated(simulated: Callable) -> Callable[[str], tuple[Simulated, FittedCa
 def test_new_poses_are_predicted(rig: str, calibrated: Callable, simulated: Callable, true_state: Callable) -> None:
     """Where the cameras should see the LEDs at poses of the same robot that calibration has not seen."""
     data, calibration = calibrated(rig)
-    (block,) = calibration.observations
-    elsewhere = replace(block, q=data.session.chain.random_values(len(block.q), np.random.default_rng(5)))
-    truth = predict(calibration.geometry, elsewhere, true_state(data))
+    (observed,) = calibration.observations
+    q = data.session.chain.random_values(len(observed.pose), np.random.default_rng(5))
+    problem, elsewhere = calibration.problem, at_joint_values(observed, q)
+    truth = problem.predict(elsewhere, true_state(data))
     errors = [
-        np.linalg.norm(predict(calibration.geometry, elsewhere, state) - truth, axis=-1)
-        for state in (calibration.nominal, calibration.estimate)
+        np.linalg.norm(problem.predict(elsewhere, fit.state) - truth, axis=-1)
+        for fit in (calibration.nominal_fit, calibration.fit)
     ]
     seen = np.isfinite(errors).all(axis=0) & (np.abs(truth) < 2000).all(axis=-1)
     before, after = (np.median(error[seen]) for error in errors)
@@ -69,8 +70,8 @@ def test_the_file_has_it_all_and_reads_back(rig: str, calibrated: Callable, tmp_
     np.testing.assert_array_equal(loaded.placements, calibration.placements)
     np.testing.assert_array_equal(loaded.dh_offsets, calibration.estimate.offsets)
     document = json.loads((tmp_path / "calibration.json").read_text())
-    held = not len(data.session.frames.standing)
-    assert all((sigma is None) == held for sigma in document["T_world_base_sigma"])
+    fixed = not len(data.session.attachments.eye_to_hand)
+    assert all((sigma is None) == fixed for sigma in document["T_world_base_sigma"])
     for name, mount in ((mount.camera, mount) for mount in data.session.mounts):
         camera = document["cameras"][name]
         assert camera["link"] == mount.link
@@ -101,48 +102,47 @@ def test_the_corrected_urdf_and_an_applied_model_move_alike(rig: str, calibrated
 def test_a_locked_torso_carries_both_arms(calibrated: Callable) -> None:
     data, calibration = calibrated("tiago_dual")
     assert isinstance(calibration.chain, Tree)
-    drawn = pin.buildModelFromXML(data.session.urdf.data.decode())
-    built = pin.buildModelFromXML(calibration.calibrated_urdf().decode())
-    at = pin.neutral(drawn)
-    locked = [drawn.getJointId(name) for name in ("torso_lift_joint", "arm_left_2_joint")]
-    applied, reference = (pin.buildReducedModel(model, locked, at) for model in (drawn, built))
+    nominal = pin.buildModelFromXML(data.session.urdf.data.decode())
+    calibrated_model = pin.buildModelFromXML(calibration.calibrated_urdf().decode())
+    at = pin.neutral(nominal)
+    locked = [nominal.getJointId(name) for name in ("torso_lift_joint", "arm_left_2_joint")]
+    applied, reference = (pin.buildReducedModel(model, locked, at) for model in (nominal, calibrated_model))
     calibration.apply(applied, in_place=True)
     for a, b in zip(applied.jointPlacements, reference.jointPlacements, strict=True):
         np.testing.assert_allclose(a.homogeneous, b.homogeneous, atol=1e-12)
 
 
-def test_what_cannot_be_told_is_named(calibrated: Callable) -> None:
+def test_what_is_unidentifiable_is_named(calibrated: Callable) -> None:
     _, head = calibrated("tiago")
-    lost = "\n".join(head.identifiability.lost)
-    assert "d of row 1 (torso_lift_joint) moves nothing that is seen" in lost
-    assert "the scale (all lengths together" in lost
-    assert "theta of row 11 (head_2_joint) cannot be told from where head is fastened" in lost
+    text = "\n".join(head.identifiability.unidentifiable)
+    assert "d of row 1 (torso_lift_joint) moves nothing that is measured" in text
+    assert "the scale (all lengths together" in text
+    assert "theta of row 11 (head_2_joint) cannot be distinguished from where head is attached" in text
     _, hand = calibrated("ur5_handeye")
-    assert "theta of row 6 (wrist_3_joint) cannot be told from where hand is fastened" in "\n".join(
-        hand.identifiability.lost
-    )
+    text = "\n".join(hand.identifiability.unidentifiable)
+    assert "theta of row 6 (wrist_3_joint) cannot be distinguished from where hand is attached" in text
 
 
-def test_a_camera_in_the_hand_finds_its_place_by_itself(simulated: Callable) -> None:
-    """Nothing said of where it sits: PnP on the LEDs' rough places, seen from its link."""
+def test_an_eye_in_hand_camera_is_placed_by_itself(simulated: Callable) -> None:
+    """Nothing said of its pose: PnP on the LEDs' rough positions, seen from its link."""
     data = simulated("ur5_handeye", poses=40)
     session = replace(data.session, mounts=(CameraMount("hand", "tool0"),), estimate=Estimate("dh", "fixed"))
     calibration = calibrate(session)
-    T = calibration.estimate.T_cam_world[0] @ np.linalg.inv(data.truth.T_cam_frame[0])
+    T = calibration.estimate.T_cam_frame[0] @ np.linalg.inv(data.truth.T_cam_frame[0])
     assert np.linalg.norm(pin.log6(T).linear) < 0.01
     assert np.sqrt(calibration.fit.reduced_chi2) < 1.2
 
 
-def test_leds_of_unknown_place_are_put_where_rays_meet(simulated: Callable) -> None:
+def test_leds_of_unknown_position_are_put_where_rays_meet(simulated: Callable) -> None:
     data = simulated("ur5_handeye", poses=40)
     leds = tuple(Led(led.name, link="world") for led in data.session.leds)
     calibration = calibrate(replace(data.session, leds=leds, estimate=Estimate("dh", "fixed")))
     np.testing.assert_allclose(calibration.estimate.leds, data.truth.leds, atol=0.01)
 
 
-def test_neither_camera_nor_led_of_known_place_is_too_little(simulated: Callable) -> None:
+def test_neither_camera_nor_led_of_known_position_is_too_little(simulated: Callable) -> None:
     data = simulated("ur5_handeye", poses=40)
     leds = tuple(Led(led.name, link="world") for led in data.session.leds)
     session = replace(data.session, leds=leds, mounts=(CameraMount("hand", "tool0"),))
-    with pytest.raises(CalibrationError, match="'hand' has only 0 sightings of LEDs whose place is roughly known"):
+    with pytest.raises(CalibrationError, match="'hand' has only 0 detections of LEDs whose position is roughly known"):
         calibrate(session)

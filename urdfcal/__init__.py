@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     from urdfcal.robot.chain import Chain
     from urdfcal.robot.dh import DHTable
     from urdfcal.robot.urdf.urdf import Urdf
-    from urdfcal.session.model import Estimate, Led, LedDistance, Noise, Session, Setup, Tolerances
+    from urdfcal.session.knowledge import Estimate, Led, LedDistance, Noise, Tolerances
+    from urdfcal.session.model import Session, Setup
 
 _HOMES = {
     "urdfcal.pipeline": ("FittedCalibration", "calibrate"),
@@ -37,15 +38,8 @@ _HOMES = {
     "urdfcal.robot.urdf.urdf": ("Urdf",),
     "urdfcal.io.folder": ("read_rig", "read_session", "write_session"),
     "urdfcal.estimation.measurements": ("Detections", "Points"),
-    "urdfcal.session.model": (
-        "Estimate",
-        "Led",
-        "LedDistance",
-        "Noise",
-        "Session",
-        "Setup",
-        "Tolerances",
-    ),
+    "urdfcal.session.knowledge": ("Estimate", "Led", "LedDistance", "Noise", "Tolerances"),
+    "urdfcal.session.model": ("Session", "Setup"),
     "urdfcal.io.recorder": ("Recorder",),
     "urdfcal.cameras.camera": ("Camera",),
     "urdfcal.cameras.rig": ("Rig",),

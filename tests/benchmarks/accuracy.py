@@ -39,7 +39,7 @@ from urdfcal.robot.chain import Chain
 from urdfcal.robot.dh import DHTable
 from urdfcal.robot.kinematics import tip_motion
 from urdfcal.rotations import skew
-from urdfcal.session.model import Estimate
+from urdfcal.session.knowledge import Estimate
 from urdfcal.simulation.geometric_errors import draw_offsets
 from urdfcal.simulation.simulate import Simulated, simulate
 

@@ -35,7 +35,8 @@ from urdfcal.images.files import in_parallel, write_image
 from urdfcal.io.folder import read_rig, read_session
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.pipeline import FittedCalibration, calibrate
-from urdfcal.session.model import Estimate, Session
+from urdfcal.session.knowledge import Estimate
+from urdfcal.session.model import Session
 from urdfcal.simulation.board_images import BoardRenderer
 from urdfcal.simulation.images import TRUTH, Exposure, write_simulated_images
 from urdfcal.simulation.simulate import Simulated, simulate

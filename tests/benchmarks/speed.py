@@ -57,7 +57,8 @@ from urdfcal.estimation.state import State
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.robot.dh import DHTable
-from urdfcal.session.model import Freedom, Points, Session
+from urdfcal.session.knowledge import Freedom
+from urdfcal.session.model import Points, Session
 from urdfcal.simulation.simulate import Simulated, simulate
 
 if TYPE_CHECKING:

@@ -43,7 +43,7 @@ from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.pipeline import FittedCalibration, calibrate
 from urdfcal.robot.chain import Chain
-from urdfcal.session.model import Estimate
+from urdfcal.session.knowledge import Estimate
 from urdfcal.simulation.motion import Motion, set_in_motion
 from urdfcal.simulation.simulate import Simulated, simulate
 

@@ -21,7 +21,7 @@ from urdfcal.images.files import read_image, write_image
 from urdfcal.io.folder import lacks_detections, read_positions, read_rig, read_session
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.robot.kinematics import tip_poses
-from urdfcal.session.model import Led
+from urdfcal.session.knowledge import Led
 from urdfcal.simulation.images import TRUTH, Exposure, write_simulated_images
 from urdfcal.simulation.simulate import simulate
 

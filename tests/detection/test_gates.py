@@ -11,6 +11,7 @@ import pytest
 from urdfcal.cameras.rig import Rig
 from urdfcal.detection.detect import REJECTED, detect, detect_in, open_album, write_detected
 from urdfcal.errors import SessionError
+from urdfcal.estimation.measurements import Detections
 from urdfcal.images.files import read_image, write_image
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
@@ -38,7 +39,7 @@ def session(simulated: Simulated, tmp_path: Path) -> Path:
     """Pictures of nothing but the LED, on a grey ground with noise."""
     folder = tmp_path / "session"
     write_simulated_images(folder, simulated, Exposure())
-    seen, names, rng = simulated.session.detections, simulated.session.rig.names, np.random.default_rng(0)
+    seen, names, rng = simulated.session.find(Detections), simulated.session.rig.names, np.random.default_rng(0)
     for pose, camera, uv in zip(seen.pose, seen.camera, seen.uv, strict=True):
         path = folder / "images" / names[camera] / f"{simulated.session.poses[pose]}.png"
         write_image(path, rng.normal(15.0, 1.0, (342, 427)).round().astype(np.uint8))
@@ -105,7 +106,7 @@ def test_a_brighter_light_that_the_arm_does_not_carry_is_rejected_with_its_dista
 def test_a_session_without_cameras_is_refused(session: Path) -> None:
     positions, album = open_album(session)
     with pytest.raises(SessionError, match="no cameras are named"):
-        detect_in(replace(positions, rig=None), album)
+        detect_in(replace(positions, rig=Rig()), album)
 
 
 def test_black_pictures_hold_no_led_and_the_summary_says_so(session: Path) -> None:

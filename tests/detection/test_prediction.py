@@ -11,10 +11,11 @@ import pytest
 from urdfcal.detection.prediction import Foresight as Prediction
 from urdfcal.detection.prediction import Lights
 from urdfcal.detection.prediction import foresee as predict
+from urdfcal.estimation.measurements import Detections
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.robot.kinematics import tip_poses
-from urdfcal.session.model import Led
+from urdfcal.session.knowledge import Led
 from urdfcal.simulation.simulate import simulate
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ class Pictures:
 @pytest.fixture(scope="module")
 def pictures() -> Pictures:
     session = simulate(read_rig(find_rig("ur5")), poses=20, seed=3).session
-    seen = session.detections
+    seen = session.find(Detections)
     mine = seen.camera == 0
     T = tip_poses(session.chain, session.q)[seen.pose[mine]]
     return Pictures(session.rig.cameras[0], session.leds[0], T, seen.uv[mine])

@@ -16,7 +16,7 @@ from urdfcal.estimation.parameters import choose_parameters
 from urdfcal.estimation.problem import Problem
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.dh import DHTable
-from urdfcal.session.model import Estimate
+from urdfcal.session.knowledge import Estimate
 
 if TYPE_CHECKING:
     from collections.abc import Callable

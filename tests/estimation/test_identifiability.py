@@ -16,7 +16,7 @@ from urdfcal.estimation.start import first_state
 from urdfcal.estimation.time_offset_start import start_state
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.dh import DHTable
-from urdfcal.session.model import Led
+from urdfcal.session.knowledge import Led
 from urdfcal.simulation.motion import Motion, set_in_motion
 
 if TYPE_CHECKING:
@@ -35,12 +35,14 @@ def test_ranks_are_those_of_theory(rig: str, rank: int, simulated: Callable) -> 
 
 def test_gauge_freedoms_are_named(simulated: Callable) -> None:
     unidentifiable = calibrate(simulated("ur5").session).identifiability.unidentifiable
-    base = "cannot be distinguished from where the robot stands (T_world_base): it is fixed at its nominal value"
-    assert unidentifiable == (
-        f"d of row 1 (shoulder_pan_joint) {base}",
-        f"theta of row 1 (shoulder_pan_joint) {base}",
-        "theta of row 6 (wrist_3_joint) cannot be distinguished from where the LEDs sit: "
-        "it is fixed at its nominal value",
+    base, leds = "where the robot stands (T_world_base)", "where the LEDs sit"
+    expected = [
+        ("d of row 1 (shoulder_pan_joint)", base),
+        ("theta of row 1 (shoulder_pan_joint)", base),
+        ("theta of row 6 (wrist_3_joint)", leds),
+    ]
+    assert unidentifiable == tuple(
+        f"{what} cannot be distinguished from {other}: it is fixed at its nominal value" for what, other in expected
     )
 
 
@@ -71,7 +73,6 @@ def test_a_lens_or_a_time_offset_is_not_said_to_be_a_cameras_pose(simulated: Cal
     pose, lens, offset = (parameters.names.index(f"cam1.{what}") for what in ("rz", "cx", "time_offset"))
     said = [_sentence(parameters, first, [k], fix=True) for k in (pose, lens, offset)]
     theta = "theta of row 3 (elbow_joint) cannot be distinguished from"
-    # The phrase of a block stands for all its coordinates; one of them alone, which the arm moves, is named.
     assert said == [
         f"{theta} where cam1 is attached: it is fixed at its nominal value",
         f"{theta} cam1.cx: it is fixed at its nominal value",

@@ -5,23 +5,26 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from urdfcal.estimation.time_offset import start_state
 
-from urdfcal.estimation.linearize import predict, view
+from tests.states import at_joint_values, points_of
+from urdfcal.estimation.alignment import kabsch
+from urdfcal.estimation.blocks.arm import ARM
+from urdfcal.estimation.blocks.cameras import has_cameras
+from urdfcal.estimation.measurements import Detections
 from urdfcal.estimation.multistart import _same_arm
-from urdfcal.estimation.observations import observe
-from urdfcal.estimation.start import kabsch
+from urdfcal.estimation.problem import Problem
+from urdfcal.estimation.time_offset_start import start_state
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.dh import DHTable
-from urdfcal.session.model import Estimate, Noise
+from urdfcal.session.knowledge import Estimate, Noise
 from urdfcal.simulation.motion import Motion, set_in_motion
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 
-def test_the_seeds_problem_a_3r_arm_from_wild_starts(simulated: Callable, true_state: Callable) -> None:
-    # a, d and alpha of a three-axis arm unknown, no priors, no noise: Rossi and Savino's example.
+def test_the_problem_of_rossi_et_al_a_3r_arm_from_far_starts(simulated: Callable, true_state: Callable) -> None:
+    # a, d and alpha of a three-axis arm unknown, no priors, no noise: the example of Rossi et al..
     data = simulated("elbow3r", poses=30)
     session = replace(
         data.session,
@@ -30,9 +33,10 @@ def test_the_seeds_problem_a_3r_arm_from_wild_starts(simulated: Callable, true_s
         leds=tuple(replace(led, position=None, sigma=None) for led in data.session.leds),
         estimate=Estimate("dh", "fixed", "fixed"),
     )
-    table, (block,) = DHTable.from_chain(session.chain), observe(session)
-    uv = block.by_row(predict(table, block, true_state(data)))
-    session = replace(session, detections=replace(session.detections, uv=uv))
+    problem, truth = Problem.of(session, DHTable.from_chain(session.chain)), true_state(data)
+    (observed,) = problem.observations
+    uv = observed.by_row(problem.predict(observed, truth))
+    session = replace(session, measurements=(replace(session.find(Detections), uv=uv),))
     calibration = calibrate(session, priors=False, starts=24, seed=3)
 
     reasons = [solution.reason for solution in calibration.solutions]
@@ -44,13 +48,14 @@ def test_the_seeds_problem_a_3r_arm_from_wild_starts(simulated: Callable, true_s
     assert any("chi-square" in reason or "did not settle" in reason or "no start" in reason for reason in reasons)
 
     # The kept one predicts poses it has not seen.
-    elsewhere = replace(block, q=table.chain.random_values(len(block.q), np.random.default_rng(9)))
-    true, found = (view(table, elsewhere, s)[block.valid] for s in (true_state(data), calibration.estimate))
+    q = session.chain.random_values(len(observed.pose), np.random.default_rng(9))
+    elsewhere = at_joint_values(observed, q)
+    true, found = (points_of(problem, elsewhere, s)[observed.valid] for s in (truth, calibration.fit.state))
     T = kabsch(found, true)
     assert np.abs(found @ T[:3, :3].T + T[:3, 3] - true).max() < 1e-6
 
 
-def test_the_kept_solution_is_the_one_near_the_drawing(simulated: Callable) -> None:
+def test_the_kept_solution_is_the_one_near_nominal(simulated: Callable) -> None:
     data = simulated("elbow3r")
     session = replace(data.session, estimate=Estimate("dh", "fixed", "fixed"))
     alone, among = calibrate(session), calibrate(session, starts=6)
@@ -61,20 +66,20 @@ def test_the_kept_solution_is_the_one_near_the_drawing(simulated: Callable) -> N
 def test_arms_that_differ_only_where_a_moving_arm_did_not_go_are_not_the_same(simulated: Callable) -> None:
     session = set_in_motion(simulated("ur5", poses=8), Motion()).session
     table = DHTable.from_chain(session.chain)
-    drawn = start_state(session, table, np.zeros_like(table.nominal))
-    other = replace(drawn, offsets=0.1 * (np.arange(5) == 0) * np.ones_like(table.nominal))
-    log = session.trajectory.log  # of an arm that stayed where it was: any arm puts one LED there
+    nominal = start_state(session, table, np.zeros_like(table.nominal))
+    other = nominal.replace({ARM: 0.1 * (np.arange(5) == 0) * np.ones_like(table.nominal)})
+    log = session.motion.log  # of an arm that stayed where it was: any arm puts one LED there
     still = replace(log, values=np.broadcast_to(log.values[0], log.values.shape))
-    blocks = observe(replace(session, trajectory=replace(session.trajectory, log=still)))
-    a, b = (SimpleNamespace(state=state) for state in (drawn, other))
-    assert _same_arm(table, blocks, a, a)
-    assert not _same_arm(table, blocks, a, b)
+    problem = Problem.of(replace(session, motion=replace(session.motion, log=still)), table)
+    a, b = (SimpleNamespace(state=state) for state in (nominal, other))
+    assert _same_arm(problem, a, a)
+    assert not _same_arm(problem, a, b)
 
 
 def test_cameras_have_no_part_in_other_starts_from_points(simulated: Callable) -> None:
     session = replace(simulated("ur5").session, estimate=Estimate("dh", "fixed", "fixed"))
     calibration = calibrate(session, method="points", starts=2)
-    states = [candidate.solution.state for candidate in calibration.solutions if candidate.solution]
+    states = [minimum.solution.state for minimum in calibration.solutions if minimum.solution]
     assert len(states) == 3
-    assert not any(state.cameras for state in states)
+    assert not any(has_cameras(state) for state in states)
     assert "rms_px" not in calibration.validation()  # whichever of the equal minima was kept

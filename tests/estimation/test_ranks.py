@@ -7,23 +7,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.states import state_of
 from urdfcal.arrays import frozen
 from urdfcal.cameras.camera import Camera
 from urdfcal.cameras.rig import Rig
 from urdfcal.estimation.identifiability import Identifiability, identify
-from urdfcal.estimation.linearize import predict
-from urdfcal.estimation.model_spec import Freedoms
-from urdfcal.estimation.observations import arrange
+from urdfcal.estimation.measurements import Detections
+from urdfcal.estimation.model_spec import ModelSpec
 from urdfcal.estimation.parameters import choose_parameters
-from urdfcal.estimation.state import State
+from urdfcal.estimation.problem import Problem
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.dh import DHTable, row_transform
 from urdfcal.robot.mechanism import Joint
-from urdfcal.session.attachments import fasten
-from urdfcal.session.model import Led, Session
+from urdfcal.session.knowledge import Led
+from urdfcal.session.model import Session
 
 H = np.pi / 2
-# (type, theta, d, a, alpha), from the makers' data sheets; see ../shared/data/dh_tables.json.
+# (type, theta, d, a, alpha), from the makers' data sheets.
 ARMS: dict[str, list[tuple[str, float, float, float, float]]] = {
     "elbow3r": [("R", 0, 0.35, 0, H), ("R", 0, 0, 0.4, 0), ("R", 0, 0, 0.35, 0)],
     "ur5": [
@@ -93,31 +93,28 @@ class WithoutBeta(DHTable):
 
 def identified(arm: str, leds: np.ndarray, cameras: int = 2, table_type: type[DHTable] = DHTable) -> Identifiability:
     chain = chain_of(arm)
-    table = table_type.from_chain(chain)
     lens = Camera("c", (4000, 4000), np.array([2000.0, 2000.0, 2000.0, 2000.0]))
-    lenses = tuple(replace(lens, name=f"cam{c}") for c in range(cameras))
     beside = np.eye(4)
     beside[0, 3] = -0.5
     T_world_base = np.eye(4)
     T_world_base[:3, :3] = [[0, -1, 0], [0, 0, -1], [1, 0, 0]]
     T_world_base[:3, 3] = [0.1, 0.3, 4.0]
-    state = State(np.zeros((len(chain.joints), 5)), T_world_base, leds, lenses, np.array([np.eye(4), beside])[:cameras])
-    q = chain.random_values(60, np.random.default_rng(0))
     pose, camera, led = (a.ravel() for a in np.meshgrid(np.arange(60), np.arange(cameras), np.arange(len(leds))))
-    rig = Rig(lenses, (np.eye(4), beside)[:cameras])
-    frames = fasten(chain, [None] * len(leds), rig, {})
-    unit = np.broadcast_to(np.eye(2), (len(pose), 2, 2))
-    empty = arrange(q, pose, led, camera, np.zeros((len(pose), 2)), unit, frames)
     session = Session(
         chain=chain,
         poses=tuple(map(str, range(60))),
-        q=q,
+        q=chain.random_values(60, np.random.default_rng(0)),
         leds=tuple(Led(f"led{i}") for i in range(len(leds))),
-        rig=rig,
-        detections=Detections(pose, camera, led, empty.by_row(predict(table, empty, state)), np.ones(len(pose))),
+        rig=Rig(tuple(replace(lens, name=f"cam{c}") for c in range(cameras)), (np.eye(4), beside)[:cameras]),
+        measurements=(Detections(pose, camera, led, np.zeros((len(pose), 2)), np.ones(len(pose))),),
     )
+    problem = Problem.of(session, table_type.from_chain(chain))
+    T_cam_world = np.array([np.eye(4), beside])[:cameras]
+    state = state_of(session, np.zeros((len(chain.joints), 5)), T_world_base, leds, T_cam_world)
+    (observed,) = problem.observations
+    assert np.isfinite(problem.predict(observed, state)).all()
     fixed = ("fixed",) * cameras
-    return identify(table, [empty], state, choose_parameters(session, table, state, Freedoms("dh", fixed, fixed)))
+    return identify(problem, state, choose_parameters(session, problem, state, ModelSpec("dh", fixed, fixed)))
 
 
 ONE = np.array([[0.04, 0.03, 0.05]])
@@ -149,11 +146,11 @@ def test_three_leds(arm: str) -> None:
 def test_one_camera_loses_the_scale_of_a_revolute_arm(arm: str) -> None:
     found = identified(arm, ONE, cameras=1)
     assert found.rank == RANKS[arm][4]
-    assert any("the scale" in lost for lost in found.lost) == (arm not in ("scara", "stanford"))
+    assert any("the scale" in text for text in found.unidentifiable) == (arm not in ("scara", "stanford"))
 
 
-def test_lost_directions_are_named() -> None:
-    without = identified("ur5", ONE, table_type=WithoutBeta).lost
-    assert any("d of row 2 (j2)" in lost and "d of row 3 (j3)" in lost and "as a sum" in lost for lost in without)
-    on_axis = identified("ur5", ON_AXIS).lost
-    assert any(lost.startswith("theta of row 6 (j6) moves nothing that is seen") for lost in on_axis)
+def test_unidentifiable_directions_are_named() -> None:
+    without = identified("ur5", ONE, table_type=WithoutBeta).unidentifiable
+    assert any("d of row 2 (j2)" in text and "d of row 3 (j3)" in text and "as a sum" in text for text in without)
+    on_axis = identified("ur5", ON_AXIS).unidentifiable
+    assert any(text.startswith("theta of row 6 (j6) moves nothing that is measured") for text in on_axis)

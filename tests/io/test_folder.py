@@ -11,7 +11,7 @@ from tests.io.making import POSES, measured, write_points, write_valid
 from urdfcal.errors import SessionError
 from urdfcal.estimation.measurements import Detections, Points
 from urdfcal.io.folder import read_points, read_rig, read_session
-from urdfcal.session.model import Estimate
+from urdfcal.session.knowledge import Estimate
 
 MEASURED = Path(__file__).resolve().parents[3] / "shared" / "data"
 needs_measured = pytest.mark.skipif(not MEASURED.is_dir(), reason=f"the measured sessions are not at {MEASURED}")

@@ -7,7 +7,7 @@ import pytest
 from urdfcal.errors import SessionError
 from urdfcal.io.schema import RigFile, SessionFile
 from urdfcal.io.yaml_document import Document
-from urdfcal.session.model import Estimate, Noise, Tolerances
+from urdfcal.session.knowledge import Estimate, Noise, Tolerances
 
 if TYPE_CHECKING:
     from pathlib import Path

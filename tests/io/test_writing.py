@@ -12,7 +12,8 @@ from urdfcal.cameras.rig import Rig
 from urdfcal.errors import CameraError, OutputError, SessionError
 from urdfcal.estimation.measurements import Detections, Points
 from urdfcal.io.folder import read_session, write_session
-from urdfcal.session.model import Estimate, Led, Noise, Session, Tolerances
+from urdfcal.session.knowledge import Estimate, Led, Noise, Tolerances
+from urdfcal.session.model import Session
 
 # Where it was read from is not what was read.
 PROVENANCE = {"folder", "sha256", "path"}

@@ -59,7 +59,7 @@ def test_every_chart_has_a_name_of_its_own_and_marks_inside(overview):
 
 def test_bars_are_the_corrections_with_their_deviations(overview):
     calibration = overview.calibration
-    rows = calibration.fit.parameters.rows
+    rows = calibration.corrected
     for chart in parameter_charts(calibration):
         marks = {mark.name: mark for mark in chart.marks}
         lengths = chart.name == "lengths"

@@ -28,7 +28,8 @@ from urdfcal.pipeline import calibrate
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.robot.urdf.urdf import Urdf, find_urdf
-from urdfcal.session.model import Estimate, Led, Session
+from urdfcal.session.knowledge import Estimate, Led
+from urdfcal.session.model import Session
 from urdfcal.simulation.simulate import simulate
 
 POSES = 20
@@ -100,7 +101,7 @@ def residuals(calibration, state):
     (block,) = calibration.observations
     pose = np.broadcast_to(block.pose[:, None], block.valid.shape)
     used = block.valid & ~calibration.fit.outlier[0]
-    return pose[used], (predict(calibration.table, block, state) - block.value)[used]
+    return pose[used], calibration.problem.residual(block, state)[used]
 
 
 def test_everything_promised_is_there(recorded):
@@ -129,7 +130,7 @@ def test_every_pose_has_its_row_even_when_nothing_was_seen(recorded):
 
 @pytest.mark.parametrize("name", ["nominal", "calibrated"])
 def test_logged_residuals_are_those_of_the_calibration(calibration, recorded, name):
-    state = calibration.nominal if name == "nominal" else calibration.estimate
+    state = (calibration.nominal_fit if name == "nominal" else calibration.fit).state
     pose, residual = residuals(calibration, state)
     rows = recorded.rows(f"/base/plots/residual_px/{name}", "Scalars:scalars")
     for k in range(POSES):
@@ -153,7 +154,7 @@ def test_pictures_show_where_the_led_was_seen_and_predicted(calibration, recorde
         np.testing.assert_allclose(logged, seen.uv[seen.camera == c] + CORNER, atol=1e-3)
         predicted = recorded.all_rows(f"/base/cameras/{camera}/image/predicted", "Points2D:positions")
         (block,) = calibration.observations
-        expected = predict(calibration.table, block, calibration.estimate)[block.camera == c]
+        expected = calibration.problem.predict(block, calibration.fit.state)[block.valid & (block.index["camera"] == c)]
         np.testing.assert_allclose(predicted, expected + CORNER, atol=1e-3)
 
 

@@ -19,7 +19,7 @@ from urdfcal.output.findings import Overview, headline, look_up, verdict
 from urdfcal.output.report import write_report
 from urdfcal.output.scene import sample_workspace
 from urdfcal.pipeline import calibrate
-from urdfcal.session.model import Estimate
+from urdfcal.session.knowledge import Estimate
 from urdfcal.simulation.simulate import simulate
 
 CHROMIUM = shutil.which("chromium")

@@ -24,7 +24,7 @@ from urdfcal.rosbag import images as bag_pictures
 from urdfcal.rosbag.bag import open_bag
 from urdfcal.rosbag.importing import Imported, Known, import_bag
 from urdfcal.rosbag.topics import Wanted, choose_topics
-from urdfcal.session.model import Led
+from urdfcal.session.knowledge import Led
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -17,7 +17,7 @@ from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.io.writing import write_session
 from urdfcal.robot.chain import Chain, Tree
 from urdfcal.session.attachments import CameraMount, attach
-from urdfcal.session.model import Led
+from urdfcal.session.knowledge import Led
 from urdfcal.simulation.simulate import write_simulated
 
 if TYPE_CHECKING:

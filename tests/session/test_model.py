@@ -16,15 +16,8 @@ from urdfcal.estimation.measurements import Detections, Points
 from urdfcal.io.folder import read_rig, read_session
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.io.writing import write_session
-from urdfcal.session.model import (
-    Estimate,
-    Led,
-    Noise,
-    RigDescription,
-    Session,
-    Stand,
-    Tolerances,
-)
+from urdfcal.session.knowledge import Estimate, Led, Noise, Tolerances
+from urdfcal.session.model import RigDescription, Session, Stand
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -21,7 +21,8 @@ from urdfcal.robot.dh import PARAMETERS, DHTable
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.robot.mechanism import BASE
 from urdfcal.robot.urdf.urdf import Urdf, find_urdf, package_roots
-from urdfcal.session.model import Led, Stand
+from urdfcal.session.knowledge import Led
+from urdfcal.session.model import Stand
 from urdfcal.simulation.collision import Clearance
 from urdfcal.simulation.geometric_errors import draw_offsets
 from urdfcal.simulation.scene import look_at

@@ -92,7 +92,7 @@ def command(
     from urdfcal.rosbag.bag import open_bag
     from urdfcal.rosbag.importing import Known, import_bag
     from urdfcal.rosbag.topics import Wanted, choose_topics
-    from urdfcal.session.model import Led
+    from urdfcal.session.knowledge import Led
 
     check_names("LEDs", [led[0]])
     robot = Urdf.read(find_urdf(urdf))

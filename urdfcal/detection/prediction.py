@@ -12,7 +12,7 @@ from urdfcal.rotations import skew
 if TYPE_CHECKING:
     from urdfcal.arrays import Floats, Ints
     from urdfcal.cameras.camera import Camera
-    from urdfcal.session.model import Led
+    from urdfcal.session.knowledge import Led
 
 # Six pictures fix a camera's pose twice over.
 _FEWEST = 6

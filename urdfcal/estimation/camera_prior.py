@@ -14,7 +14,8 @@ if TYPE_CHECKING:
 
     from urdfcal.cameras.rig import Rig
     from urdfcal.estimation.model_spec import ModelSpec
-    from urdfcal.session.model import Freedom, Session
+    from urdfcal.session.knowledge import Freedom
+    from urdfcal.session.model import Session
 
 FREE_LENS = (0.2, 0.3, 1.0, 0.1)
 """Standard deviations of a free lens: focal length (share of it), principal point (share of the longer image side),

@@ -23,7 +23,8 @@ from urdfcal.robot.tree_dh import rows_of
 if TYPE_CHECKING:
     from urdfcal.estimation.solver import Progress, Solution
     from urdfcal.robot.mechanism import Mechanism
-    from urdfcal.session.model import Freedom, Session
+    from urdfcal.session.knowledge import Freedom
+    from urdfcal.session.model import Session
 
 
 # Tips that spread by less in a second direction do not fix an alignment; their axes then count at this length. [m]

@@ -10,7 +10,8 @@ from urdfcal.estimation.blocks.cameras import camera_values
 
 if TYPE_CHECKING:
     from urdfcal.estimation.state import State
-    from urdfcal.session.model import ArmGeometry, Freedom, Session
+    from urdfcal.session.knowledge import ArmGeometry, Freedom
+    from urdfcal.session.model import Session
 
 _FIXED: Freedom = "fixed"
 _FREE: Freedom = "free"

@@ -19,7 +19,8 @@ from urdfcal.robot.chain import read_mechanism
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.robot.urdf.urdf import Urdf, find_urdf
 from urdfcal.session.attachments import WORLD
-from urdfcal.session.model import Led, Positions, RigDescription, Session, Stand
+from urdfcal.session.knowledge import Led
+from urdfcal.session.model import Positions, RigDescription, Session, Stand
 from urdfcal.source import Source
 
 if TYPE_CHECKING:

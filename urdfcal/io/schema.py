@@ -22,7 +22,7 @@ from urdfcal.names import flaw
 from urdfcal.robot.dh import Parameter  # noqa: TC001  # pydantic needs it at run time
 from urdfcal.rotations import rpy_to_matrix
 from urdfcal.session.attachments import CameraMount
-from urdfcal.session.model import ArmGeometry, Estimate, Freedom, Led, LedDistance, Noise, TimeOffset, Tolerances
+from urdfcal.session.knowledge import ArmGeometry, Estimate, Freedom, Led, LedDistance, Noise, TimeOffset, Tolerances
 
 
 def _named(name: str) -> str:

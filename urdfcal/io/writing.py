@@ -22,8 +22,9 @@ if TYPE_CHECKING:
 
     from urdfcal.robot.urdf.urdf import Urdf
     from urdfcal.session.attachments import CameraMount
+    from urdfcal.session.knowledge import Led
     from urdfcal.session.measurement import Measurements
-    from urdfcal.session.model import Led, Positions, Setup
+    from urdfcal.session.model import Positions, Setup
 
 _SESSION = "session.yaml"
 _CAMERAS, _JOINTS, _FRAMES = "cameras.yaml", "joints.csv", "frames.csv"

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from urdfcal.rosbag.images import Frames
     from urdfcal.rosbag.joints import JointStates
     from urdfcal.rosbag.topics import Chosen
-    from urdfcal.session.model import Led
+    from urdfcal.session.knowledge import Led
 
 
 @dataclass(frozen=True, eq=False)

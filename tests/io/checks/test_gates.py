@@ -12,6 +12,7 @@ from tests.io.broken import cells, put, renamed_cameras, swap
 from tests.io.making import write_cameras, write_points, write_valid
 from tests.io.test_frame_tables import FRAMES, write_moving
 from urdfcal.errors import SessionError
+from urdfcal.estimation.measurements import Detections, Points
 from urdfcal.io.folder import read_positions, read_session
 
 if TYPE_CHECKING:
@@ -133,7 +134,7 @@ class TestNoise:
         sigma("right")
         lines = (folder / PIXELS).read_text().split("\n")
         (folder / PIXELS).write_text("\n".join([lines[0] + ",sigma", *lines[1:]]))
-        assert read_session(folder).detections.sigma.max() == 100.0
+        assert read_session(folder).find(Detections).sigma.max() == 100.0
         sigma("left")
         with pytest.raises(SessionError, match=r"detections.csv:2:\d+.*100 px is of the size of the image"):
             read_session(folder)
@@ -158,7 +159,7 @@ class TestPoints:
 
     def test_a_single_one_far_off_is_named(self, tracked: Path) -> None:
         put(POINTS, 5, x="15")(tracked)
-        assert len(read_session(tracked).points) == 16
+        assert len(read_session(tracked).find(Points)) == 16
         put(POINTS, 5, x="500")(tracked)
         with pytest.raises(SessionError, match=r"points.csv:7:\d+.* m from the others"):
             read_session(tracked)

@@ -11,7 +11,7 @@ from tests.io.making import write_valid
 from urdfcal.io.folder import read_session
 from urdfcal.output.exports.origins import corrected_urdf
 from urdfcal.pipeline import calibrate
-from urdfcal.session.model import Estimate
+from urdfcal.session.knowledge import Estimate
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -14,7 +14,7 @@ from urdfcal.pipeline import calibrate
 from urdfcal.robot.dh import DHTable, row_transform
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.rotations import rpy_to_matrix
-from urdfcal.session.model import Estimate
+from urdfcal.session.knowledge import Estimate
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -8,13 +8,12 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
-from urdfcal.robot.motion import joint_motion
-from urdfcal.robot.tree import Tree
 
 from urdfcal.arrays import inverse
 from urdfcal.errors import OutputError, RobotError
 from urdfcal.output.exports.mjcf import mjcf
-from urdfcal.robot.kinematics import tip_poses
+from urdfcal.robot.chain import Tree
+from urdfcal.robot.kinematics import joint_motion, tip_poses
 from urdfcal.robot.mechanism import BASE, Tip
 from urdfcal.robot.urdf.origins import origins_of, rewrite_origins
 

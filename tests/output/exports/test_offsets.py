@@ -15,7 +15,7 @@ from urdfcal.pipeline import calibrate
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.robot.urdf.urdf import Urdf
-from urdfcal.session.model import Estimate
+from urdfcal.session.knowledge import Estimate
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from urdfcal.arrays import Floats
     from urdfcal.robot.mechanism import Mechanism
-    from urdfcal.session.model import Tolerances
+    from urdfcal.session.knowledge import Tolerances
 
 ARM: Key[Floats] = Key("arm")
 """(rows, columns) offsets of the arm's parameterisation. [rad, m]"""

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from urdfcal.arrays import Floats
     from urdfcal.estimation.state import State
-    from urdfcal.session.model import Led, LedDistance
+    from urdfcal.session.knowledge import Led, LedDistance
 
 LEDS: Key[Floats] = Key("leds")
 """(L, 3) LED positions, each in the frame that it is attached to. [m]"""

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from urdfcal.io.tables import MeasurementTable
     from urdfcal.io.yaml_document import Document
     from urdfcal.robot.mechanism import Mechanism
-    from urdfcal.session.model import Led, Noise
+    from urdfcal.session.knowledge import Led, Noise
 
 # Encoders are read to 1e-4 rad or m, and controllers let joints overrun their limits by less than this.
 OVERRUN = 1e-3

@@ -1,0 +1,148 @@
+"""What every joint model must do, whatever it models.
+
+A new one is tested here on the first of ``GENERAL`` that it applies to; one that applies to none of them needs an entry
+in ``SESSIONS``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from tests.estimation.derivatives import STEPS, assert_derivatives
+from tests.estimation.problems import Example, at_rest, filmed
+from urdfcal.estimation.joint_models import JOINT_MODELS, JointModel
+from urdfcal.estimation.linearize import Tangent
+from urdfcal.estimation.problem import Problem
+from urdfcal.robot.tree_dh import rows_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from urdfcal.arrays import Floats
+    from urdfcal.estimation.joint_models import Readings
+    from urdfcal.session.model import Session
+
+GENERAL: tuple[Callable[[Callable], Session], ...] = (at_rest, filmed)
+"""Sessions that most models apply to: an arm at rest, and a moving one."""
+
+SESSIONS: dict[str, Callable[[Callable], Session]] = {}
+"""By name, a session for a model that applies to none of these, made from the fixture ``simulated``."""
+
+# Parameters away from nominal by this share of their standard deviation, or by this much if they have none.
+_SHARE, _WITHOUT_PRIOR = 0.02, 1e-3
+
+
+def session_for(model: type[JointModel], simulated: Callable) -> Session:
+    """A session that a model applies to, with the model on."""
+    makers = (SESSIONS[model.name],) if model.name in SESSIONS else GENERAL
+    for make in makers:
+        session = replace(make(simulated), joint_models={model.name: True})
+        if model.of(session) is not None:
+            return session
+    pytest.fail(
+        f"{model.__name__} applies to no session: add a function to SESSIONS in {__file__} under {model.name!r} which "
+        "returns one that it applies to"
+    )
+
+
+@pytest.fixture(params=JOINT_MODELS, ids=lambda model: model.name)
+def kind(request: pytest.FixtureRequest) -> type[JointModel]:
+    return request.param
+
+
+@pytest.fixture
+def session(kind: type[JointModel], simulated: Callable) -> Session:
+    return session_for(kind, simulated)
+
+
+@pytest.fixture
+def model(kind: type[JointModel], session: Session) -> JointModel:
+    return kind.of(session)
+
+
+@pytest.fixture
+def readings(session: Session) -> Readings:
+    return Problem.of(session, rows_of(session.chain)).observations[0].readings
+
+
+def some_value(model: JointModel) -> Floats:
+    """A value that is not nominal in any coordinate."""
+    size = np.where(np.isfinite(model.sigma), _SHARE * model.sigma, _WITHOUT_PRIOR)
+    size = size * np.random.default_rng(0).uniform(0.5, 1.0, len(model))
+    return model.retract(model.nominal, size)
+
+
+def geometry_with(kind: type[JointModel], session: Session) -> str:
+    """An arm's geometry that the model is estimated with."""
+    return next(geometry for geometry in ("dh", "offsets", "full", "none") if kind.enabled(session, geometry))
+
+
+def test_models_differ_in_name_and_key(simulated: Callable) -> None:
+    names = [model.name for model in JOINT_MODELS]
+    keys = [model.of(session_for(model, simulated)).key for model in JOINT_MODELS]
+    assert len(set(names)) == len(set(keys)) == len(JOINT_MODELS)
+
+
+def test_at_its_nominal_value_it_adds_nothing(model: JointModel, session: Session, readings: Readings) -> None:
+    added = model.values(readings, model.nominal)
+    assert np.shape(added) == readings.q.shape
+    np.testing.assert_allclose(added, 0.0, atol=1e-12)
+    arm = rows_of(session.chain)
+    offsets = model.offsets(arm, model.nominal)
+    assert offsets.shape == (len(arm.labels), len(arm.columns))
+    assert not offsets.any()
+
+
+def test_away_from_nominal_it_adds_something(model: JointModel, readings: Readings) -> None:
+    assert np.isfinite(model.values(readings, some_value(model))).all()
+    assert np.asarray(model.values(readings, some_value(model))).any()
+
+
+def test_its_jacobian_agrees_with_finite_differences(model: JointModel, readings: Readings) -> None:
+    p, shape = some_value(model), (*readings.q.shape, len(model))
+    J = np.broadcast_to(model.jacobian(readings, p), shape)
+    assert J.any()
+    for k in range(len(model)):
+        step = np.zeros(len(model))
+        step[k] = STEPS.get(model.units[k], 1e-6)
+        before, after = (model.values(readings, model.retract(p, sign * step)) for sign in (-1, 1))
+        numeric = (after - before) / (2 * step[k])
+        assert np.abs(J[..., k] - numeric).max() < 1e-5 * max(np.abs(numeric).max(), 1e-3), model.names[k]
+
+
+def test_poses_do_not_depend_on_each_other(model: JointModel, readings: Readings) -> None:
+    # Poses are evaluated part by part.
+    p, some = some_value(model), np.arange(len(readings.q))[1::2]
+    np.testing.assert_allclose(model.values(readings.at(some), p), model.values(readings, p)[some], atol=1e-14)
+    shape = (*readings.q.shape, len(model))
+    part = np.broadcast_to(model.jacobian(readings.at(some), p), (len(some), *shape[1:]))
+    np.testing.assert_allclose(part, np.broadcast_to(model.jacobian(readings, p), shape)[some], atol=1e-14)
+
+
+def test_measurements_have_their_derivatives_by_its_parameters(
+    kind: type[JointModel], model: JointModel, session: Session
+) -> None:
+    example = Example.of(session, geometry_with(kind, session))
+    parameters = example.parameters
+    where, active = parameters.active_columns(model.key)
+    assert active.any()
+    columns = range(where.start, where.stop)
+    for observed in example.problem.observations:
+        at = Tangent.at(example.problem, observed, example.state, parameters).linearise()
+        assert at.J[..., where].any()
+        assert_derivatives(example.problem, observed, example.state, parameters, columns, tolerance=2e-6)
+
+
+def test_its_parameters_take_part_where_the_session_asks_for_them(
+    kind: type[JointModel], model: JointModel, session: Session
+) -> None:
+    parameters = Example.of(session, geometry_with(kind, session)).parameters
+    assert parameters.names[parameters.columns(model.key)] == model.names
+    without = [geometry for geometry in ("dh", "offsets", "full", "none") if not kind.enabled(session, geometry)]
+    for geometry in without:
+        parameters = Example.of(session, geometry).parameters
+        assert not parameters.has_active(model.key)

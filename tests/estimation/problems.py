@@ -1,0 +1,74 @@
+"""Problems in which everything is estimated that a session can hold, for tests of blocks and of measurements."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from urdfcal.estimation.joint_models import JOINT_MODELS
+from urdfcal.estimation.model_spec import ModelSpec
+from urdfcal.estimation.parameters import Parameters, choose_parameters
+from urdfcal.estimation.problem import Problem
+from urdfcal.estimation.start import first_state
+from urdfcal.robot.placements import PlacementTable
+from urdfcal.robot.tree_dh import rows_of
+from urdfcal.session.model import Session  # noqa: TC001  # a field's type
+from urdfcal.simulation.motion import Motion, set_in_motion
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from urdfcal.estimation.state import State
+    from urdfcal.session.knowledge import ArmGeometry
+
+# Random steps from the start: derivatives there are not those of a special case, and LEDs stay in front of the cameras.
+_STEP = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Example:
+    """A session's problem, and a state of it where nothing is nominal.
+
+    Attributes:
+        session: with all joint models on.
+        problem: of all its measurements.
+        start: where the session's measurements put what is unknown.
+        state: a random step of all active parameters from there.
+        parameters: everything free, lenses and camera poses included.
+    """
+
+    session: Session
+    problem: Problem
+    start: State
+    state: State
+    parameters: Parameters
+
+    @classmethod
+    def of(cls, session: Session, geometry: ArmGeometry) -> Example:
+        """Free everything of a session with an arm's geometry."""
+        session = replace(session, joint_models={model.name: True for model in JOINT_MODELS})
+        arm = PlacementTable(session.chain) if geometry == "full" else rows_of(session.chain)
+        problem = Problem.of(session, arm)
+        start = first_state(session, arm, problem.nominal_offsets())
+        free = ("free",) * len(session.rig.cameras)
+        parameters = choose_parameters(session, problem, start, ModelSpec(geometry, free, free))
+        size = np.minimum(_STEP, parameters.prior[parameters.active])
+        step = size * np.random.default_rng(0).normal(size=parameters.count)
+        return cls(session, problem, start, parameters.retract(start, step), parameters)
+
+
+def at_rest(simulated: Callable) -> Session:
+    """An arm with a prismatic joint, before two cameras."""
+    return simulated("stanford", poses=8).session
+
+
+def branched(simulated: Callable) -> Session:
+    """A robot of two arms, an LED on each; one camera rides on it."""
+    return simulated("tiago_dual", poses=8).session
+
+
+def filmed(simulated: Callable) -> Session:
+    """An arm filmed in motion."""
+    return set_in_motion(simulated("elbow3r", poses=6), Motion(frame_rate=1.0)).session

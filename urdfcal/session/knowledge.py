@@ -1,0 +1,164 @@
+"""What is declared of a robot and its measurements: LEDs, noise, tolerances, and what is to be estimated."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
+
+from urdfcal.arrays import Floats, ReadOnly
+from urdfcal.errors import SessionError
+from urdfcal.names import suggest
+from urdfcal.robot.dh import PARAMETERS
+from urdfcal.session.finite import finite_array, finite_number
+
+if TYPE_CHECKING:
+    from urdfcal.session.measurement import Measurements
+
+ArmGeometry: TypeAlias = Literal["dh", "offsets", "full", "none"]
+Freedom: TypeAlias = Literal["fixed", "refine", "free"]
+TimeOffset: TypeAlias = Literal["free", "fixed"]
+
+
+@dataclass(frozen=True, eq=False)
+class Led:
+    """A light on a link of the robot, or one that stands still.
+
+    Attributes:
+        name: in the tables.
+        position: (3,) in its link's frame, None where unknown. [m]
+        sigma: how well the position is known, one standard deviation: 0 exactly, None not said. [m]
+        link: what it is fastened to; "world" for nothing of the robot, None for the tip link.
+    """
+
+    name: str
+    position: Floats | None = None
+    sigma: float | None = None
+    link: str | None = None
+
+    def __post_init__(self) -> None:
+        where = f"LED {self.name!r}"
+        object.__setattr__(self, "name", str(self.name))
+        if self.position is not None:
+            object.__setattr__(self, "position", finite_array(self.position, (3,), "position", where))
+        if self.sigma is not None:
+            if self.position is None:
+                raise SessionError("sigma is given without a position", where=where)
+            object.__setattr__(self, "sigma", finite_number(self.sigma, "sigma", where, zero=True))
+
+
+@dataclass(frozen=True)
+class LedDistance:
+    """The measured distance of two LEDs, as on an LED bar.
+
+    Attributes:
+        leds: the two.
+        distance: between them. [m]
+        sigma: how well it is known, one standard deviation. [m]
+    """
+
+    leds: tuple[str, str]
+    distance: float
+    sigma: float
+
+    def __post_init__(self) -> None:
+        where = f"distance of LEDs {self.leds[0]!r} and {self.leds[1]!r}"
+        if self.leds[0] == self.leds[1]:
+            raise SessionError("an LED has no distance to itself", where=where)
+        object.__setattr__(self, "distance", finite_number(self.distance, "distance", where, zero=False))
+        object.__setattr__(self, "sigma", finite_number(self.sigma, "sigma", where, zero=False))
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What was measured, how well: one standard deviation of each number.
+
+    Attributes:
+        pixel: of u and of v. [px]
+        point: of each coordinate of a measured point. [m]
+        joint: of each joint reading; 0 where it does not matter. [rad or m]
+        other: of further kinds of measurement, by their ``noise`` key; what is not named is the kind's usual one.
+    """
+
+    pixel: float = 0.1
+    point: float = 1e-4
+    joint: float = 0.0
+    other: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in ("pixel", "point", "joint"):
+            object.__setattr__(self, name, finite_number(getattr(self, name), name, "noise", zero=name == "joint"))
+        numbers = {name: finite_number(value, name, "noise", zero=False) for name, value in self.other.items()}
+        object.__setattr__(self, "other", ReadOnly(numbers))
+
+    def of(self, kind: type[Measurements]) -> float:
+        """Return the standard deviation of a kind of measurement, in its unit."""
+        declared = {"pixel": self.pixel, "point": self.point, **self.other}
+        return declared.get(kind.noise, kind.usual)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What is to be estimated; None leaves it to the calibration.
+
+    Attributes:
+        geometry: of the arm: DH rows, zero offsets only, every placement, or nothing.
+        intrinsics: of all cameras, or of each by name.
+        extrinsics: of all cameras, or of each by name.
+        time_offset: of every camera's clock from the robot's, where the arm moves; None is free.
+    """
+
+    geometry: ArmGeometry | None = None
+    intrinsics: Freedom | Mapping[str, Freedom] | None = None
+    extrinsics: Freedom | Mapping[str, Freedom] | None = None
+    time_offset: TimeOffset | None = None
+
+    def of(self, what: Literal["intrinsics", "extrinsics"], camera: str) -> Freedom | None:
+        """What the session says of one camera; None leaves it to the calibration."""
+        said: Freedom | Mapping[str, Freedom] | None = getattr(self, what)
+        return said if said is None or isinstance(said, str) else said.get(camera)
+
+    def __post_init__(self) -> None:
+        known_words = {"geometry": ArmGeometry, "intrinsics": Freedom, "extrinsics": Freedom, "time_offset": TimeOffset}
+        for name, known in known_words.items():
+            value, choices = getattr(self, name), get_args(known)
+            by_camera = name in ("intrinsics", "extrinsics") and isinstance(value, Mapping)
+            for word in value.values() if by_camera else (value,) * (value is not None):
+                if word not in choices:
+                    raise SessionError(
+                        f"{name} is {word!r}", where="estimate", remedy=f"Use {', '.join(choices)}, or None."
+                    )
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """How far the robot may be from its drawing, one standard deviation; 0 is exactly as drawn.
+
+    Attributes:
+        length: of d and a. [m]
+        angle: of theta, alpha and beta. [rad]
+        zero: of a joint's zero offset. [rad or m]
+        joints: exceptions, by joint (or mount of a branch) and DH parameter. [rad or m]
+    """
+
+    length: float = 0.001
+    angle: float = 0.002
+    zero: float = 0.005
+    joints: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in ("length", "angle", "zero"):
+            object.__setattr__(self, name, finite_number(getattr(self, name), name, "tolerances", zero=True))
+        read_only = {}
+        for joint, values in self.joints.items():
+            where = f"tolerances of joint {joint!r}"
+            for parameter in values:
+                if parameter not in PARAMETERS:
+                    raise SessionError(
+                        f"there is no parameter {parameter!r}",
+                        where=where,
+                        remedy=suggest(parameter, PARAMETERS, "parameters"),
+                    )
+            numbers = {str(name): finite_number(value, name, where, zero=True) for name, value in values.items()}
+            read_only[str(joint)] = ReadOnly(numbers)
+        object.__setattr__(self, "joints", ReadOnly(read_only))
