@@ -61,8 +61,9 @@ from urdfcal.session.model import Points, Session
 from urdfcal.simulation.simulate import Simulated, simulate
 
 if TYPE_CHECKING:
-    from urdfcal.session.knowledge import Freedom
     from collections.abc import Callable
+
+    from urdfcal.session.knowledge import Freedom
 
 POSES, COPIES = 500, (1, 10, 100)
 KINDS = ("pixels", "points")

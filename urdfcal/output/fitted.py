@@ -89,8 +89,8 @@ def far_corrections(calibration: FittedCalibration, tolerances: float) -> int:
 
 
 @dataclass(frozen=True, eq=False)
-class Measurements:
-    """Measurements of one kind as a table, one row each, ordered by pose.
+class ResidualTable:
+    """ResidualTable of one kind as a table, one row each, ordered by pose.
 
     Attributes:
         unit: of residuals: px for pixels, mm for points.
@@ -146,7 +146,7 @@ class Measurements:
         return poses, np.sqrt(np.bincount(self.pose[self.used], square)[poses] / count[poses])
 
 
-def measurements_of(calibration: FittedCalibration) -> tuple[Measurements, ...]:
+def measurements_of(calibration: FittedCalibration) -> tuple[ResidualTable, ...]:
     """Bring the calibration's blocks of observations, and what became of them, into tables."""
     fit, tables = calibration.fit, []
     for index, block in enumerate(calibration.observations):
@@ -155,7 +155,7 @@ def measurements_of(calibration: FittedCalibration) -> tuple[Measurements, ...]:
             solution.norms[index][rows] / np.sqrt(block.dimension) for solution in (fit, calibration.nominal_fit)
         )
         tables.append(
-            Measurements(
+            ResidualTable(
                 unit=unit,
                 scale=scale,
                 components=block.table.columns,
@@ -201,7 +201,7 @@ def convergence_of(calibration: FittedCalibration) -> Convergence:
     )
 
 
-def rms_by_iteration(calibration: FittedCalibration, tables: tuple[Measurements, ...]) -> dict[str, Floats]:
+def rms_by_iteration(calibration: FittedCalibration, tables: tuple[ResidualTable, ...]) -> dict[str, Floats]:
     """The rms residual (I + 1,) at the nominal arm and after each step, by unit, outliers left out."""
     result = {}
     for block, outlier, table in zip(calibration.observations, calibration.fit.outlier, tables, strict=True):
