@@ -75,6 +75,6 @@ def test_a_lens_or_a_time_offset_is_not_said_to_be_a_cameras_pose(simulated: Cal
     theta = "theta of row 3 (elbow_joint) cannot be distinguished from"
     assert said == [
         f"{theta} where cam1 is attached: it is fixed at its nominal value",
-        f"{theta} the lens of cam1: it is fixed at its nominal value",
-        f"{theta} the cameras' time offsets: it is fixed at its nominal value",
+        f"{theta} cam1.cx: it is fixed at its nominal value",
+        f"{theta} cam1.time_offset: it is fixed at its nominal value",
     ]
