@@ -41,9 +41,9 @@ from urdfcal.simulation.images import TRUTH, Exposure, write_simulated_images
 from urdfcal.simulation.simulate import Simulated, simulate
 
 if TYPE_CHECKING:
-    from urdfcal.session.model import Session
-    from urdfcal.result.fitted import FittedCalibration
     from urdfcal.cameras.rig import Rig
+    from urdfcal.result.fitted import FittedCalibration
+    from urdfcal.session.model import Session
 
 BOARD = ("--board", "charuco", "10x7", "--square", "0.03", "--marker", "0.022", "--dictionary", "DICT_5X5_100")
 

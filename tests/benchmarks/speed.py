@@ -57,11 +57,11 @@ from urdfcal.estimation.state import State
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.robot.dh import DHTable
-from urdfcal.session.knowledge import Freedom
 from urdfcal.session.model import Points, Session
 from urdfcal.simulation.simulate import Simulated, simulate
 
 if TYPE_CHECKING:
+    from urdfcal.session.knowledge import Freedom
     from collections.abc import Callable
 
 POSES, COPIES = 500, (1, 10, 100)

@@ -65,8 +65,13 @@ def at_rest(simulated: Callable) -> Session:
 
 
 def branched(simulated: Callable) -> Session:
-    """A robot of two arms, an LED on each; one camera rides on it."""
+    """A robot of two arms with an LED on each, before two eye-to-hand cameras."""
     return simulated("tiago_dual", poses=8).session
+
+
+def eye_in_hand(simulated: Callable) -> Session:
+    """A robot whose camera, on one branch, sees the LEDs of another."""
+    return simulated("tiago", poses=8).session
 
 
 def filmed(simulated: Callable) -> Session:

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -13,7 +13,9 @@ from urdfcal.errors import CameraError, OutputError, SessionError
 from urdfcal.estimation.measurements import Detections, Points
 from urdfcal.io.folder import read_session, write_session
 from urdfcal.session.knowledge import Estimate, Led, Noise, Tolerances
-from urdfcal.session.model import Session
+
+if TYPE_CHECKING:
+    from urdfcal.session.model import Session
 
 # Where it was read from is not what was read.
 PROVENANCE = {"folder", "sha256", "path"}

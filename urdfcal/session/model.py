@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, TypeVar
@@ -22,6 +21,7 @@ from urdfcal.session.motion import AT_REST, Motion
 from urdfcal.session.trajectory import Trajectory
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
     from urdfcal.robot.mechanism import Mechanism

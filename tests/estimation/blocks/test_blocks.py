@@ -9,12 +9,11 @@ import pytest
 
 from tests.estimation.derivatives import STEPS
 from tests.estimation.joint_models.test_joint_models import geometry_with, session_for
-from tests.estimation.measurements.test_measurements import session_with
-from tests.estimation.problems import Example, at_rest, branched, filmed
+from tests.estimation.measurements.test_measurements import CASES, session_with
+from tests.estimation.problems import Example, at_rest, branched, eye_in_hand, filmed
 from urdfcal.cameras.camera import Camera
 from urdfcal.estimation.blocks.base_pose import BaseBlock
 from urdfcal.estimation.joint_models import JOINT_MODELS
-from urdfcal.estimation.measurements import MEASUREMENTS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
     from urdfcal.arrays import Floats
     from urdfcal.estimation.blocks.base import Block
 
-GENERAL: dict[str, Callable] = {"at_rest": at_rest, "branched": branched, "filmed": filmed}
+GENERAL: dict[str, Callable] = {"at_rest": at_rest, "branched": branched, "eye_in_hand": eye_in_hand, "filmed": filmed}
 
 
 def _examples() -> list[Any]:
@@ -31,15 +30,15 @@ def _examples() -> list[Any]:
         for name, make in GENERAL.items()
         for geometry in ("dh", "offsets", "full")
     ]
-    cases += [pytest.param((kind, "dh"), id=f"measurement-{kind.kind}") for kind in MEASUREMENTS]
+    cases += [pytest.param((case, "dh"), id=f"measurement-{name}") for case, name in zip(*CASES, strict=True)]
     return [*cases, *(pytest.param((model, None), id=f"joint_model-{model.name}") for model in JOINT_MODELS)]
 
 
 @pytest.fixture(params=_examples())
 def example(request: pytest.FixtureRequest, simulated: Callable) -> Example:
     what, geometry = request.param
-    if what in MEASUREMENTS:
-        return Example.of(session_with(what, simulated), geometry)
+    if isinstance(what, tuple):
+        return Example.of(session_with(*what, simulated), geometry)
     if what in JOINT_MODELS:
         session = session_for(what, simulated)
         return Example.of(session, geometry_with(what, session))

@@ -13,7 +13,7 @@ import pinocchio as pin
 import pytest
 
 from tests.estimation.derivatives import assert_derivatives
-from tests.estimation.problems import Example, at_rest, branched
+from tests.estimation.problems import Example, at_rest, branched, eye_in_hand
 from urdfcal.estimation.blocks.base_pose import BASE
 from urdfcal.estimation.linearize import Jacobian, Tangent
 from urdfcal.estimation.links import Links
@@ -42,35 +42,53 @@ def points(simulated: Callable) -> Session:
     return replace(session, measurements=(Points(found.pose, found.led, found.xyz, np.array(session.noise.point)),))
 
 
-SESSIONS: dict[str, Callable[[Callable], Session]] = {"detections": branched, "points": points}
-"""By kind, a session with measurements of it, made from the fixture ``simulated``.
+SESSIONS: dict[str, tuple[Callable[[Callable], Session], ...]] = {
+    "detections": (branched, eye_in_hand),
+    "points": (points,),
+}
+"""By kind, one or more functions that make a session with measurements of it from the fixture ``simulated``.
 
-It is a simulated one (or made of one: it has a URDF), its values near what the nominal robot predicts, at eight poses
-or so. It may have measurements of other kinds as well, if they are needed to place the robot.
+It is a simulated session or made of one (it has a URDF), its values near what the nominal robot predicts, at eight
+poses or so. It may have measurements of other kinds as well, if they are needed to place the robot.
 """
 
 
-def session_with(kind: type[Measurement], simulated: Callable) -> Session:
+def _cases() -> tuple[list[tuple[type[Measurement], int]], list[str]]:
+    cases = [(kind, k) for kind in MEASUREMENTS for k in range(len(SESSIONS.get(kind.kind, (None,))))]
+    makers = [SESSIONS[kind.kind][k].__name__ if kind.kind in SESSIONS else "no_session" for kind, k in cases]
+    return cases, [f"{kind.kind}-{maker}" for (kind, _), maker in zip(cases, makers, strict=True)]
+
+
+CASES = _cases()
+"""Every kind with each of its sessions, by number; and names of these."""
+
+
+def session_with(kind: type[Measurement], number: int, simulated: Callable) -> Session:
     """A session with measurements of a kind."""
     if kind.kind not in SESSIONS:
         pytest.fail(
-            f"no session has {kind.kind!r}: add a function to SESSIONS in {__file__} which returns one with a "
-            f"{kind.__name__} among its measurements"
+            f"no session has {kind.kind!r}: add a function to SESSIONS in {__file__} under {kind.kind!r} which returns "
+            f"one with a table of {kind.__name__} among its measurements"
         )
-    session = SESSIONS[kind.kind](simulated)
+    session = SESSIONS[kind.kind][number](simulated)
     if session.find(kind) is None:
         pytest.fail(f"the session that SESSIONS in {__file__} gives for {kind.kind!r} has no {kind.__name__}")
     return session
 
 
-@pytest.fixture(params=MEASUREMENTS, ids=lambda kind: kind.kind)
-def kind(request: pytest.FixtureRequest) -> type[Measurement]:
+@pytest.fixture(params=CASES[0], ids=CASES[1])
+def case(request: pytest.FixtureRequest) -> tuple[type[Measurement], int]:
     return request.param
 
 
 @pytest.fixture
-def session(kind: type[Measurement], simulated: Callable) -> Session:
-    return session_with(kind, simulated)
+def kind(case: tuple[type[Measurement], int]) -> type[Measurement]:
+    return case[0]
+
+
+@pytest.fixture
+def session(case: tuple[type[Measurement], int], simulated: Callable) -> Session:
+    return session_with(*case, simulated)
 
 
 def observed_of(example: Example, kind: type[Measurement]) -> Observations:
@@ -123,6 +141,20 @@ def test_its_derivatives_agree_with_finite_differences(
     observed = observed_of(example, kind)
     assert np.isfinite(example.problem.predict(observed, example.state)[observed.valid]).all()
     assert_derivatives(example.problem, observed, example.state, example.parameters)
+
+
+def test_fixed_coordinates_have_no_derivative(kind: type[Measurement], session: Session) -> None:
+    example = Example.of(session, "dh")
+    observed = observed_of(example, kind)
+    entries = np.flatnonzero(example.parameters.active)[::3]
+    fewer = example.parameters.fixing({int(entry): "a reason" for entry in entries})
+    every, some = (
+        Tangent.at(example.problem, observed, example.state, parameters).linearise().J
+        for parameters in (example.parameters, fewer)
+    )
+    left = fewer.active[example.parameters.active]
+    assert not left.all()
+    np.testing.assert_allclose(some, every[..., left], rtol=1e-12, atol=1e-12 * np.abs(every).max())
 
 
 def test_it_depends_on_the_joint_values_as_its_derivative_says(kind: type[Measurement], session: Session) -> None:

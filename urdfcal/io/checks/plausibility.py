@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from urdfcal.arrays import Floats
+    from urdfcal.arrays import Bools, Floats
     from urdfcal.cameras.rig import Rig
     from urdfcal.estimation.measurements import Measurement
     from urdfcal.io.frame_tables import LogTable
@@ -156,7 +156,7 @@ def _check_reading_units(inputs: Inputs) -> None:
     # No radian reading is beyond a whole turn by mistake; most readings in degrees are.
     far = prismatic | (np.abs(readings) > 2.0 * np.pi)
     outside = np.asarray((readings < lower) | (readings > upper)) & far
-    fits = ((readings * factor >= lower) & (readings * factor <= upper)).all(axis=0)
+    fits: Bools = np.all((readings * factor >= lower) & (readings * factor <= upper), axis=0)
     for unit, meant, kind in (("degrees", "radians", ~prismatic), ("millimetres", "metres", prismatic)):
         suspects = np.flatnonzero(outside.any(axis=0) & kind)
         if not suspects.size or not fits[suspects].all():
