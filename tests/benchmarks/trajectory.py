@@ -41,11 +41,15 @@ from tests.benchmarks.accuracy import Knowledge
 from urdfcal.estimation.evaluation import compare
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
-from urdfcal.pipeline import FittedCalibration, calibrate
+from urdfcal.pipeline import calibrate
 from urdfcal.robot.chain import Chain
 from urdfcal.session.knowledge import Estimate
 from urdfcal.simulation.motion import Motion, set_in_motion
 from urdfcal.simulation.simulate import Simulated, simulate
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from urdfcal.result.fitted import FittedCalibration
 
 WORKSPACE = 500
 GEOMETRY_ALONE = Estimate("dh", "fixed", "fixed")

@@ -47,7 +47,7 @@ def test_noise_free_detections_give_the_truth(rig: str, simulated: Callable, tru
     true, found = (replace(session.chain, placements=p) for p in (data.truth.placements, calibration.placements))
     assert compare(true, found, q).position.max() < 1e-7
     np.testing.assert_allclose(calibration.estimate.leds, data.truth.leds, atol=1e-7)
-    assert calibration.summary()["rms_px"] < 1e-5
+    assert calibration.document.fit.rms_px < 1e-5
 
 
 def test_the_order_of_poses_does_not_matter(simulated: Callable) -> None:
@@ -77,7 +77,7 @@ def test_moved_detections_are_found_and_left_out(simulated: Callable) -> None:
     assert len(moved) >= 6
     calibration = calibrate(dirty.session)
     names = calibration.session.rig.names
-    found = {(calibration.session.poses.index(o["pose"]), names.index(o["camera"])) for o in calibration.outliers()}
+    found = {(calibration.session.poses.index(o.pose), names.index(o.camera)) for o in calibration.document.outliers}
     assert found == moved
     apart = np.abs(calibrate(clean.session).placements - calibration.placements)
     assert apart.max() < 5e-4
@@ -214,4 +214,4 @@ def test_many_outliers_do_not_run_away(seed: int, simulated: Callable) -> None:
     q = data.session.chain.random_values(100, np.random.default_rng(0))
     true, found = (replace(data.session.chain, placements=p) for p in (data.truth.placements, calibration.placements))
     assert compare(true, found, q).position.max() < 8e-3
-    assert calibration.summary()["rms_px"] < 0.5
+    assert calibration.document.fit.rms_px < 0.5
