@@ -76,7 +76,7 @@ def test_json_says_what_was_estimated_and_why_not(simulated: Callable) -> None:
     data = simulated("ur5")
     calibration = calibrate(data.session, seed=7)
     result = json.loads(json.dumps(calibration.to_dict(), allow_nan=False))
-    assert result["format"] == "urdfcal/1"
+    assert result["format"] == "urdfcal/2"
     assert result["provenance"]["seed"] == 7
     assert set(result["placements"]) == set(calibration.chain.names)
     assert len(result["dh"]) == 5 * 6
@@ -119,9 +119,9 @@ def test_cameras_of_unknown_place_are_placed(simulated: Callable) -> None:
 
 
 def test_the_measured_irb120_comes_out_as_published(shared: Path) -> None:
-    fit = calibrate(read_session(shared / "irb120_liaowu")).summary()
-    assert fit["rms_nominal_mm"] == pytest.approx(5.31, abs=0.01)  # 5.33 with the one outlier
-    assert fit["rms_mm"] <= 0.25
+    fit = calibrate(read_session(shared / "irb120_liaowu")).document.fit
+    assert fit.rms_nominal_mm == pytest.approx(5.31, abs=0.01)  # 5.33 with the one outlier
+    assert fit.rms_mm <= 0.25
 
 
 def test_every_exported_name_is_there() -> None:
@@ -136,7 +136,7 @@ def test_triangulated_points_do_nearly_as_well_as_pixels(simulated: Callable) ->
     session = replace(data.session, estimate=Estimate("dh", "fixed", "fixed"))
     pixels, points = (calibrate(session, method=method) for method in ("pixels", "points"))
     assert points.estimate.cameras == ()
-    assert points.summary()["rms_mm"] < 2.0
+    assert points.document.fit.rms_mm < 2.0
     assert error(points, data, points.placements) < 1.5 * error(pixels, data, pixels.placements)
 
 
@@ -157,7 +157,7 @@ def test_refuted_lenses_are_refused(shared: Path) -> None:
 def test_the_measured_motoman_finds_its_lenses(shared: Path) -> None:
     calibration = calibrate(read_session(shared / "motoman_right"))
     assert str(calibration.comparison.chosen.spec) == "DH rows, free intrinsics, free camera poses"
-    assert calibration.summary()["rms_px"] <= 1.02
+    assert calibration.document.fit.rms_px <= 1.02
     points, leds = read_points(shared / "motoman_right" / "check_points.csv", calibration.session)
     tracker = replace(calibration.session, measurements=(points,), leds=leds)
     residual = explain(replace(calibration.chain, placements=calibration.placements), tracker).residuals[0]

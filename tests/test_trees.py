@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from urdfcal.pipeline import FittedCalibration
+    from urdfcal.result.fitted import FittedCalibration
     from urdfcal.simulation.simulate import Simulated
 
 TREES = ["tiago", "tiago_dual", "ur5_handeye"]

@@ -21,8 +21,9 @@ if TYPE_CHECKING:
     from urdfcal.io.folder import read_rig, read_session, write_session
     from urdfcal.io.recorder import Recorder
     from urdfcal.output.recording import log_calibration as log
-    from urdfcal.pipeline import FittedCalibration, calibrate
+    from urdfcal.pipeline import calibrate
     from urdfcal.result.calibration import Calibration
+    from urdfcal.result.fitted import FittedCalibration
     from urdfcal.robot.chain import Chain
     from urdfcal.robot.dh import DHTable
     from urdfcal.robot.urdf.urdf import Urdf
@@ -30,9 +31,10 @@ if TYPE_CHECKING:
     from urdfcal.session.model import Session, Setup
 
 _HOMES = {
-    "urdfcal.pipeline": ("FittedCalibration", "calibrate"),
+    "urdfcal.pipeline": ("calibrate",),
     "urdfcal.errors": ("UrdfcalError",),
     "urdfcal.result.calibration": ("Calibration",),
+    "urdfcal.result.fitted": ("FittedCalibration",),
     "urdfcal.robot.chain": ("Chain",),
     "urdfcal.robot.dh": ("DHTable",),
     "urdfcal.robot.urdf.urdf": ("Urdf",),
@@ -80,3 +82,7 @@ def __getattr__(name: str) -> Any:
     home, attribute = _HOME_OF[name]
     value = globals()[name] = getattr(import_module(home), attribute)
     return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -151,7 +151,7 @@ def main() -> None:
             errors = [np.sqrt(np.mean(compare(robot, true, q).position ** 2)) for robot in (nominal, built)]
             bound = Knowledge.of(simulated, q, priors=not arguments.no_priors).reachable()
             rows.append([*errors, bound, Knowledge.of(simulated, q, priors=True).bayes()])
-            found += len(calibration.outliers())
+            found += len(calibration.document.outliers)
             moved += len(simulated.truth.outliers)
         before, after, bound, least = 1e3 * np.median(rows, axis=0)
         _, rms, rms_bound, _ = 1e3 * np.sqrt(np.mean(np.square(rows), axis=0))

@@ -35,7 +35,7 @@ from urdfcal.estimation.measurements import Detections
 from urdfcal.images.files import in_parallel, write_image
 from urdfcal.io.folder import read_rig, read_session
 from urdfcal.io.shipped_rigs import find_rig
-from urdfcal.pipeline import FittedCalibration, calibrate
+from urdfcal.pipeline import calibrate
 from urdfcal.session.knowledge import Estimate
 from urdfcal.simulation.board_images import BoardRenderer
 from urdfcal.simulation.images import TRUTH, Exposure, write_simulated_images
@@ -43,6 +43,7 @@ from urdfcal.simulation.simulate import Simulated, simulate
 
 if TYPE_CHECKING:
     from urdfcal.cameras.rig import Rig
+    from urdfcal.result.fitted import FittedCalibration
     from urdfcal.session.model import Session
 
 BOARD = ("--board", "charuco", "10x7", "--square", "0.03", "--marker", "0.022", "--dictionary", "DICT_5X5_100")

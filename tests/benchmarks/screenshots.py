@@ -30,10 +30,11 @@ from urdfcal.output import blueprint
 from urdfcal.output.findings import Overview
 from urdfcal.output.recording import write_recording
 from urdfcal.output.report import write_report
-from urdfcal.pipeline import FittedCalibration, calibrate
+from urdfcal.pipeline import calibrate
 from urdfcal.simulation.simulate import simulate
 
 if TYPE_CHECKING:
+    from urdfcal.result.fitted import FittedCalibration
     from urdfcal.session.model import Session
 
 _TABS = ("arm", "pixels", "convergence", "parameters", "residuals", "workspace")

@@ -34,6 +34,7 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -41,12 +42,15 @@ from tests.benchmarks.accuracy import Knowledge
 from urdfcal.estimation.evaluation import compare
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
-from urdfcal.pipeline import FittedCalibration, calibrate
+from urdfcal.pipeline import calibrate
 from urdfcal.robot.chain import Chain
 from urdfcal.session.knowledge import Estimate
 from urdfcal.session.motion import AT_REST
 from urdfcal.simulation.motion import Motion, set_in_motion
 from urdfcal.simulation.simulate import Simulated, simulate
+
+if TYPE_CHECKING:
+    from urdfcal.result.fitted import FittedCalibration
 
 WORKSPACE = 500
 GEOMETRY_ALONE = Estimate("dh", "fixed", "fixed")

@@ -68,7 +68,7 @@ def test_offsets_that_are_fixed_are_zero_and_do_not_explain_the_motion(
     (session / "session.yaml").write_text(text + "estimate: {time_offset: fixed, geometry: dh, intrinsics: fixed}\n")
     assert run(["calibrate", str(session), "-o", str(out), "--force"]) == 0
     assert offsets_of(out)["cam0"] == {"value": 0.0, "sigma": None}
-    assert "cam0 0 (held)" in capsys.readouterr().out
+    assert "cam0 0 (fixed)" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("form", ["--images", "--video"])

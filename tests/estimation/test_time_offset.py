@@ -20,7 +20,7 @@ from urdfcal.estimation.problem import Problem
 from urdfcal.estimation.time_offset_start import start_state
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
-from urdfcal.pipeline import FittedCalibration, calibrate
+from urdfcal.pipeline import calibrate
 from urdfcal.robot.dh import DHTable
 from urdfcal.session.knowledge import Estimate
 from urdfcal.session.motion import AT_REST
@@ -31,6 +31,7 @@ from urdfcal.simulation.simulate import simulate
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from urdfcal.result.fitted import FittedCalibration
     from urdfcal.session.model import Session
     from urdfcal.simulation.truth import Simulated
 
@@ -157,7 +158,7 @@ def test_frames_that_the_log_does_not_reach_once_the_time_offsets_are_known_are_
     times = found.session.motion.robot_time(found.estimate.time_offsets)
     assert log.time[0] < times.min() < log.time[0] + 0.5
     assert log.time[-1] - 0.5 < times.max() < log.time[-1]
-    assert found.outliers() == []
+    assert found.document.outliers == []
     assert "frames have no joint readings at their time once the cameras' time offsets are known" in found.warnings[-1]
     assert moving.session.recorded(np.array([0.93, -0.9])) is moving.session
 
@@ -166,7 +167,7 @@ def test_outliers_are_found_in_motion_as_well() -> None:
     moving = filmed("elbow3r", 12, 8.0, OFFSETS, 0.1)
     found = calibrate(replace(moving.session, estimate=ARM_ALONE), force=True)
     assert np.abs(found.estimate.time_offsets - OFFSETS).max() < 3e-4
-    assert len(found.outliers()) == pytest.approx(len(moving.truth.outliers), rel=0.05)
+    assert len(found.document.outliers) == pytest.approx(len(moving.truth.outliers), rel=0.05)
 
 
 def test_an_arm_at_rest_in_every_frame_determines_no_time_offset_and_that_is_said(true_state: Callable) -> None:

@@ -136,7 +136,7 @@ def test_logged_residuals_are_those_of_the_calibration(calibration, recorded, na
     for k in range(POSES):
         expected = [np.sqrt(np.mean(np.sum(residual[pose == k] ** 2, axis=1)))] if k in pose else []
         np.testing.assert_allclose(rows[k], expected, rtol=1e-12)
-    summary = calibration.summary()
+    summary = calibration.to_dict()["fit"]
     per_iteration = recorded.rows("/base/plots/rms_px", "Scalars:scalars", "iteration")
     assert per_iteration[0] == pytest.approx(summary["rms_nominal_px"], rel=1e-12)
     assert per_iteration[max(per_iteration)] == pytest.approx(summary["rms_px"], rel=1e-12)
@@ -189,7 +189,7 @@ def test_rays_leave_the_camera_through_the_sighting(calibration, recorded):
 
 
 def test_sightings_taken_out_of_the_fit_are_marked(calibration, recorded):
-    (outlier,) = calibration.outliers()
+    (outlier,) = calibration.to_dict()["outliers"]
     marked = recorded.static(f"/base/cameras/{outlier['camera']}/image/outliers", "Points2D:positions")
     np.testing.assert_allclose(marked, calibration.session.find(Detections).uv[5][None] + CORNER, atol=1e-3)
     assert recorded.static("/base/led/outliers", "Points3D:positions").shape == (1, 3)

@@ -15,7 +15,7 @@ from urdfcal.cameras.rig import Rig
 from urdfcal.estimation.measurements import Detections
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
-from urdfcal.output.findings import Overview, headline, look_up, verdict
+from urdfcal.output.findings import Overview, headline, look_up
 from urdfcal.output.report import write_report
 from urdfcal.output.scene import sample_workspace
 from urdfcal.pipeline import calibrate
@@ -104,7 +104,7 @@ def test_every_estimated_row_is_shown(path, page):
 def test_verdict_stands_first_and_what_is_lost_is_said(calibration, page):
     document = calibration.to_dict()
     text = page.text
-    assert text.index(verdict(calibration, document).sentence) < text.index("In numbers")
+    assert text.index(calibration.assessment.sentence) < text.index("In numbers")
     for sentence in (*document["identifiability"]["lost"], *document["warnings"]):
         assert sentence in text
     for hash_ in document["provenance"]["sha256"].values():
@@ -134,19 +134,18 @@ def test_figures_are_well_formed_and_without_clashing_ids(path):
 def test_a_wrong_lens_does_not_get_a_good_verdict(tmp_path):
     session = a_session(lens=1.02)
     doubtful = calibrate(replace(session, estimate=Estimate("dh", "fixed")), force=True)
-    assert verdict(doubtful).level == "bad"
+    assert doubtful.assessment.level == "bad"
     write_report(tmp_path / "report.html", doubtful)
     page = Page((tmp_path / "report.html").read_text())
     assert ("section", "verdict bad") in page.elements
-    for sentence in (verdict(doubtful).sentence, *verdict(doubtful).reasons):
+    for sentence in (doubtful.assessment.sentence, *doubtful.assessment.reasons):
         assert page.text.count(sentence) == 1
 
 
 def test_a_clean_session_gets_a_good_verdict_and_a_warning_makes_it_doubtful():
-    good = calibrate(a_session("ur5", outlier=False))
-    assert verdict(good).level == "good"
-    warned = replace(good, warnings=("joint E never moves",))
-    found = verdict(warned)
+    session = a_session("ur5", outlier=False)
+    assert calibrate(session).assessment.level == "good"
+    found = calibrate(replace(session, warnings=("joint E never moves",))).assessment
     assert (found.level, found.reasons) == ("doubtful", ("joint E never moves",))
 
 
@@ -162,9 +161,7 @@ def test_held_out_figures_are_the_headline_with_their_interval(calibration, tmp_
     overview = Overview.of(calibration)
     document = {**overview.document, "validation": validation}
     assert headline(document) == "1.5 -> 0.25 mm"
-    worse = {**document, "validation": {**validation, "rms_mm": 1.6}}
-    assert verdict(calibration, worse).level == "bad"
-    overview = replace(overview, document=document, verdict=verdict(calibration, document))
+    overview = replace(overview, document=document)
     write_report(tmp_path / "report.html", calibration, overview)
     page = Page((tmp_path / "report.html").read_text())
     assert "1.5 → 0.25 mm (95 %: 0.2 to 0.3 )" in page.text

@@ -88,7 +88,7 @@ def test_leds_and_cameras_are_where_the_estimate_has_them(calibration, which):
 
 
 def test_the_drawn_leds_are_as_their_camera_sees_them(calibration):
-    scene, drawn = build_scene(calibration), calibration.snapshot(calibration.comparison.drawn.fit.state)
+    scene, drawn = build_scene(calibration), calibration.snapshot(calibration.comparison.nominal_arm.fit.state)
     places = RobotPoses.of(calibration.session, fitted.nominal(calibration, same_cameras=True), calibration.session.q)
     pixels = scene.pixels
     for s in range(0, len(pixels.pose), 7):

@@ -103,11 +103,14 @@ def test_threads_share_a_loaded_calibration(saved: tuple[urdfcal.FittedCalibrati
 @pytest.mark.parametrize(
     ("edit", "message"),
     [
-        (lambda d: d.update(format="urdfcal/2"), r"'urdfcal/2', not 'urdfcal/1'"),
+        (lambda d: d.update(format="urdfcal/3"), r"'urdfcal/3', not 'urdfcal/2'"),
         (lambda d: d.update(mystery=1), "mystery.*extra inputs"),
         (lambda d: d.pop("leds"), "leds.*field required"),
         (lambda d: d["robot"]["joints"]["elbow_joint"].update(axis=[0, 1]), "elbow_joint.axis"),
-        (lambda d: d["robot"]["joints"]["elbow_joint"]["built"][0].__setitem__(0, 2.0), "built.*no rigid transform"),
+        (
+            lambda d: d["robot"]["joints"]["elbow_joint"]["calibrated"][0].__setitem__(0, 2.0),
+            "calibrated.*no rigid transform",
+        ),
         (lambda d: d["dh"][0].update(joint="nobody"), "'nobody', which the robot has not"),
         (lambda d: d["T_world_base"][0].__setitem__(3, float("nan")), "NaN is no number"),
     ],

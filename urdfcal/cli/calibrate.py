@@ -19,12 +19,13 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from urdfcal.output.findings import Overview
-    from urdfcal.pipeline import FittedCalibration, Method
+    from urdfcal.pipeline import Method
+    from urdfcal.result.fitted import FittedCalibration
     from urdfcal.session.model import Session
 
 Report = Literal["text", "json", "nothing"]
 
-# A summary that is longer scrolls its verdict away.
+# A summary that is longer scrolls its assessment away.
 _MOST_LINES, _MOST_ROWS, _MOST_REMARKS = 25, 8, 6
 
 
@@ -41,11 +42,15 @@ _MOST_LINES, _MOST_ROWS, _MOST_REMARKS = 25, 8, 6
 )
 @click.option("--no-priors", is_flag=True, help="Plain least squares, without manufacturing tolerances.")
 @click.option(
-    "--starts", type=click.IntRange(min=0), default=0, metavar="N", help="Start from N other arms, too, and screen."
+    "--starts",
+    type=click.IntRange(min=0),
+    default=0,
+    metavar="N",
+    help="Start from N other arms, too, and screen the minima.",
 )
-@click.option("--force", is_flag=True, help="Write the result even where it fails its own checks.")
+@click.option("--force", is_flag=True, help="Write the result even if its assessment has failures.")
 @click.option("--live", is_flag=True, help="Show the solver at work in the rerun viewer.")
-@click.option("--json", "as_json", is_flag=True, help="Print verdict, files and calibration.json instead of a summary.")
+@click.option("--json", "as_json", is_flag=True, help="Print calibration.json and the files instead of a summary.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def command(
     session: Path,
@@ -124,31 +129,26 @@ def run(
             raise
         say("writing URDF, report and recording")
         overview = Overview.of(calibration)
-        if overview.verdict.level == "bad" and not force:
-            raise CalibrationError(
-                "; ".join(overview.verdict.reasons), where="not written", remedy="--force writes it all the same."
-            )
         paths, remarks = write_results(calibration, output, overview)
         if view is not None:
             view.finish(calibration, overview)
     if report == "json":
-        verdict = {"level": overview.verdict.level, "sentence": overview.verdict.sentence}
         files = {path.suffix[1:]: str(path) for path in paths}
-        click.echo(json.dumps({**overview.document, "verdict": verdict, "files": files}, indent=2))
+        click.echo(json.dumps({**overview.document, "files": files}, indent=2))
     elif report == "text":
         _print(overview, paths, remarks)
     return calibration
 
 
 def _print(overview: Overview, paths: Sequence[Path], remarks: Sequence[str]) -> None:
-    """Verdict, numbers, corrections, warnings and files, in at most 25 lines."""
+    """Print assessment, numbers, corrections, warnings and files, in at most 25 lines."""
     from rich.text import Text
 
     from urdfcal.cli.console import output
     from urdfcal.output.findings import HEADLINE, headline
 
     console = output()
-    document, verdict, calibration = overview.document, overview.verdict, overview.calibration
+    document, assessment, calibration = overview.document, overview.assessment, overview.calibration
     fit, (low, high) = document["fit"], document["validation"]["interval_mm"]
 
     def line(text: str, style: str = "") -> None:
@@ -158,8 +158,8 @@ def _print(overview: Overview, paths: Sequence[Path], remarks: Sequence[str]) ->
         else:
             console.print(Text(text, style=style), soft_wrap=True)
 
-    tone = {"good": "bold green", "doubtful": "bold yellow", "bad": "bold red"}[verdict.level]
-    line(f"{calibration.chain.name}: {verdict.sentence}", tone)
+    tone = {"good": "bold green", "doubtful": "bold yellow", "bad": "bold red"}[assessment.level]
+    line(f"{calibration.chain.name}: {assessment.sentence}", tone)
     interval = f"(95 %: {low:.3g} to {high:.3g})"
     line(f"{headline(document)} {interval} {HEADLINE}, nominal -> calibrated", "bold")
     parts = [
@@ -167,7 +167,9 @@ def _print(overview: Overview, paths: Sequence[Path], remarks: Sequence[str]) ->
         for unit in ("px", "mm")
         if f"rms_{unit}" in fit
     ]
-    line(f"residual {', '.join(parts)} rms, {fit['reduced_chi2'] ** 0.5:.2g} times the declared noise")
+    chi2 = fit["reduced_chi2"]
+    noise = f", {chi2**0.5:.2g} times the declared noise" if chi2 is not None else ""
+    line(f"residual {', '.join(parts)} rms{noise}")
     line(
         f"{fit['poses']} poses, {fit['observations']} measured numbers, {fit['parameters']} parameters "
         f"({calibration.comparison.chosen.spec}), {_counted(len(document['outliers']), 'outlier')}"
@@ -181,7 +183,11 @@ def _print(overview: Overview, paths: Sequence[Path], remarks: Sequence[str]) ->
     if rows <= _MOST_ROWS:
         console.print(_corrections(calibration))
         printed += rows + 5  # title, head, rule, and a blank line above and below
-    texts = [*verdict.reasons, *remarks, *(f"not told: {lost}" for lost in document["identifiability"]["lost"])]
+    texts = [
+        *assessment.reasons,
+        *remarks,
+        *(f"unidentifiable: {lost}" for lost in document["identifiability"]["lost"]),
+    ]
     room = min(_MOST_REMARKS, _MOST_LINES - printed)
     if len(texts) > room:
         texts = [*texts[: room - 1], f"{len(texts) - room + 1} more remarks in the report"]
@@ -198,14 +204,14 @@ def _counted(count: int, what: str) -> str:
 
 def _clock(value: float, sigma: float | None) -> str:
     """A camera's time offset, given in s."""
-    return f"{1e3 * value:.3g} (held)" if sigma is None else f"{1e3 * value:+.2f} ± {1e3 * sigma:.2f} ms"
+    return f"{1e3 * value:.3g} (fixed)" if sigma is None else f"{1e3 * value:+.2f} ± {1e3 * sigma:.2f} ms"
 
 
 def _corrections(calibration: FittedCalibration) -> object:
     import numpy as np
 
     from urdfcal.cli.console import sheet
-    from urdfcal.output.fitted import LENGTHS
+    from urdfcal.estimation.blocks.arm import LENGTHS
 
     columns = [f"{name} ({'mm' if name in LENGTHS else 'mrad'})" for name in calibration.geometry.columns]
     table = sheet("offsets ± standard deviation", ["joint", *columns])

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from urdfcal.errors import CalibrationError
-from urdfcal.estimation.blocks.arm import ArmBlock
 from urdfcal.estimation.identifiability import identify
 from urdfcal.estimation.model_spec import allowed, candidates, nominal
 from urdfcal.estimation.parameters import choose_parameters
@@ -25,16 +24,8 @@ if TYPE_CHECKING:
     from urdfcal.estimation.validation import HeldOut
     from urdfcal.session.model import Session
 
-# Held-out residuals that shrink by this factor with lenses set free refute the lenses as given: the arm would be
-# bent to make up for them (a measured session of a Motoman arm: 3.0 against 1.0 px, and an arm ten times worse).
-_REFUTED = 1.5
-# Residuals this many times the declared noise are no noise: wrong tip links and exchanged columns start at a hundred,
-# careless declarations end at five or so.
-_ABSURD = 20.0
-_MANY_OUTLIERS = 0.25
 # Lenses that were calibrated are knowledge: freeing them must better the prediction by this many standard errors.
 _CERTAIN = 3.0
-_STRANGE = 20.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,16 +70,16 @@ class Comparison:
     Attributes:
         nominal: the arm and the lenses as given; only base, LEDs and unknown camera poses fitted.
         attempts: every model, from simple to rich; those that could be the best are trials.
-        chosen: of those that the session allows, the one that predicts unseen poses best.
-        drawn: the chosen one's cameras with the arm as drawn.
-        failures: why the chosen one should not be used.
+        best: the one that predicts held-out poses best, whether the session allows it or not.
+        chosen: of those that the session allows, the one that predicts held-out poses best.
+        nominal_arm: the chosen one's cameras with the nominal arm.
     """
 
     nominal: Solution
     attempts: tuple[Attempt, ...]
+    best: Trial
     chosen: Trial
-    drawn: Trial
-    failures: tuple[str, ...]
+    nominal_arm: Trial
 
 
 def compare_models(
@@ -143,9 +134,9 @@ def compare_models(
             chosen = trial
     if chosen is None or best is None:
         raise CalibrationError("the session allows no model", remedy="Look at its estimate.")
-    drawn = validated(chosen.spec.nominal_arm)
+    nominal_arm = validated(chosen.spec.nominal_arm)
     ordered = tuple(attempts[spec] for spec in dict.fromkeys((*models, *attempts)))
-    return Comparison(as_given, ordered, chosen, drawn, tuple(_failures(session, best, chosen, drawn)))
+    return Comparison(as_given, ordered, best, chosen, nominal_arm)
 
 
 def _preferred(trial: Trial, rival: Trial, problem: Problem) -> bool:
@@ -176,76 +167,11 @@ def validate(attempt: Attempt, problem: Problem, seed: int) -> Trial:
     )
 
 
-def with_fit(
-    comparison: Comparison,
-    fit: Solution,
-    session: Session,
-    problem: Problem,
-    seed: int,
-) -> Comparison:
+def with_fit(comparison: Comparison, fit: Solution, problem: Problem, seed: int) -> Comparison:
     """The same comparison with another estimate of the chosen model."""
     old = comparison.chosen
     attempt = Attempt(old.spec, old.identifiability, fit, loss(fit.norms, problem.observations))
     chosen = validate(attempt, problem, seed)
     attempts = tuple(chosen if attempt is old else attempt for attempt in comparison.attempts)
-    failures = tuple(_failures(session, chosen, chosen, comparison.drawn))
-    return replace(comparison, attempts=attempts, chosen=chosen, failures=failures)
-
-
-def _failures(session: Session, best: Trial, chosen: Trial, drawn: Trial) -> list[str]:
-    failures = []
-    fit = chosen.fit
-    noise = float(np.sqrt(fit.reduced_chi2))
-    if noise > _ABSURD:
-        failures.append(
-            f"the residuals are {noise:.0f} times the declared noise: this is not a robot like the drawn one; check "
-            "the tip link, the order and the signs of the joint columns, their units, and the cameras"
-        )
-    cut, total = (sum(int(np.sum(part)) for part in parts) for parts in (fit.outlier, fit.kept))
-    total += cut
-    if cut > _MANY_OUTLIERS * total:
-        failures.append(f"{cut} of {total} sightings had to be taken out as outliers: look at how LEDs were detected")
-    strange = _offsets_in_tolerances(fit)
-    if strange:
-        failures.append(
-            f"{', '.join(strange)}: no arm is built so far from its drawing; check the tip link and the joint "
-            "columns, or name larger tolerances"
-        )
-    if not chosen.fit.converged:
-        failures.append(
-            f"the estimate did not settle in {len(chosen.fit.history)} steps: check the joint readings' columns and "
-            "units, the tip link and the cameras"
-        )
-    if session.estimate.geometry != "none" and chosen.loss >= drawn.loss:
-        failures.append(
-            "the calibrated arm does not predict poses it has not seen better than the drawn one: more poses or less "
-            "noise are needed, or there is nothing to correct"
-        )
-    if chosen.spec.intrinsics:
-        with_given, with_free = (_rms(trial.residuals("residual")) for trial in (chosen, best))
-        if with_given > _REFUTED * with_free:
-            failures.append(
-                f"the cameras' intrinsics as given are refuted by the sightings: poses not seen are predicted to "
-                f"{with_given:.2f} px with them and to {with_free:.2f} px with free ones, so the arm would be bent to "
-                "make up for the lenses; set estimate: {intrinsics: free}, or calibrate the cameras"
-            )
-    return failures
-
-
-def _offsets_in_tolerances(fit: Solution) -> list[str]:
-    """The offsets far beyond tolerance, in words; joints' zeros left out: on cheap arms they are anywhere."""
-    words = []
-    for block in fit.parameters.blocks:
-        if not isinstance(block, ArmBlock):
-            continue
-        offsets, _ = block.local(fit.state[block.key])
-        for name, row, offset, sigma in zip(block.names, block.rows, offsets, block.sigma, strict=True):
-            if row not in block.arm.zeros and abs(offset) > _STRANGE * sigma:
-                words.append(f"{name} would be off by {abs(offset) / sigma:.0f} tolerances")
-    return words
-
-
-def _rms(values: Floats) -> float:
-    if values.size == 0:
-        raise CalibrationError("no sighting is left: all are outliers", remedy="Check how LEDs were detected.")
-    return float(np.sqrt(np.mean(values**2)))
+    best = chosen if comparison.best is old else comparison.best
+    return replace(comparison, attempts=attempts, best=best, chosen=chosen)

@@ -9,6 +9,7 @@ import numpy as np
 
 from urdfcal.errors import CalibrationError
 from urdfcal.estimation.alignment import kabsch
+from urdfcal.estimation.assessment import IMPLAUSIBLE, corrections
 from urdfcal.estimation.blocks.arm import ARM, no_offsets
 from urdfcal.estimation.blocks.cameras import has_cameras, without_cameras
 from urdfcal.estimation.joint_models import Readings
@@ -30,8 +31,6 @@ _CHANCE = 25.0
 # Minima whose LEDs agree to this share of the arm's reach wherever it goes are one arm: the solver stops at 1e-6 of
 # a standard deviation, other minima are millimetres away.
 _SAME = 1e-5
-# Offsets beyond this many tolerances contradict the nominal arm.
-_INCONGRUENT = 20.0
 # Near starts are drawn within a few tolerances; far ones have lengths off by up to this share of the reach and
 # angles by up to half a turn.
 _NEAR, _FAR_LENGTH = 3.0, 0.3
@@ -105,10 +104,14 @@ def _start(session: Session, problem: Problem, first: Solution, rng: np.random.G
 
 
 def _screen(session: Session, problem: Problem, found: Sequence[Solution]) -> list[Minimum]:
+    def largest(solution: Solution) -> float:
+        moved = corrections(problem, solution, session.tolerances)
+        return max((correction.tolerances for correction in moved), default=0.0)
+
     settled = [solution for solution in found if solution.converged]
     best = min((solution.cost for solution in settled), default=np.inf)
     likely = [solution for solution in settled if solution.cost <= best + _CHANCE]
-    kept = min(likely, key=lambda solution: _strangeness(session, solution), default=None)
+    kept = min(likely, key=largest, default=None)
     candidates: list[Minimum] = []
     for solution in found:
         if solution is kept:
@@ -123,23 +126,9 @@ def _screen(session: Session, problem: Problem, found: Sequence[Solution]) -> li
             reason = "the same arm in other signs of its DH parameters" if twin else "the same minimum"
             candidates.append(Minimum(solution, False, reason))
         else:
-            strangeness = _strangeness(session, solution)
-            word = "outside tolerance" if strangeness > _INCONGRUENT else "farther from nominal"
-            candidates.append(Minimum(solution, False, f"{word}: an offset of {strangeness:.0f} tolerances"))
+            word = "outside tolerance" if largest(solution) > IMPLAUSIBLE else "farther from nominal"
+            candidates.append(Minimum(solution, False, f"{word}: an offset of {largest(solution):.0f} tolerances"))
     return candidates
-
-
-def _strangeness(session: Session, solution: Solution) -> float:
-    """The largest offset in units of its tolerance."""
-    tolerances, largest = session.tolerances, 0.0
-    for block in solution.parameters.blocks:
-        if not block.toleranced:
-            continue
-        offsets, _ = block.local(solution.state[block.key])
-        for offset, unit in zip(offsets, block.units, strict=True):
-            tolerance = tolerances.length if unit == "m" else tolerances.angle
-            largest = max(largest, abs(offset) / tolerance if tolerance > 0.0 else 0.0)
-    return largest
 
 
 def _same_arm(problem: Problem, a: Solution, b: Solution) -> bool:

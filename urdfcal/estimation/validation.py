@@ -12,12 +12,13 @@ from urdfcal.estimation.solver import refit, residual_norms
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from urdfcal.arrays import Floats
+    from urdfcal.arrays import Bools, Floats, Ints
     from urdfcal.estimation.observations import Observations
     from urdfcal.estimation.problem import Problem
     from urdfcal.estimation.solver import Solution
 
 FOLDS = 5
+_RESAMPLES = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,3 +73,29 @@ def hold_out(problem: Problem, fit: Solution, seed: int) -> HeldOut:
             residual[k][left] = np.linalg.norm(unseen.residual(observed, state), axis=-1)
             distance[k][left] = residual[k][left] * unseen.metres_per_unit(observed, state)
     return HeldOut(count, tuple(norms), tuple(residual), tuple(distance))
+
+
+def rms_interval(
+    observations: Sequence[Observations], kept: Sequence[Bools], distance: Sequence[Floats], unit: Ints, seed: int
+) -> tuple[float, float]:
+    """Bootstrap the 95 % interval of a root mean square by resampling whole units.
+
+    Args:
+        observations: the measurements, one for each kind.
+        kept: for each kind (N, m): those that are no outliers.
+        distance: for each kind (N, m): the values. [m]
+        unit: (poses,) which unit a pose belongs to; errors of different units are independent.
+        seed: of the samples.
+
+    Returns:
+        2.5th and 97.5th percentile. [m]
+    """
+    squares, counts = np.zeros(unit.max() + 1), np.zeros(unit.max() + 1)
+    for observed, used, values in zip(observations, kept, distance, strict=True):
+        np.add.at(squares, unit[observed.pose], np.sum(np.where(used, values, 0.0) ** 2, axis=1))
+        np.add.at(counts, unit[observed.pose], np.sum(used, axis=1))
+    seen = np.flatnonzero(counts)
+    sample = np.random.default_rng(seed).choice(seen, (_RESAMPLES, len(seen)))
+    rms = np.sqrt(squares[sample].sum(axis=1) / counts[sample].sum(axis=1))
+    low, high = np.percentile(rms, [2.5, 97.5])
+    return float(low), float(high)

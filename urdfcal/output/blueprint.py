@@ -62,10 +62,10 @@ def layout(root: str, overview: Overview, active: int = 0) -> rrb.Blueprint:
 
 def _banner(root: str, overview: Overview) -> rrb.View:
     """A stripe in the verdict's colour; its text is the title, legible on dark and on light screens."""
-    verdict = overview.verdict
+    assessment = overview.assessment
     number = f"{headline(overview.document)} {HEADLINE}"
     return rrb.Spatial2DView(
-        origin=f"{root}/banner", name=f"{verdict.sentence}  {number}", background=VERDICT_COLORS[verdict.level]
+        origin=f"{root}/banner", name=f"{assessment.sentence}  {number}", background=VERDICT_COLORS[assessment.level]
     )
 
 

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from urdfcal.estimation.blocks.arm import LENGTHS
 from urdfcal.output.chart import Chart, Mark, Scale
-from urdfcal.output.fitted import LENGTHS, convergence_of, entries_of_rows
+from urdfcal.output.fitted import convergence_of, entries_of_rows
 from urdfcal.output.palette import CALIBRATED, COMPONENTS, INK, NOMINAL, PARAMETER_COLORS
 
 if TYPE_CHECKING:
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from urdfcal.output.findings import Overview
     from urdfcal.output.fitted import ResidualTable
     from urdfcal.output.scene import Workspace
-    from urdfcal.pipeline import FittedCalibration
+    from urdfcal.result.fitted import FittedCalibration
 
 # Residuals in standard deviations beyond this are off the charts.
 _SIGMAS = 6.0

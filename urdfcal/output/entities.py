@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from urdfcal.output.fitted import ResidualTable
     from urdfcal.output.scene import CalibrationScene, Workspace
     from urdfcal.output.stream import Layer
-    from urdfcal.pipeline import FittedCalibration
+    from urdfcal.result.fitted import FittedCalibration
 
 # rerun takes negative radii as points on the screen instead of metres.
 _DOT, _SMALL_DOT, _THIN, _LINE, _ARROW = -4.0, -2.0, -0.8, -1.5, -3.0

@@ -7,14 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.estimation.blocks.arm import ArmBlock
-
 if TYPE_CHECKING:
     from urdfcal.arrays import Bools, Floats, Ints
     from urdfcal.cameras.camera import Camera
     from urdfcal.estimation.snapshot import Snapshot
     from urdfcal.estimation.state import State
-    from urdfcal.pipeline import FittedCalibration
+    from urdfcal.result.fitted import FittedCalibration
 
 LENGTHS = ("d", "a", "x", "y", "z")
 """Parameters in m; the others are in rad."""
@@ -55,7 +53,7 @@ def nominal(calibration: FittedCalibration, *, same_cameras: bool = False) -> Ar
         calibration: the result.
         same_cameras: with the calibrated arm's lenses instead of the given ones.
     """
-    other = calibration.comparison.drawn.fit.state
+    other = calibration.comparison.nominal_arm.fit.state
     return _plain(calibration, calibration.snapshot(other) if same_cameras else calibration.nominal)
 
 
@@ -75,17 +73,6 @@ def _plain(calibration: FittedCalibration, state: Snapshot) -> ArmEstimate:
 def entries_of_rows(calibration: FittedCalibration) -> list[tuple[int, int]]:
     """The entries (row, column) of the arm's offsets that were estimated."""
     return [(row, calibration.geometry.columns.index(name)) for row, name in calibration.corrected]
-
-
-def far_corrections(calibration: FittedCalibration, tolerances: float) -> int:
-    """Count the corrections of more than so many tolerances; joints' zeros may be anywhere."""
-    fit, count = calibration.fit, 0
-    for block in fit.parameters.blocks:
-        if isinstance(block, ArmBlock):
-            offsets, _ = block.local(fit.state[block.key])
-            zeros = np.array([row in block.arm.zeros for row in block.rows])
-            count += int(np.count_nonzero(block.active & ~zeros & (np.abs(offsets) > tolerances * block.sigma)))
-    return count
 
 
 @dataclass(frozen=True, eq=False)

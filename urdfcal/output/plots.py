@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from urdfcal.output.chart import Chart
     from urdfcal.output.scene import CalibrationScene
     from urdfcal.output.stream import Layer
-    from urdfcal.pipeline import FittedCalibration
+    from urdfcal.result.fitted import FittedCalibration
 
 # Size of the plotted area; only its shape is seen.
 _WIDTH, _HEIGHT = 150.0, 105.0

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from urdfcal.arrays import Floats
     from urdfcal.cameras.camera import Camera
     from urdfcal.output.fitted import ArmEstimate
-    from urdfcal.pipeline import FittedCalibration
+    from urdfcal.result.fitted import FittedCalibration
     from urdfcal.robot.dh import DHTable
     from urdfcal.robot.tree_dh import TreeTable
 

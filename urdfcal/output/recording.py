@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from rerun import RecordingStream
 
-    from urdfcal.pipeline import FittedCalibration
+    from urdfcal.result.fitted import FittedCalibration
 
 ROOT = "base"
 """Entity of the base link; all of a recording is in its frame."""

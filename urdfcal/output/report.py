@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal import files
+from urdfcal.estimation.blocks.arm import LENGTHS
 from urdfcal.output import charts, figures
 from urdfcal.output.findings import HEADLINE, Overview, look_up
-from urdfcal.output.fitted import LENGTHS
 from urdfcal.output.palette import SIGMA_LEGEND
 from urdfcal.output.texts import MOUNTS, fastening_sentences, fixed_parameters, listed
 from urdfcal.robot.tree_dh import MOUNT
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from markupsafe import Markup
 
     from urdfcal.output.findings import ResultData
-    from urdfcal.pipeline import FittedCalibration
+    from urdfcal.result.fitted import FittedCalibration
 
 _TEMPLATE = "report.html.jinja"
 _OUTLIERS_SHOWN = 25
@@ -57,7 +57,6 @@ def write_report(path: Path, calibration: FittedCalibration, overview: Overview 
     page = template.render(
         document,
         n=_number_of(document),
-        verdict=overview.verdict,
         meaning=HEADLINE,
         misfit=f"{np.sqrt(document['fit']['reduced_chi2']):.2g}",
         figures={name: Markup(svg) for name, svg in svgs.items()},  # noqa: S704  # made by us, labels escaped

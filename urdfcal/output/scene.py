@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from urdfcal.output.fitted import ArmEstimate, ResidualTable
-    from urdfcal.pipeline import FittedCalibration
+    from urdfcal.result.fitted import FittedCalibration
     from urdfcal.session.attachments import Attachments
 
     Bools = NDArray[np.bool_]

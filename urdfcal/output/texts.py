@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import rerun as rr
 
+from urdfcal.estimation.blocks.arm import LENGTHS
 from urdfcal.output.charts import CONVERGENCE, PART_COLORS, RESIDUALS
 from urdfcal.output.findings import HEADLINE, headline
-from urdfcal.output.fitted import LENGTHS
 from urdfcal.output.palette import SIGMA_LEGEND
 from urdfcal.robot.tree_dh import MOUNT
 
@@ -40,7 +40,7 @@ enlarged alike.
 def log_texts(base: Layer, overview: Overview) -> None:
     """Log the verdict, what there is to see at each pose, the table of the DH rows, and the poses' names."""
     session = overview.calibration.session
-    banner = f"{overview.verdict.sentence}   {headline(overview.document)}, {HEADLINE}"
+    banner = f"{overview.assessment.sentence}   {headline(overview.document)}, {HEADLINE}"
     base.at("banner").fixed(rr.Points2D([[0.0, 0.0]], radii=0.0, labels=banner, show_labels=False))
     texts = base.at("texts")
     texts.at("about").fixed(rr.TextDocument.from_fields(media_type=rr.MediaType.MARKDOWN))
@@ -68,8 +68,8 @@ def _about(overview: Overview) -> list[str]:
     legend = _LEGEND.format(factor=scene.factor)
     if fastened := fastening_sentences(session):
         legend += "\n" + " ".join(fastened) + "\n"
-    if overview.verdict.reasons:
-        legend += "\n**To check:**\n" + "\n".join(f"- {text}" for text in overview.verdict.reasons)
+    if overview.assessment.reasons:
+        legend += "\n**To check:**\n" + "\n".join(f"- {text}" for text in overview.assessment.reasons)
     return [
         f"**Pose {pose}**: {'; '.join(line) or 'nothing seen'}.\n\n{legend}"
         for pose, line in zip(poses, lines, strict=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
@@ -27,32 +26,57 @@ if TYPE_CHECKING:
     import pinocchio as pin
     from numpy.typing import ArrayLike
 
+    from urdfcal.result.document import ResultDocument, RobotSection
     from urdfcal.robot.urdf.urdf import Urdf
 
-FORMAT = "urdfcal/1"
 FILE_NAME = "calibration.json"
 
 
 class Calibration(ABC):
-    """The robot that was really built, as far as a session told. Immutable, so that threads may share it."""
+    """A calibrated robot: its nominal joints, their calibrated placements, and the result document.
+
+    Immutable, so that threads may share it.
+    """
 
     @property
     @abstractmethod
     def chain(self) -> Mechanism:
-        """The joints that were calibrated, as drawn: a chain, or a tree of them."""
+        """The nominal joints that were calibrated: a chain, or a tree of them."""
 
     @property
     @abstractmethod
     def placements(self) -> Floats:
-        """(n, 4, 4) calibrated placement of each joint in the frame of the one it hangs on. [m]."""
+        """(n, 4, 4) calibrated placement of each joint in the frame of its parent joint. [m]."""
 
+    @property
     @abstractmethod
+    def dh_offsets(self) -> Floats | None:
+        """(rows, 5) added to the DH rows, columns as ``dh.PARAMETERS`` [rad, m]; None for whole placements."""
+
+    @property
+    @abstractmethod
+    def document(self) -> ResultDocument:
+        """Everything the calibration says: what ``calibration.json`` holds."""
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """Why this result should not be used; empty when it passed its checks."""
+        return self.document.failures
+
+    def __repr__(self) -> str:
+        validation, verdict = self.document.validation, self.document.verdict
+        return (
+            f"<{type(self).__name__} of {self.chain.name}: {len(self.chain.names)} joints, held-out poses "
+            f"{validation.rms_nominal_mm:.3g} -> {validation.rms_mm:.3g} mm rms, {verdict.level}: {verdict.sentence}>"
+        )
+
     def to_dict(self) -> dict[str, Any]:
-        """The result as plain data: the contract of ``calibration.json`` (DESIGN section 7)."""
+        """Return the result as plain data: the contract of ``calibration.json``."""
+        return self.document.to_dict()
 
     @staticmethod
     def load(path: str | Path) -> Calibration:
-        """Read a saved calibration.
+        """Read a saved calibration, of format ``urdfcal/2`` or ``urdfcal/1``.
 
         Args:
             path: calibration.json, or the folder of results that holds it.
@@ -60,7 +84,7 @@ class Calibration(ABC):
         Raises:
             OutputError: it cannot be read, is of another format, or was edited into something that is no result.
         """
-        from urdfcal.result.document import check
+        from urdfcal.result.document import read_document
 
         path = Path(path)
         file = path / FILE_NAME if path.is_dir() else path
@@ -71,52 +95,35 @@ class Calibration(ABC):
             raise OutputError(
                 f"cannot be read: {reason}", where=str(file), remedy="Name a folder that `urdfcal calibrate` wrote."
             ) from error
-        document = check(text, str(file), FORMAT)
-        return _Loaded(_mechanism_from(document["robot"]), _matrices(document["robot"], "built"), text)
+        return _Loaded(read_document(text, str(file)))
 
     def save(self, path: str | Path) -> None:
-        """Write the result as JSON, format ``urdfcal/1``; numbers read back exactly."""
-        files.write_text(Path(path), self.to_json())
-
-    def to_json(self) -> str:
-        """What ``save`` writes."""
-        return json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n"
+        """Write the result as JSON, format ``urdfcal/2``; numbers read back exactly."""
+        files.write_text(Path(path), self.document.to_json())
 
     @cached_property
     def sha256(self) -> str:
         """Hash of what ``save`` writes, in hexadecimal: tells which calibration something was made from."""
-        return hashlib.sha256(self.to_json().encode()).hexdigest()
+        return hashlib.sha256(self.document.to_json().encode()).hexdigest()
 
     @cached_property
     def calibrated(self) -> Mechanism:
         """The joints with their calibrated placements."""
         return self.chain.with_placements(self.placements)
 
-    @cached_property
-    def dh_offsets(self) -> Floats | None:
-        """(rows, 5) added to the DH rows, columns as ``dh.PARAMETERS`` [rad, m]; None where whole placements were."""
-        entries = [entry for entry in self.to_dict()["dh"] if entry["parameter"] in PARAMETERS]
-        if not entries:
-            return None
-        labels = rows_of(self.chain).labels
-        offsets = np.zeros((len(labels), len(PARAMETERS)))
-        for entry in entries:
-            offsets[labels.index(entry["joint"]), PARAMETERS.index(entry["parameter"])] = entry["offset"]
-        return frozen(offsets)
-
     def apply(self, model: pin.Model, *, in_place: bool = False) -> pin.Model:
         """Give a Pinocchio model of this robot the calibrated joint placements.
 
         Args:
-            model: any model of the robot as drawn, joints found by name: with a gripper, on a free-flyer, in another
-                order, or reduced, locked joints included. Its inertias and collision geometry stay as drawn.
+            model: any model of the nominal robot, joints found by name: with a gripper, on a free-flyer, in another
+                order, or reduced, locked joints included. Its inertias and collision geometry stay nominal.
             in_place: change this model instead of a copy. A data structure made of it stays valid.
 
         Returns:
             The calibrated model.
 
         Raises:
-            RobotError: a joint is missing, or its placement is not the drawn one that was calibrated; the model is
+            RobotError: a joint is missing, or its placement is not the nominal one that was calibrated; the model is
                 as it was.
         """
         calibrated = model if in_place else model.copy()
@@ -130,7 +137,7 @@ class Calibration(ABC):
             The corrected file; nothing but values of ``<origin>`` has changed.
 
         Raises:
-            RobotError: a joint is missing, or its origin is not the drawn one that was calibrated.
+            RobotError: a joint is missing, or its origin is not the nominal one that was calibrated.
         """
         return apply_to_urdf(urdf, self.chain, self.placements)
 
@@ -149,91 +156,58 @@ class Calibration(ABC):
         return compensate(self.chain, self.calibrated, q)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class _Loaded(Calibration):
-    """A calibration as its file tells it; the text was checked when it was read."""
+    """A calibration that was read from its file."""
 
-    drawn: Mechanism
-    built: Floats
-    text: str
+    read: ResultDocument
 
     @property
+    def document(self) -> ResultDocument:
+        return self.read
+
+    @cached_property
     def chain(self) -> Mechanism:
-        return self.drawn
+        return _mechanism(self.read.robot)
 
-    @property
+    @cached_property
     def placements(self) -> Floats:
-        return self.built
+        return frozen([joint.calibrated for joint in self.read.robot.joints.values()])
 
-    def to_dict(self) -> dict[str, Any]:
-        document: dict[str, Any] = json.loads(self.text)
-        return document
+    @cached_property
+    def dh_offsets(self) -> Floats | None:
+        entries = [entry for entry in self.read.dh if entry.parameter in PARAMETERS]
+        if not entries:
+            return None
+        labels = rows_of(self.chain).labels
+        offsets = np.zeros((len(labels), len(PARAMETERS)))
+        for entry in entries:
+            offsets[labels.index(entry.joint), PARAMETERS.index(entry.parameter)] = entry.offset
+        return frozen(offsets)
 
 
 def corrected_name(urdf_reference: str) -> str:
-    """File name of the corrected URDF: the drawn one's with ``_calibrated``."""
-    drawn = PurePosixPath(urdf_reference)
-    return f"{drawn.stem}_calibrated{drawn.suffix}"
+    """Return the file name of the corrected URDF: the nominal one's with ``_calibrated``."""
+    nominal = PurePosixPath(urdf_reference)
+    return f"{nominal.stem}_calibrated{nominal.suffix}"
 
 
-def describe(chain: Mechanism, placements: Floats, urdf_reference: str) -> dict[str, Any]:
-    """The ``robot`` part of calibration.json: the joints as drawn, and how they were built."""
-    return {
-        "name": chain.name,
-        "urdf": urdf_reference,
-        "base_link": chain.base_link,
-        "tip_link": chain.tip_link,
-        "joints": {
-            joint.name: {
-                "parent": None if parent == BASE else chain.names[parent],
-                "type": joint.type,
-                "axis": joint.axis.tolist(),
-                "lower": joint.lower if np.isfinite(joint.lower) else None,
-                "upper": joint.upper if np.isfinite(joint.upper) else None,
-                "mimic": None
-                if joint.mimic is None
-                else {
-                    "joint": joint.mimic.joint,
-                    "multiplier": joint.mimic.multiplier,
-                    "offset": joint.mimic.offset,
-                },
-                "drawn": drawn.tolist(),
-                "built": built.tolist(),
-            }
-            for joint, parent, drawn, built in zip(
-                chain.joints, chain.parents, chain.placements, placements, strict=True
-            )
-        },
-        "tips": {
-            tip.link: {
-                "joint": None if tip.joint == BASE else chain.names[tip.joint],
-                "T_joint_link": tip.T_joint_link.tolist(),
-            }
-            for tip in chain.tips
-        },
-    }
-
-
-def _mechanism_from(robot: dict[str, Any]) -> Mechanism:
+def _mechanism(robot: RobotSection) -> Mechanism:
     joints = tuple(
         Joint(
             name=name,
-            type=joint["type"],
-            axis=frozen(joint["axis"]),
-            lower=-np.inf if joint["lower"] is None else joint["lower"],
-            upper=np.inf if joint["upper"] is None else joint["upper"],
-            mimic=None if joint["mimic"] is None else Mimic(**joint["mimic"]),
+            type=joint.type,
+            axis=frozen(joint.axis),
+            lower=-np.inf if joint.lower is None else joint.lower,
+            upper=np.inf if joint.upper is None else joint.upper,
+            mimic=None if joint.mimic is None else Mimic(**joint.mimic.model_dump()),
         )
-        for name, joint in robot["joints"].items()
+        for name, joint in robot.joints.items()
     )
-    index = {None: BASE} | {name: i for i, name in enumerate(robot["joints"])}
-    parents = tuple(index[joint["parent"]] for joint in robot["joints"].values())
-    tips = tuple(Tip(link, index[tip["joint"]], tip["T_joint_link"]) for link, tip in robot["tips"].items())
-    name, base_link, drawn = robot["name"], robot["base_link"], _matrices(robot, "drawn")
+    index = {None: BASE} | {name: i for i, name in enumerate(robot.joints)}
+    parents = tuple(index[joint.parent] for joint in robot.joints.values())
+    tips = tuple(Tip(link, index[tip.joint], frozen(tip.T_joint_link)) for link, tip in robot.tips.items())
+    nominal = frozen([joint.nominal for joint in robot.joints.values()])
     if len(tips) == 1:
-        return Chain(name, base_link, tips[0].link, joints, drawn, tips[0].T_joint_link)
-    return Tree(name, base_link, joints, parents, drawn, tips)
-
-
-def _matrices(robot: dict[str, Any], which: str) -> Floats:
-    return frozen([joint[which] for joint in robot["joints"].values()])
+        return Chain(robot.name, robot.base_link, tips[0].link, joints, nominal, tips[0].T_joint_link)
+    return Tree(robot.name, robot.base_link, joints, parents, nominal, tips)

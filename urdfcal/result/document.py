@@ -1,4 +1,4 @@
-"""The keys of calibration.json, checked strictly before anything is made of them."""
+"""The result document: ``calibration.json`` as one typed model, read and written by the same code."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from urdfcal.errors import OutputError
 from urdfcal.robot.tree_dh import MOUNT
+
+FORMAT: Literal["urdfcal/2"] = "urdfcal/2"
 
 # Rotations are written with all their digits.
 _RIGID = 1e-9
@@ -29,14 +31,17 @@ def _rigid(T: list[list[float]]) -> list[list[float]]:
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 Row = Annotated[list[float], Field(min_length=4, max_length=4)]
 Transform = Annotated[list[Row], Field(min_length=4, max_length=4), AfterValidator(_rigid)]
-Plain = dict[str, Any]
+Sigmas = list[float | None]
+"""Standard deviations; None where a value is fixed."""
 
 
-class _Keys(BaseModel):
+class _Section(BaseModel):
+    """Keys that are absent from the file stay absent: ``model_dump(exclude_unset=True)`` gives what was read."""
+
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class MimicKeys(_Keys):
+class MimicEntry(_Section):
     """The joint that another one follows."""
 
     joint: str
@@ -44,57 +49,57 @@ class MimicKeys(_Keys):
     offset: float
 
 
-class JointKeys(_Keys):
-    """A joint as drawn and as built, in the frame of the joint it hangs on, or of the base link."""
+class JointEntry(_Section):
+    """A joint with its nominal and its calibrated placement in the frame of its parent joint, or of the base link."""
 
     parent: str | None
     type: Literal["revolute", "continuous", "prismatic"]
     axis: Vector
     lower: float | None
     upper: float | None
-    mimic: MimicKeys | None
-    drawn: Transform
-    built: Transform
+    mimic: MimicEntry | None
+    nominal: Transform
+    calibrated: Transform
 
 
-class TipKeys(_Keys):
+class TipEntry(_Section):
     """A link that carries something, in the frame of the last joint before it."""
 
     joint: str | None
     T_joint_link: Transform
 
 
-class RobotKeys(_Keys):
+class RobotSection(_Section):
     """The joints that were calibrated."""
 
     name: str
     urdf: str
     base_link: str
     tip_link: str
-    joints: Annotated[dict[str, JointKeys], Field(min_length=1)]
-    tips: Annotated[dict[str, TipKeys], Field(min_length=1)]
+    joints: Annotated[dict[str, JointEntry], Field(min_length=1)]
+    tips: Annotated[dict[str, TipEntry], Field(min_length=1)]
 
     @model_validator(mode="after")
-    def _hang_together(self) -> RobotKeys:
+    def _consistent(self) -> RobotSection:
         before: set[str | None] = {None}
         for name, joint in self.joints.items():
             if joint.parent not in before:
-                raise ValueError(f"joint {name!r} hangs on {joint.parent!r}, which does not come before it")
+                raise ValueError(f"the parent of joint {name!r} is {joint.parent!r}, which does not come before it")
             before.add(name)
             if joint.mimic is not None and joint.mimic.joint not in self.joints:
                 raise ValueError(f"joint {name!r} follows {joint.mimic.joint!r}, which is not there")
         for link, tip in self.tips.items():
             if tip.joint not in before:
-                raise ValueError(f"link {link!r} hangs on {tip.joint!r}, which is not there")
+                raise ValueError(f"the joint of link {link!r} is {tip.joint!r}, which is not there")
         if next(iter(self.tips)) != self.tip_link:
             raise ValueError(f"tip_link is {self.tip_link!r}, but the first of the tips another")
         if len(self.tips) == 1 and [joint.parent for joint in self.joints.values()] != [None, *self.joints][:-1]:
-            raise ValueError("to a single tip its joints are no chain")
+            raise ValueError("the joints do not form a chain to the only tip")
         return self
 
 
-class RowKeys(_Keys):
-    """One parameter of one joint."""
+class DHEntry(_Section):
+    """One parameter of one row; sigma where it was estimated, else the reason why not."""
 
     joint: str
     parameter: str
@@ -106,30 +111,39 @@ class RowKeys(_Keys):
     reason: str | None = None
 
 
-class OriginKeys(_Keys):
+class OriginEntry(_Section):
     """An origin as the corrected URDF has it."""
 
     xyz: Vector
     rpy: Vector
 
 
-class LedKeys(_Keys):
-    """Where an LED is on its link, or in the world."""
+class LedEntry(_Section):
+    """The position of an LED on its link, or in the world."""
 
     link: str
     position: Vector
-    sigma: list[float | None]
+    sigma: Sigmas
 
 
-class ClockKeys(_Keys):
-    """The time offset of a camera's clock, in s; sigma null where it was held."""
+class TimeOffsetEntry(_Section):
+    """The time offset of a camera's clock, in s; sigma is None where it was fixed."""
 
     value: float
     sigma: float | None
 
 
-class CameraKeys(_Keys):
-    """A camera as it was used or found: standing in the world, or riding on a link."""
+class CameraSigmas(_Section):
+    """Standard deviations of what was estimated of a camera; its pose's of a small motion in its own frame."""
+
+    intrinsics: Sigmas = []
+    distortion: Sigmas = []
+    T_cam_world: Sigmas = []
+    T_link_camera: Sigmas = []
+
+
+class CameraEntry(_Section):
+    """A camera: its lens, and its pose in the world or on its link."""
 
     intrinsics: Row
     distortion_model: str
@@ -137,63 +151,183 @@ class CameraKeys(_Keys):
     link: str
     T_cam_world: Transform | None = None
     T_link_camera: Transform | None = None
-    sigma: dict[Literal["intrinsics", "distortion", "T_cam_world", "T_link_camera"], list[float | None]]
-    time_offset: ClockKeys | None = None
+    sigma: CameraSigmas
+    time_offset: TimeOffsetEntry | None = None
 
     @model_validator(mode="after")
-    def _somewhere(self) -> CameraKeys:
+    def _has_a_pose(self) -> CameraEntry:
         if (self.T_cam_world is None) == (self.T_link_camera is None):
             raise ValueError("one of T_cam_world and T_link_camera is needed")
         return self
 
 
-class CalibrationKeys(_Keys):
-    """The whole file; what only people read is any plain data."""
+class ParameterEntry(_Section):
+    """A coordinate of an unknown that has no section of its own."""
 
-    format: str
-    robot: RobotKeys
-    dh: list[RowKeys]
-    placements: dict[str, OriginKeys]
+    name: str
+    unit: str
+    offset: float
+    sigma: float | None
+
+
+class FitSection(_Section):
+    """Numbers of the fit; residuals of the measurements that are no outliers, nominal and calibrated. [px, mm]."""
+
+    poses: int
+    observations: int
+    parameters: int
+    rank: int
+    iterations: int
+    converged: bool
+    reduced_chi2: float | None
+    rms_nominal_px: float | None = None
+    rms_nominal_mm: float | None = None
+    rms_px: float | None = None
+    rms_mm: float | None = None
+
+
+class VerdictSection(_Section):
+    """Whether to trust the calibration, and what speaks against it, the gravest first."""
+
+    level: Literal["good", "doubtful", "bad"]
+    sentence: str
+    reasons: list[str]
+
+
+class ValidationSection(_Section):
+    """Prediction errors on held-out poses, nominal and calibrated arm with the same cameras. [mm, px]."""
+
+    folds: int
+    rms_nominal_mm: float
+    rms_mm: float
+    interval_mm: Annotated[list[float], Field(min_length=2, max_length=2)]
+    max_mm: float
+    p95_mm: float
+    rms_nominal_px: float | None = None
+    rms_px: float | None = None
+
+
+class ModelEntry(_Section):
+    """One of the models that were compared; without a held-out loss where it could not be the best."""
+
+    model: str
+    parameters: int
+    seen_loss: float
+    held_out_loss: float | None
+    chosen: bool
+
+
+class IdentifiabilitySection(_Section):
+    """What the measurements identify: condition number, observability indices, unidentifiable directions."""
+
+    condition_number: float
+    O1: float
+    O2: float
+    O3: float
+    O4: float
+    O5: float
+    lost: list[str]
+
+
+class SolutionEntry(_Section):
+    """A minimum that another start led to; without a cost where there was no start."""
+
+    cost: float | None
+    kept: bool
+    reason: str
+
+
+class OutlierEntry(_Section):
+    """A measurement taken out of the fit; residual in px, or in mm without a camera."""
+
+    pose: str
+    camera: str | None
+    led: str
+    residual: float
+    sigmas: float
+
+
+class ProvenanceSection(_Section):
+    """Versions, random seed and hashes of the input files."""
+
+    urdfcal: str
+    pinocchio: str
+    seed: int
+    sha256: dict[str, str]
+
+
+class ResultDocument(_Section):
+    """Everything a calibration says: the contract of ``calibration.json``. Lengths in m, angles in rad.
+
+    ``T_world_base_sigma`` are standard deviations of a small motion x, y, z, rx, ry, rz after ``T_world_base``;
+    ``warnings`` are those of the verdict's reasons that are no failures.
+    """
+
+    format: Literal["urdfcal/2"]
+    robot: RobotSection
+    dh: list[DHEntry]
+    placements: dict[str, OriginEntry]
     T_world_base: Transform
-    T_world_base_sigma: list[float | None]  # of a small motion x y z rx ry rz after it; m, rad
-    leds: dict[str, LedKeys]
-    cameras: dict[str, CameraKeys]
-    fit: Plain
-    validation: Plain
-    models: list[Plain]
-    identifiability: Plain
-    solutions: list[Plain]
-    outliers: list[Plain]
+    T_world_base_sigma: Sigmas
+    leds: dict[str, LedEntry]
+    cameras: dict[str, CameraEntry]
+    parameters: list[ParameterEntry] = Field(default_factory=list)
+    fit: FitSection
+    verdict: VerdictSection
+    validation: ValidationSection
+    models: list[ModelEntry]
+    identifiability: IdentifiabilitySection
+    solutions: list[SolutionEntry]
+    outliers: list[OutlierEntry]
     warnings: list[str]
-    provenance: Plain
+    provenance: ProvenanceSection
 
     @model_validator(mode="after")
-    def _rows_of_joints(self) -> CalibrationKeys:
+    def _rows_of_joints(self) -> ResultDocument:
         for row in self.dh:
             if row.joint.removesuffix(MOUNT) not in self.robot.joints:
                 raise ValueError(f"dh names joint {row.joint!r}, which the robot has not")
         return self
 
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """Why the result should not be used: the reasons that are no warnings."""
+        return tuple(self.verdict.reasons[: len(self.verdict.reasons) - len(self.warnings)])
 
-def check(text: str, where: str, file_format: str) -> Plain:
-    """Parse calibration.json and check every key.
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data, as JSON has it."""
+        return self.model_dump(exclude_unset=True)
+
+    def to_json(self) -> str:
+        """Return the text of the file; numbers read back exactly."""
+        return json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n"
+
+
+def read_document(text: str, where: str) -> ResultDocument:
+    """Parse ``calibration.json`` and check every key; files of format ``urdfcal/1`` are converted.
+
+    Args:
+        text: of the file.
+        where: its path, for messages.
 
     Raises:
         OutputError: it is no JSON, of another format, or a key is missing, unknown or makes no sense.
     """
+    from urdfcal.result.format_1 import FORMAT_1, from_format_1
+
     try:
-        document = json.loads(text, parse_constant=_no_number)
+        data = json.loads(text, parse_constant=_no_number)
     except ValueError as error:
         raise OutputError(f"it is no JSON: {error}", where=where, remedy="Calibrate again.") from error
-    found = document.get("format") if isinstance(document, dict) else None
-    if found != file_format:
+    found = data.get("format") if isinstance(data, dict) else None
+    if found not in (FORMAT, FORMAT_1):
         raise OutputError(
-            f"its format is {found!r}, not {file_format!r}",
+            f"its format is {found!r}, not {FORMAT!r}",
             where=where,
             remedy="Read it with the urdfcal that wrote it, or calibrate again.",
         )
     try:
-        CalibrationKeys.model_validate(document)
+        return ResultDocument.model_validate(from_format_1(data) if found == FORMAT_1 else data)
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
@@ -201,8 +335,6 @@ def check(text: str, where: str, file_format: str) -> Plain:
         raise OutputError(
             f"{what[:1].lower()}{what[1:]}", where=f"{where}, {place}" if place else where, remedy="Calibrate again."
         ) from error
-    checked: Plain = document
-    return checked
 
 
 def _no_number(constant: str) -> float:

@@ -1,0 +1,224 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from urdfcal.errors import CalibrationError
+from urdfcal.estimation.assessment import assess, corrections
+from urdfcal.estimation.blocks.arm import ARM
+from urdfcal.estimation.measurements import Detections
+from urdfcal.pipeline import calibrate
+from urdfcal.session.knowledge import Estimate
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from urdfcal.estimation.assessment import Assessment
+    from urdfcal.estimation.model_selection import Trial
+    from urdfcal.result.fitted import FittedCalibration
+    from urdfcal.session.model import Session
+
+ARM_ONLY = Estimate("dh", "fixed", "fixed")
+
+
+@pytest.fixture(scope="module")
+def good(simulated: Callable) -> FittedCalibration:
+    """A calibration that nothing speaks against."""
+    calibration = calibrate(replace(simulated("elbow3r").session, estimate=ARM_ONLY))
+    assert calibration.assessment.level == "good"
+    assert calibration.assessment.reasons == calibration.failures == calibration.warnings == ()
+    return calibration
+
+
+def again(of: FittedCalibration, session: Session | None = None, **changes: object) -> Assessment:
+    """What the assessment says of a calibration with changes to its fit, or to the trials of its comparison."""
+    comparison = of.comparison
+    trials = {name: changes.pop(name) for name in ("chosen", "best", "nominal_arm") if name in changes}
+    if changes:
+        trials["chosen"] = replace(comparison.chosen, fit=replace(of.fit, **changes))
+    return assess(session or of.session, of.problem, replace(comparison, **trials))
+
+
+def moved(of: FittedCalibration, tolerances: float, zero: bool = False) -> dict[str, object]:
+    """The calibration's state with one parameter, a joint's zero or another, so many tolerances from nominal."""
+    block = next(block for block in of.fit.parameters.blocks if block.key == ARM)
+    k = next(k for k, row in enumerate(block.rows) if (row in block.arm.zeros) == zero and block.active[k])
+    offsets = np.zeros_like(of.estimate.offsets)
+    offsets[block.places[0][k], block.places[1][k]] = tolerances * block.sigma[k]
+    return {"state": of.fit.state.replace({ARM: offsets})}
+
+
+def chi2(of: FittedCalibration, reduced: float) -> dict[str, object]:
+    return {"cost": reduced * of.fit.freedom}
+
+
+def with_errors_of_the_nominal_arm(of: FittedCalibration) -> Trial:
+    chosen, nominal = of.comparison.chosen, of.comparison.nominal_arm
+    return replace(chosen, held_out=replace(chosen.held_out, distance=nominal.held_out.distance))
+
+
+@pytest.mark.parametrize(
+    ("reduced", "level", "words"),
+    [
+        (1.99, "good", ""),
+        (2.01, "doubtful", "the residuals are 1.4 times the declared noise: the noise is larger than declared"),
+        (8.9, "doubtful", "the residuals are 3.0 times"),
+        (9.1, "bad", "the residuals are 3.0 times the declared noise: the model does not explain them"),
+        (399.0, "bad", "the residuals are 20.0 times the declared noise: the model does not explain them"),
+        (401.0, "bad", "the residuals are 20 times the declared noise: this is not a robot like the nominal one"),
+    ],
+)
+def test_a_misfit_is_said_once(good: FittedCalibration, reduced: float, level: str, words: str) -> None:
+    found = again(good, **chi2(good, reduced))
+    assert found.level == level
+    assert [reason.startswith(words) for reason in found.reasons] == [True] * (level != "good")
+    assert found.failures == (found.reasons if level == "bad" else ())
+
+
+@pytest.mark.parametrize(
+    ("tolerances", "level", "words"),
+    [
+        (4.9, "good", []),
+        (-5.1, "doubtful", ["is off by", "5 times its tolerance"]),
+        (19.9, "doubtful", ["20 times its tolerance"]),
+        (20.1, "bad", ["would be off by 20 tolerances", "name larger tolerances"]),
+    ],
+)
+def test_parameters_far_from_nominal(good: FittedCalibration, tolerances: float, level: str, words: list[str]) -> None:
+    found = again(good, **moved(good, tolerances))
+    assert found.level == level
+    assert len(found.reasons) == bool(words)
+    for word in words:
+        assert word in found.reasons[0]
+
+
+def test_joint_zeros_may_be_anywhere_and_are_a_warning(good: FittedCalibration) -> None:
+    found = again(good, **moved(good, 100.0, zero=True))
+    assert found.level == "doubtful"
+    assert "mrad, 100 times its tolerance" in found.warnings[0]
+    # Nor do they bend the arm.
+    assert again(good, **moved(good, 100.0, zero=True), **chi2(good, 4.0)).failures == ()
+
+
+def test_far_corrections_that_leave_a_misfit_explain_something_else(good: FittedCalibration) -> None:
+    found = again(good, **moved(good, 6.0), **chi2(good, 2.1))
+    assert found.level == "bad"
+    assert "explain an effect that is not the arm's" in found.failures[0]
+    assert sum("declared noise" in reason for reason in found.reasons) == 1
+    assert again(good, **moved(good, 4.0), **chi2(good, 2.1)).failures == ()
+    assert again(good, **moved(good, 6.0), **chi2(good, 1.9)).failures == ()
+
+
+def test_each_joint_has_its_own_tolerance(good: FittedCalibration) -> None:
+    usual = again(good, **moved(good, 10.0))
+    assert usual.level == "doubtful"
+    tolerances = good.session.tolerances
+    lax = {name: dict.fromkeys(("theta", "d", "a", "alpha", "beta"), 1.0) for name in good.chain.names}
+    session = replace(good.session, tolerances=replace(tolerances, joints=lax))
+    assert again(good, session, **moved(good, 10.0)).level == "good"
+    offsets = corrections(good.problem, good.fit, session.tolerances)
+    assert len(offsets) >= good.fit.parameters.active_columns(ARM)[1].sum()
+    assert all(correction.tolerances == abs(correction.offset) for correction in offsets)
+
+
+def test_plain_least_squares_has_no_tolerances_to_exceed(good: FittedCalibration) -> None:
+    chosen = good.comparison.chosen
+    fit = replace(good.fit, **moved(good, 30.0))
+    plain = replace(chosen, spec=replace(chosen.spec, priors=False), fit=fit)
+    assert again(good, chosen=plain).level == "good"
+
+
+def test_many_outliers(good: FittedCalibration) -> None:
+    (kept,) = good.fit.kept
+    rows = np.argwhere(kept)
+    for share, failures in ((0.24, 0), (0.26, 1)):
+        outlier = np.zeros_like(kept)
+        outlier[tuple(rows[: int(np.ceil(share * len(rows)))].T)] = True
+        found = again(good, outlier=(outlier,), kept=(kept & ~outlier,))
+        assert len(found.failures) == failures
+        assert all(f"{outlier.sum()} of {len(rows)} measurements" in failure for failure in found.failures)
+
+
+def test_nothing_but_outliers(good: FittedCalibration) -> None:
+    (kept,) = good.fit.kept
+    with pytest.raises(CalibrationError, match="all are outliers"):
+        again(good, outlier=(kept,), kept=(np.zeros_like(kept),))
+
+
+def test_a_solver_that_did_not_converge(good: FittedCalibration) -> None:
+    found = again(good, converged=False)
+    assert found.level == "bad"
+    assert f"in {len(good.fit.history)} steps" in found.failures[0]
+
+
+def test_an_arm_no_better_than_the_nominal_one(good: FittedCalibration) -> None:
+    nominal = good.comparison.nominal_arm
+    for loss in (nominal.loss, nominal.loss + 1.0):
+        (failure,) = again(good, chosen=replace(good.comparison.chosen, loss=loss)).failures
+        assert "does not predict held-out poses better" in failure
+    # More poses are better than worse, but the worse ones by more.
+    (failure,) = again(good, chosen=with_errors_of_the_nominal_arm(good)).failures
+    assert "mm rms error on held-out poses" in failure
+
+
+def test_where_the_nominal_arm_was_asked_for_there_is_nothing_to_prove(good: FittedCalibration) -> None:
+    session = replace(good.session, estimate=replace(ARM_ONLY, geometry="none"))
+    nominal = good.comparison.nominal_arm
+    chosen = replace(with_errors_of_the_nominal_arm(good), loss=nominal.loss)
+    assert again(good, session, chosen=chosen).failures == ()
+
+
+def test_free_lenses_that_predict_much_better_refute_the_given_ones(good: FittedCalibration) -> None:
+    chosen = good.comparison.chosen
+    for factor, failures in ((1.49, 0), (1.51, 1)):
+        residual = tuple(part / factor for part in chosen.held_out.residual)
+        best = replace(chosen, held_out=replace(chosen.held_out, residual=residual))
+        found = again(good, best=best).failures
+        assert len(found) == failures
+        assert all("intrinsics as given are refuted" in failure for failure in found)
+
+
+def test_wrong_lenses_are_refuted(simulated: Callable) -> None:
+    session = simulated("ur5").session
+    cameras = tuple(replace(c, intrinsics=c.intrinsics * [1.02, 1.02, 1.0, 1.0]) for c in session.rig.cameras)
+    wrong = replace(session, rig=replace(session.rig, cameras=cameras), estimate=ARM_ONLY)
+    with pytest.raises(CalibrationError, match="intrinsics as given are refuted"):
+        calibrate(wrong)
+
+
+def test_a_warning_of_the_session_comes_first(good: FittedCalibration) -> None:
+    session = replace(good.session, warnings=("joint E never moves",))
+    found = again(good, session, **chi2(good, 3.0))
+    assert found.level == "doubtful"
+    assert "2 warnings" in found.sentence
+    assert found.reasons[0] == "joint E never moves"
+    assert "a warning" in again(good, session).sentence
+
+
+def test_a_camera_far_from_its_place_on_its_link(simulated: Callable) -> None:
+    calibration = calibrate(replace(simulated("tiago", poses=12).session, estimate=Estimate("dh", "fixed")))
+    (mount,), (camera,) = calibration.session.mounts, calibration.estimate.T_cam_frame
+    assert calibration.assessment.level == "good"
+    for sigmas, warnings in ((4.9, 0), (5.1, 1)):
+        T = np.linalg.inv(camera)
+        T[0, 3] += sigmas * mount.sigma[0]
+        session = replace(calibration.session, mounts=(replace(mount, T_link_camera=T),))
+        found = again(calibration, session)
+        assert found.failures == ()
+        assert len(found.warnings) == warnings
+        assert all("camera 'head' comes out" in text and "5 times its sigma" in text for text in found.warnings)
+
+
+def test_noise_declared_too_small_is_a_failure_in_the_library_too(simulated: Callable) -> None:
+    session = simulated("ur5").session
+    detections = session.find(Detections)
+    session = replace(session, estimate=ARM_ONLY, measurements=(replace(detections, sigma=0.2 * detections.sigma),))
+    with pytest.raises(CalibrationError, match="times the declared noise: the model does not explain them"):
+        calibrate(session)
+    forced = calibrate(session, force=True)
+    assert forced.assessment.level == "bad"
+    assert forced.failures == forced.assessment.failures != ()
+    assert forced.document.verdict.reasons == list(forced.assessment.reasons)

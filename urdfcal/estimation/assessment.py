@@ -1,0 +1,260 @@
+"""The assessment: whether to trust an estimate, decided once for library, command line and report (METHOD 14)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+
+import numpy as np
+import pinocchio as pin
+
+from urdfcal.errors import CalibrationError
+from urdfcal.estimation.blocks.arm import ARM, ArmBlock
+from urdfcal.estimation.blocks.cameras import camera_poses, has_cameras
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from urdfcal.arrays import Floats
+    from urdfcal.estimation.blocks.base import Block
+    from urdfcal.estimation.model_selection import Comparison
+    from urdfcal.estimation.problem import Problem
+    from urdfcal.estimation.solver import Solution
+    from urdfcal.estimation.state import Key
+    from urdfcal.session.knowledge import Tolerances
+    from urdfcal.session.model import Session
+
+Level: TypeAlias = Literal["good", "doubtful", "bad"]
+
+# Residuals this many times the declared noise are no noise: wrong tip links and exchanged columns start at a hundred,
+# careless declarations end at five or so.
+_ABSURD_NOISE = 20.0
+# Noise declared three times too small is a mistake in the session or an effect that the model does not have; either
+# way the standard deviations mean nothing.
+_MISFIT_CHI2 = 9.0
+# A reduced chi-square above this is no accident with a few dozen measurements: something is unmodelled.
+_DOUBTFUL_CHI2 = 2.0
+_MANY_OUTLIERS = 0.25
+# Corrections of this many tolerances are either a wrong session or a very unusual arm; a misfit beside them means
+# that the arm is bent to explain what it is not to blame for.
+_FAR = 5.0
+IMPLAUSIBLE = 20.0
+"""No arm is made this many tolerances off its nominal geometry."""
+# Held-out residuals that shrink by this factor with free lenses refute the lenses as given: the arm would be bent to
+# make up for them (a measured session of a Motoman arm: 3.0 against 1.0 px, and an arm ten times worse).
+_REFUTED = 1.5
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """Whether to trust an estimate.
+
+    Attributes:
+        level: bad with failures, doubtful with warnings only, else good.
+        sentence: one sentence that says so, without numbers and reasons.
+        failures: why it should not be used, the gravest first.
+        warnings: what to check before using it.
+    """
+
+    level: Level
+    sentence: str
+    failures: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+    @classmethod
+    def of(cls, failures: Sequence[str], warnings: Sequence[str]) -> Assessment:
+        """Follow from what speaks against an estimate."""
+        level: Level = "good"
+        sentence = "Trust it: the residuals are what the declared noise explains."
+        if failures:
+            level, sentence = "bad", "Do not use it."
+        elif warnings:
+            counted = "a warning" if len(warnings) == 1 else f"{len(warnings)} warnings"
+            level, sentence = "doubtful", f"Better than the nominal arm, with {counted} to check first."
+        return cls(level, sentence, tuple(failures), tuple(warnings))
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """All that speaks against it, the gravest first."""
+        return (*self.failures, *self.warnings)
+
+
+def assess(session: Session, problem: Problem, comparison: Comparison) -> Assessment:
+    """Assess the chosen model's estimate by its own evidence.
+
+    Args:
+        session: what was measured, its warnings and its tolerances.
+        problem: of its measurements.
+        comparison: the models that were tried, and the chosen one.
+
+    Raises:
+        CalibrationError: all measurements are outliers.
+    """
+    fit = comparison.chosen.fit
+    moved = corrections(problem, fit, session.tolerances) if comparison.chosen.spec.priors else ()
+    implausible = [c for c in moved if c.geometric and c.tolerances > IMPLAUSIBLE]
+    misfit = tuple(_misfit(fit.reduced_chi2, moved))
+    failures = (
+        *misfit,
+        *_outliers(fit),
+        *_implausible(implausible),
+        *_unsettled(fit),
+        *_unproven(session, comparison),
+        *_refuted_lenses(comparison),
+    )
+    warnings = (
+        *session.warnings,
+        *(() if misfit else _noise(fit.reduced_chi2)),
+        *(str(c) for c in moved if c.tolerances > _FAR and c not in implausible),
+        *_displaced_mounts(session, fit),
+    )
+    return Assessment.of(failures, warnings)
+
+
+@dataclass(frozen=True)
+class Correction:
+    """How far a parameter that has a manufacturing tolerance is off its nominal value.
+
+    Attributes:
+        name: of the parameter.
+        offset: from its nominal value. [unit]
+        unit: m, rad, or that of a joint model.
+        tolerances: size of the offset in units of the parameter's own tolerance.
+        geometric: whether it is part of the arm's geometry; joints' zero offsets are anywhere on cheap arms.
+    """
+
+    name: str
+    offset: float
+    unit: str
+    tolerances: float
+    geometric: bool
+
+    def __str__(self) -> str:
+        scale, unit = {"m": (1e3, "mm"), "rad": (1e3, "mrad")}.get(self.unit, (1.0, self.unit))
+        return f"{self.name} is off by {scale * self.offset:.1f} {unit}, {self.tolerances:.0f} times its tolerance"
+
+
+def corrections(problem: Problem, solution: Solution, tolerances: Tolerances) -> tuple[Correction, ...]:
+    """List how far a solution is from the nominal robot, each parameter by its own tolerance, prior or not.
+
+    Args:
+        problem: whose arm and joint models they are.
+        solution: an estimate.
+        tolerances: of the robot, per joint where given.
+    """
+    toleranced: dict[Key[Any], Block[Any]] = {ARM: ArmBlock.of(problem.arm, tolerances, priors=True)}
+    toleranced |= {model.key: model for model in problem.joint_models}
+    found = []
+    for block in solution.parameters.blocks:
+        if not block.toleranced:
+            continue
+        offsets, _ = block.local(solution.state[block.key])
+        for k, (offset, tolerance) in enumerate(zip(offsets, toleranced[block.key].sigma, strict=True)):
+            geometric = isinstance(block, ArmBlock) and block.rows[k] not in block.arm.zeros
+            size = float(abs(offset) / tolerance)
+            found.append(Correction(block.names[k], float(offset), block.units[k], size, geometric))
+    return tuple(found)
+
+
+def _misfit(chi2: float, moved: Sequence[Correction]) -> Iterator[str]:
+    noise = float(np.sqrt(chi2))
+    far = sum(c.geometric and c.tolerances > _FAR for c in moved)
+    if noise > _ABSURD_NOISE:
+        yield (
+            f"the residuals are {noise:.0f} times the declared noise: this is not a robot like the nominal one; check "
+            "the tip link, the order and the signs of the joint columns, their units, and the cameras"
+        )
+    elif chi2 > _MISFIT_CHI2:
+        yield f"the residuals are {noise:.1f} times the declared noise: the model does not explain them"
+    elif chi2 > _DOUBTFUL_CHI2 and far:
+        counted = "a correction is" if far == 1 else f"{far} corrections are"
+        yield (
+            f"{counted} more than {_FAR:g} tolerances long, and still the residuals are {noise:.1f} times the "
+            "declared noise: the corrections explain an effect that is not the arm's"
+        )
+
+
+def _noise(chi2: float) -> Iterator[str]:
+    if chi2 > _DOUBTFUL_CHI2:
+        yield (
+            f"the residuals are {np.sqrt(chi2):.1f} times the declared noise: the noise is larger than declared, or "
+            "camera intrinsics, units or the robot's stiffness are not what the model assumes"
+        )
+
+
+def _outliers(fit: Solution) -> Iterator[str]:
+    cut, kept = (sum(int(np.sum(part)) for part in parts) for parts in (fit.outlier, fit.kept))
+    if cut > _MANY_OUTLIERS * (cut + kept):
+        yield (
+            f"{cut} of {cut + kept} measurements had to be taken out as outliers: look at how LEDs were detected or "
+            "points measured"
+        )
+
+
+def _implausible(moved: Sequence[Correction]) -> Iterator[str]:
+    if moved:
+        sizes = ", ".join(f"{c.name} would be off by {c.tolerances:.0f} tolerances" for c in moved)
+        yield (
+            f"{sizes}: no arm is made so far from its nominal geometry; check the tip link and the joint columns, or "
+            "name larger tolerances"
+        )
+
+
+def _unsettled(fit: Solution) -> Iterator[str]:
+    if not fit.converged:
+        yield (
+            f"the estimate did not settle in {len(fit.history)} steps: check the joint readings' columns and units, "
+            "the tip link and the cameras"
+        )
+
+
+def _unproven(session: Session, comparison: Comparison) -> Iterator[str]:
+    """On held-out poses no better than the nominal arm; where that was asked for, there is nothing to prove."""
+    if session.estimate.geometry == "none":
+        return
+    chosen, nominal = comparison.chosen, comparison.nominal_arm
+    before, after = (1e3 * _rms(trial.residuals("distance")) for trial in (nominal, chosen))
+    if chosen.loss >= nominal.loss:
+        yield (
+            "the calibrated arm does not predict held-out poses better than the nominal one: more poses or less noise "
+            "are needed, or there is nothing to correct"
+        )
+    elif after >= before:
+        yield (
+            f"the calibrated arm is no better than the nominal one: {before:.3g} -> {after:.3g} mm rms error on "
+            "held-out poses"
+        )
+
+
+def _refuted_lenses(comparison: Comparison) -> Iterator[str]:
+    if not comparison.chosen.spec.intrinsics:
+        return
+    given, free = (_rms(trial.residuals("residual")) for trial in (comparison.chosen, comparison.best))
+    if given > _REFUTED * free:
+        yield (
+            f"the cameras' intrinsics as given are refuted by the detections: held-out poses are predicted to "
+            f"{given:.2f} px with them and to {free:.2f} px with free ones, so the arm would be bent to make up for "
+            "the lenses; set estimate: {intrinsics: free}, or calibrate the cameras"
+        )
+
+
+def _displaced_mounts(session: Session, fit: Solution) -> Iterator[str]:
+    """Cameras that come out far from where the session puts them on their links."""
+    for mount in session.mounts:
+        if mount.T_link_camera is None or mount.sigma is None or not has_cameras(fit.state):
+            continue
+        T = camera_poses(session.attachments, fit.state)[session.rig.index(mount.camera)] @ mount.T_link_camera
+        motion = pin.log6(T).vector
+        sigmas = float(np.abs(motion / mount.sigma).max())
+        if sigmas > _FAR:
+            yield (
+                f"camera {mount.camera!r} comes out {1e3 * np.linalg.norm(motion[:3]):.0f} mm and "
+                f"{1e3 * np.linalg.norm(motion[3:]):.0f} mrad from where the session puts it on {mount.link!r}, "
+                f"{sigmas:.0f} times its sigma: check position, rpy (rad) and link"
+            )
+
+
+def _rms(values: Floats) -> float:
+    if values.size == 0:
+        raise CalibrationError("no measurement is left: all are outliers", remedy="Check how LEDs were detected.")
+    return float(np.sqrt(np.mean(values**2)))
