@@ -34,6 +34,7 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -46,7 +47,6 @@ from urdfcal.robot.chain import Chain
 from urdfcal.session.knowledge import Estimate
 from urdfcal.simulation.motion import Motion, set_in_motion
 from urdfcal.simulation.simulate import Simulated, simulate
-from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from urdfcal.result.fitted import FittedCalibration

@@ -116,7 +116,7 @@ def test_each_joint_has_its_own_tolerance(good: FittedCalibration) -> None:
     usual = again(good, **moved(good, 10.0))
     assert usual.level == "doubtful"
     tolerances = good.session.tolerances
-    lax = {name: {p: 1.0 for p in ("theta", "d", "a", "alpha", "beta")} for name in good.chain.names}
+    lax = {name: dict.fromkeys(("theta", "d", "a", "alpha", "beta"), 1.0) for name in good.chain.names}
     session = replace(good.session, tolerances=replace(tolerances, joints=lax))
     assert again(good, session, **moved(good, 10.0)).level == "good"
     offsets = corrections(good.problem, good.fit, session.tolerances)

@@ -29,9 +29,9 @@ from urdfcal.simulation.motion import Motion, set_in_motion
 from urdfcal.simulation.simulate import simulate
 
 if TYPE_CHECKING:
-    from urdfcal.result.fitted import FittedCalibration
     from collections.abc import Callable
 
+    from urdfcal.result.fitted import FittedCalibration
     from urdfcal.session.model import Session
     from urdfcal.simulation.truth import Simulated
 

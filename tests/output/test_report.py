@@ -138,7 +138,7 @@ def test_a_wrong_lens_does_not_get_a_good_verdict(tmp_path):
     write_report(tmp_path / "report.html", doubtful)
     page = Page((tmp_path / "report.html").read_text())
     assert ("section", "verdict bad") in page.elements
-    for sentence in (verdict(doubtful).sentence, *verdict(doubtful).reasons):
+    for sentence in (doubtful.assessment.sentence, *doubtful.assessment.reasons):
         assert page.text.count(sentence) == 1
 
 
