@@ -8,6 +8,7 @@ import pytest
 
 from tests.states import at_joint_values, points_of, state_of
 from urdfcal.cameras.rig import Rig
+from urdfcal.errors import CalibrationError
 from urdfcal.estimation.alignment import kabsch
 from urdfcal.estimation.blocks.arm import ARM
 from urdfcal.estimation.evaluation import compare
@@ -215,3 +216,21 @@ def test_many_outliers_do_not_run_away(seed: int, simulated: Callable) -> None:
     true, found = (replace(data.session.chain, placements=p) for p in (data.truth.placements, calibration.placements))
     assert compare(true, found, q).position.max() < 8e-3
     assert calibration.document.fit.rms_px < 0.5
+
+
+def test_intervals_are_widened_only_by_a_misfit_that_is_certain(simulated: Callable) -> None:
+    fit = calibrate(replace(simulated("elbow3r").session, estimate=Estimate("dh", "fixed", "fixed"))).fit
+    chance = 3.0 * np.sqrt(2.0 / fit.freedom)  # three standard deviations of a reduced chi-square
+    expected = np.linalg.inv(fit.information)
+    for reduced, factor in ((0.5, 1.0), (1.0 + 0.99 * chance, 1.0), (1.0 + 1.01 * chance, 1.0 + 1.01 * chance)):
+        covariance = replace(fit, cost=reduced * fit.freedom).covariance
+        np.testing.assert_allclose(covariance, factor * expected, rtol=1e-6, atol=1e-18)
+
+
+def test_a_solver_that_is_stopped_early_says_so(simulated: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    session = replace(simulated("elbow3r").session, estimate=Estimate("dh", "fixed", "fixed"))
+    assert calibrate(session).fit.converged
+    monkeypatch.setattr("urdfcal.estimation.solver._MAX_ITERATIONS", 1)
+    with pytest.raises(CalibrationError, match=r"did not settle in \d+ steps"):
+        calibrate(session)
+    assert not calibrate(session, force=True).fit.converged
