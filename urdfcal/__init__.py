@@ -5,7 +5,7 @@
     model = calibration.apply(pin.buildModelFromUrdf("robot.urdf"))
 
 A session can be built in memory, too: a ``Setup`` of ``Chain``, ``Led``s and a ``Rig`` of ``Camera``s, to which a
-``Recorder`` adds poses and sightings one by one.
+``Recorder`` adds poses and detections one by one.
 
 Names are loaded when they are first used: ``import urdfcal`` and ``urdfcal --help`` wait for nothing.
 """
@@ -85,4 +85,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return [*__all__, *(name for name in globals() if name.startswith("__"))]

@@ -28,7 +28,7 @@ def _rigid(T: list[list[float]]) -> list[list[float]]:
     return T
 
 
-Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
 Row = Annotated[list[float], Field(min_length=4, max_length=4)]
 Transform = Annotated[list[Row], Field(min_length=4, max_length=4), AfterValidator(_rigid)]
 Sigmas = list[float | None]
@@ -54,7 +54,7 @@ class JointEntry(_Section):
 
     parent: str | None
     type: Literal["revolute", "continuous", "prismatic"]
-    axis: Vector
+    axis: Triple
     lower: float | None
     upper: float | None
     mimic: MimicEntry | None
@@ -114,15 +114,15 @@ class DHEntry(_Section):
 class OriginEntry(_Section):
     """An origin as the corrected URDF has it."""
 
-    xyz: Vector
-    rpy: Vector
+    xyz: Triple
+    rpy: Triple
 
 
 class LedEntry(_Section):
     """The position of an LED on its link, or in the world."""
 
     link: str
-    position: Vector
+    position: Triple
     sigma: Sigmas
 
 
@@ -257,10 +257,10 @@ class ProvenanceSection(_Section):
 
 
 class ResultDocument(_Section):
-    """Everything a calibration says: the contract of ``calibration.json``. Lengths in m, angles in rad.
+    """Everything a calibration says: the contract of ``calibration.json``.
 
-    ``T_world_base_sigma`` are standard deviations of a small motion x, y, z, rx, ry, rz after ``T_world_base``;
-    ``warnings`` are those of the verdict's reasons that are no failures.
+    Lengths in m, angles in rad. ``T_world_base_sigma`` are standard deviations of a small motion x, y, z, rx, ry, rz
+    after ``T_world_base``; ``warnings`` are those of the verdict's reasons that are no failures.
     """
 
     format: Literal["urdfcal/2"]
