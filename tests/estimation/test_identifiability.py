@@ -9,13 +9,14 @@ import pytest
 from urdfcal.estimation.blocks.leds import LEDS
 from urdfcal.estimation.identifiability import _sentence, identify
 from urdfcal.estimation.joint_models.time_offset import TIME_OFFSETS
-from urdfcal.estimation.model_spec import ModelSpec
+from urdfcal.estimation.model_spec import ModelSpec, nominal
 from urdfcal.estimation.parameters import choose_parameters
 from urdfcal.estimation.problem import Problem
 from urdfcal.estimation.start import first_state
 from urdfcal.estimation.time_offset_start import start_state
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.dh import DHTable
+from urdfcal.robot.tree_dh import rows_of
 from urdfcal.session.knowledge import Led
 from urdfcal.simulation.motion import Motion, set_in_motion
 
@@ -78,3 +79,20 @@ def test_a_lens_or_a_time_offset_is_not_said_to_be_a_cameras_pose(simulated: Cal
         f"{theta} cam1.cx: it is fixed at its nominal value",
         f"{theta} cam1.time_offset: it is fixed at its nominal value",
     ]
+
+
+@pytest.mark.parametrize(("rig", "condition"), [("tiago", 150.0), ("tiago_dual", 400.0)])
+def test_a_parameter_that_hardly_takes_part_does_not_stand_for_a_direction(
+    rig: str, condition: float, simulated: Callable
+) -> None:
+    # With the scale's place taken by a length of 15 mm, what is left of tiago has a condition number of 240,000.
+    session = simulated(rig, poses=20).session
+    arm = rows_of(session.chain)
+    problem = Problem.of(session, arm)
+    state = first_state(session, arm, problem.nominal_offsets())
+    spec = replace(nominal(session, state), geometry="dh")
+    found = identify(problem, state, choose_parameters(session, problem, state, spec))
+    assert found.condition_number < condition
+    scale = [text for text in found.unidentifiable if text.startswith("the scale")]
+    assert len(scale) == (rig == "tiago")
+    assert all("d of row 4 (arm_3_joint) among them" in text for text in scale)

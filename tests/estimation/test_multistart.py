@@ -5,13 +5,14 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pytest
 
 from tests.states import at_joint_values, points_of
 from urdfcal.estimation.alignment import kabsch
 from urdfcal.estimation.blocks.arm import ARM
 from urdfcal.estimation.blocks.cameras import has_cameras
 from urdfcal.estimation.measurements import Detections
-from urdfcal.estimation.multistart import _same_arm
+from urdfcal.estimation.multistart import _same_arm, _screen
 from urdfcal.estimation.problem import Problem
 from urdfcal.estimation.time_offset_start import start_state
 from urdfcal.pipeline import calibrate
@@ -21,6 +22,9 @@ from urdfcal.simulation.motion import Motion, set_in_motion
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from urdfcal.estimation.solver import Solution
+    from urdfcal.result.fitted import FittedCalibration
 
 
 def test_the_problem_of_rossi_et_al_a_3r_arm_from_far_starts(simulated: Callable, true_state: Callable) -> None:
@@ -83,3 +87,66 @@ def test_cameras_have_no_part_in_other_starts_from_points(simulated: Callable) -
     assert len(states) == 3
     assert not any(has_cameras(state) for state in states)
     assert calibration.document.validation.rms_px is None  # whichever of the equal minima was kept
+
+
+@pytest.fixture(scope="module")
+def calibration(simulated: Callable) -> FittedCalibration:
+    return calibrate(replace(simulated("elbow3r").session, estimate=Estimate("dh", "fixed", "fixed")))
+
+
+def minimum(of: FittedCalibration, more: float = 0.0, converged: bool = True, **lengths: float) -> Solution:
+    """A minimum of so much more chi-square, with links so many metres longer than nominal, by the joint's name."""
+    offsets = np.zeros_like(of.estimate.offsets)
+    for joint, length in lengths.items():
+        offsets[of.geometry.labels.index(joint), of.geometry.columns.index("a")] = length
+    return replace(of.fit, state=of.fit.state.replace({ARM: offsets}), cost=of.fit.cost + more, converged=converged)
+
+
+def test_of_equally_likely_minima_the_one_nearest_to_nominal_is_kept(calibration: FittedCalibration) -> None:
+    near, farther, outside = (minimum(calibration, joint_2=length) for length in (-0.002, 0.019, 0.021))
+    found = _screen(calibration.session, calibration.problem, [outside, near, farther])
+    assert [(each.solution, each.kept, each.reason) for each in found] == [
+        (near, True, "nearest to nominal among the best"),
+        (outside, False, "outside tolerance: an offset of 21 tolerances"),
+        (farther, False, "farther from nominal: an offset of 19 tolerances"),
+    ]
+
+
+@pytest.mark.parametrize("priors", [True, False])
+def test_near_is_in_units_of_each_joints_own_tolerance(calibration: FittedCalibration, priors: bool) -> None:
+    one, other = minimum(calibration, joint_2=0.005), minimum(calibration, joint_1=0.003)
+    if not priors:  # they are no priors, but what is near
+        blocks = tuple(
+            replace(block, sigma=np.full(len(block), np.inf)) if block.key == ARM else block
+            for block in calibration.fit.parameters.blocks
+        )
+        one, other = (replace(s, parameters=replace(s.parameters, blocks=blocks)) for s in (one, other))
+    session = calibration.session
+    assert _screen(session, calibration.problem, [one, other])[0].solution is other
+    tolerances = replace(session.tolerances, joints={"joint_2": {"a": 0.01}})
+    assert _screen(replace(session, tolerances=tolerances), calibration.problem, [other, one])[0].solution is one
+
+
+def test_a_less_likely_minimum_is_not_kept_however_near(calibration: FittedCalibration) -> None:
+    far = minimum(calibration, joint_2=0.01)
+    for more, kept in ((24.9, True), (25.1, False)):
+        near = minimum(calibration, more)
+        found = _screen(calibration.session, calibration.problem, [far, near])
+        assert (found[0].solution is near) == kept
+        assert [each.kept for each in found] == [True, False]
+        assert ("more than chance" in found[1].reason) == (not kept)
+
+
+def test_where_the_solver_did_not_settle_is_no_minimum(calibration: FittedCalibration) -> None:
+    wandering, far = minimum(calibration, -100.0, converged=False), minimum(calibration, joint_2=0.01)
+    found = _screen(calibration.session, calibration.problem, [wandering, far])
+    assert [(each.solution, each.kept) for each in found] == [(far, True), (wandering, False)]
+    assert found[1].reason == "the solver did not settle"
+    (alone,) = _screen(calibration.session, calibration.problem, [wandering])
+    assert not alone.kept
+
+
+def test_a_minimum_that_is_reached_twice_is_said_to_be_the_same(calibration: FittedCalibration) -> None:
+    a, b = minimum(calibration, joint_2=0.001), minimum(calibration, joint_2=0.001)
+    found = _screen(calibration.session, calibration.problem, [a, b])
+    assert [(each.solution, each.reason) for each in found[1:]] == [(b, "the same minimum")]
