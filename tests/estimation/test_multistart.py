@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     from urdfcal.estimation.solver import Solution
     from urdfcal.result.fitted import FittedCalibration
+    from urdfcal.session.model import Session
 
 
 def test_the_problem_of_rossi_et_al_a_3r_arm_from_far_starts(simulated: Callable, true_state: Callable) -> None:
@@ -94,59 +95,70 @@ def calibration(simulated: Callable) -> FittedCalibration:
     return calibrate(replace(simulated("elbow3r").session, estimate=Estimate("dh", "fixed", "fixed")))
 
 
-def minimum(of: FittedCalibration, more: float = 0.0, converged: bool = True, **lengths: float) -> Solution:
-    """A minimum of so much more chi-square, with links so many metres longer than nominal, by the joint's name."""
-    offsets = np.zeros_like(of.estimate.offsets)
-    for joint, length in lengths.items():
-        offsets[of.geometry.labels.index(joint), of.geometry.columns.index("a")] = length
-    return replace(of.fit, state=of.fit.state.replace({ARM: offsets}), cost=of.fit.cost + more, converged=converged)
+def moved(calibration: FittedCalibration, parameter: str, tolerances: float, cost: float = 0.0) -> Solution:
+    """Another minimum: one parameter so many tolerances from nominal, the chi-square other by ``cost``."""
+    fit = calibration.fit
+    block = next(block for block in fit.parameters.blocks if block.key == ARM)
+    k = block.names.index(parameter)
+    offsets = np.array(fit.state[ARM])
+    offsets[block.places[0][k], block.places[1][k]] = tolerances * block.sigma[k]
+    return replace(fit, state=fit.state.replace({ARM: offsets}), cost=fit.cost + cost)
 
 
-def test_of_equally_likely_minima_the_one_nearest_to_nominal_is_kept(calibration: FittedCalibration) -> None:
-    near, farther, outside = (minimum(calibration, joint_2=length) for length in (-0.002, 0.019, 0.021))
-    found = _screen(calibration.session, calibration.problem, [outside, near, farther])
-    assert [(each.solution, each.kept, each.reason) for each in found] == [
-        (near, True, "nearest to nominal among the best"),
-        (outside, False, "outside tolerance: an offset of 21 tolerances"),
-        (farther, False, "farther from nominal: an offset of 19 tolerances"),
-    ]
+def screened(
+    calibration: FittedCalibration, *found: Solution, session: Session | None = None
+) -> tuple[Solution | None, dict[int, str]]:
+    """The minimum that is kept, and what is said of each."""
+    minima = _screen(session or calibration.session, calibration.problem, found)
+    assert [minimum.kept for minimum in minima] == [k == 0 and minima[0].kept for k in range(len(minima))]
+    return minima[0].solution if minima[0].kept else None, {id(m.solution): m.reason for m in minima}
 
 
-@pytest.mark.parametrize("priors", [True, False])
-def test_near_is_in_units_of_each_joints_own_tolerance(calibration: FittedCalibration, priors: bool) -> None:
-    one, other = minimum(calibration, joint_2=0.005), minimum(calibration, joint_1=0.003)
-    if not priors:  # they are no priors, but what is near
-        blocks = tuple(
-            replace(block, sigma=np.full(len(block), np.inf)) if block.key == ARM else block
-            for block in calibration.fit.parameters.blocks
-        )
-        one, other = (replace(s, parameters=replace(s.parameters, blocks=blocks)) for s in (one, other))
-    session = calibration.session
-    assert _screen(session, calibration.problem, [one, other])[0].solution is other
-    tolerances = replace(session.tolerances, joints={"joint_2": {"a": 0.01}})
-    assert _screen(replace(session, tolerances=tolerances), calibration.problem, [other, one])[0].solution is one
+@pytest.mark.parametrize("first", [True, False])
+def test_of_equally_likely_minima_the_nearest_to_nominal_is_kept(calibration: FittedCalibration, first: bool) -> None:
+    near, far = moved(calibration, "joint_2.a", 3.0), moved(calibration, "joint_2.a", 12.0, cost=-20.0)
+    kept, reasons = screened(calibration, *((near, far) if first else (far, near)))
+    assert kept is near
+    assert reasons == {
+        id(near): "nearest to nominal among the best",
+        id(far): "farther from nominal: an offset of 12 tolerances",
+    }
 
 
-def test_a_less_likely_minimum_is_not_kept_however_near(calibration: FittedCalibration) -> None:
-    far = minimum(calibration, joint_2=0.01)
-    for more, kept in ((24.9, True), (25.1, False)):
-        near = minimum(calibration, more)
-        found = _screen(calibration.session, calibration.problem, [far, near])
-        assert (found[0].solution is near) == kept
-        assert [each.kept for each in found] == [True, False]
-        assert ("more than chance" in found[1].reason) == (not kept)
+def test_minima_that_no_arm_has_are_named_so(calibration: FittedCalibration) -> None:
+    near = moved(calibration, "joint_2.a", 3.0)
+    for tolerances, word in ((19.8, "farther from nominal"), (20.2, "outside tolerance")):
+        far = moved(calibration, "joint_2.a", tolerances)
+        _, reasons = screened(calibration, far, near)
+        assert reasons[id(far)] == f"{word}: an offset of 20 tolerances"
 
 
-def test_where_the_solver_did_not_settle_is_no_minimum(calibration: FittedCalibration) -> None:
-    wandering, far = minimum(calibration, -100.0, converged=False), minimum(calibration, joint_2=0.01)
-    found = _screen(calibration.session, calibration.problem, [wandering, far])
-    assert [(each.solution, each.kept) for each in found] == [(far, True), (wandering, False)]
-    assert found[1].reason == "the solver did not settle"
-    (alone,) = _screen(calibration.session, calibration.problem, [wandering])
-    assert not alone.kept
+def test_each_parameter_is_judged_by_its_own_tolerance(calibration: FittedCalibration) -> None:
+    a, alpha = moved(calibration, "joint_2.a", 12.0), moved(calibration, "joint_2.alpha", 14.0)
+    assert screened(calibration, alpha, a)[0] is a
+    loose = replace(calibration.session.tolerances, joints={"joint_2": {"alpha": 1.0}})
+    session = replace(calibration.session, tolerances=loose)
+    assert screened(calibration, alpha, a, session=session)[0] is alpha
 
 
-def test_a_minimum_that_is_reached_twice_is_said_to_be_the_same(calibration: FittedCalibration) -> None:
-    a, b = minimum(calibration, joint_2=0.001), minimum(calibration, joint_2=0.001)
-    found = _screen(calibration.session, calibration.problem, [a, b])
-    assert [(each.solution, each.reason) for each in found[1:]] == [(b, "the same minimum")]
+def test_unlikely_minima_and_those_of_a_solver_that_did_not_settle_are_discarded(
+    calibration: FittedCalibration,
+) -> None:
+    far, near = moved(calibration, "joint_2.a", 12.0), moved(calibration, "joint_2.a", 1.0, cost=25.1)
+    kept, reasons = screened(calibration, near, far)
+    assert kept is far
+    assert reasons[id(near)].endswith("more than chance")
+    assert screened(calibration, replace(near, cost=far.cost + 24.9), far)[0] is not far
+    lost = replace(near, converged=False, cost=0.0)
+    kept, reasons = screened(calibration, lost, far)
+    assert kept is far
+    assert reasons[id(lost)] == "the solver did not settle"
+    assert screened(calibration, lost)[0] is None
+
+
+def test_the_same_arm_is_named_as_such(calibration: FittedCalibration) -> None:
+    fit = calibration.fit
+    again = replace(fit, cost=fit.cost + 1e-6)
+    kept, reasons = screened(calibration, fit, again)
+    assert kept is fit
+    assert reasons[id(again)] == "the same minimum"
