@@ -25,13 +25,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tests.states import true_state_of
+from urdfcal.estimation.blocks.arm import ARM
+from urdfcal.estimation.blocks.leds import LEDS
 from urdfcal.estimation.evaluation import compare
 from urdfcal.estimation.identifiability import identify
+from urdfcal.estimation.joint_models.time_offset import TIME_OFFSETS, time_offsets
 from urdfcal.estimation.linearize import Tangent
-from urdfcal.estimation.model_spec import Freedoms
-from urdfcal.estimation.observations import observe
+from urdfcal.estimation.model_spec import ModelSpec
 from urdfcal.estimation.parameters import choose_parameters
-from urdfcal.estimation.state import State
+from urdfcal.estimation.problem import Problem
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.pipeline import calibrate
@@ -48,23 +51,12 @@ WORKSPACE = 500
 DRAWS = 4000
 
 
-def true_state(simulated: Simulated) -> State:
-    session, truth = simulated.session, simulated.truth
-    return State(
-        offsets=truth.offsets,
-        T_world_base=truth.T_world_base,
-        leds=truth.leds,
-        cameras=session.rig.cameras,
-        T_cam_world=truth.T_cam_frame,
-        time_offsets=truth.time_offsets,
-    )
-
-
-def information_of(table, block, state: State, parameters, joint_sigma: float) -> np.ndarray:
+def information_of(problem: Problem, state, parameters) -> np.ndarray:
     """What pixels tell of the active parameters, joint readings being noisy: the inverse of the bound, (P, P)."""
-    at = Tangent.at(table, block, state, parameters).linearise(slice(None))
+    (block,) = problem.observations
+    at = Tangent.at(problem, block, state, parameters).linearise()
     N, m, D, P = at.J.shape
-    J, J_q = at.J.reshape(N, m * D, P), at.by_joints(table.chain).reshape(N, m * D, -1)
+    J, J_q, joint_sigma = at.J.reshape(N, m * D, P), at.J_q, problem.joint_sigma
     noise = np.zeros((N, m, D, m, D))
     each = np.arange(m)
     noise[:, each, :, each, :] = np.moveaxis(block.covariance, 1, 0)
@@ -92,26 +84,25 @@ class Knowledge:
     def of(cls, simulated: Simulated, q: np.ndarray, *, priors: bool) -> Knowledge:
         session = simulated.session
         table = DHTable.from_chain(session.chain)
-        (block,) = observe(session)
-        truth = true_state(simulated)
-        every = choose_parameters(session, table, truth, Freedoms("dh", ("fixed",) * 2, ("fixed",) * 2, priors=priors))
-        parameters = identify(table, [block], truth, every).parameters
-        motion = tip_motion(table.chain, table.chain.build_model(table.placements(truth.offsets)), q)
-        A = np.zeros((len(q), 3, parameters.size))
-        A[..., : len(parameters.rows)] = (motion.regressor @ table.twists(truth.offsets, parameters.rows))[:, :3]
-        A = A[..., parameters.active].reshape(-1, parameters.count)
+        problem, truth = Problem.of(session, table), true_state_of(simulated)
+        spec = ModelSpec("dh", ("fixed",) * 2, ("fixed",) * 2, priors=priors)
+        parameters = identify(problem, truth, choose_parameters(session, problem, truth, spec)).parameters
+        motion = tip_motion(table.chain, table.chain.build_model(table.placements(truth[ARM])), q)
+        A = np.zeros((len(q), 3, parameters.count))
+        twists = table.twists(truth[ARM], parameters.arm_rows)
+        A[..., parameters.active_columns(ARM)[0]] = (motion.regressor @ twists)[:, :3]
+        A = A.reshape(-1, parameters.count)
         rigid = np.concatenate([np.broadcast_to(np.eye(3), (len(q), 3, 3)), -skew(motion.p)], axis=2).reshape(-1, 6)
 
         rng = np.random.default_rng(0)
         spread = np.sqrt(np.mean([draw_offsets(table, rng) ** 2 for _ in range(DRAWS)], axis=0))
         drawn = np.full(parameters.size, np.inf)
-        drawn[: len(parameters.rows)] = [spread[row, parameters.columns.index(name)] for row, name in parameters.rows]
-        for index, led in enumerate(session.leds):
-            drawn[parameters.led(index)] = led.sigma
-        for position, camera in enumerate(parameters.clocks):
-            drawn[parameters.clock(position)] = abs(truth.time_offsets[camera])
+        drawn[parameters.columns(ARM)] = [spread[row, table.columns.index(name)] for row, name in table.parameters]
+        drawn[parameters.columns(LEDS)] = np.repeat([led.sigma for led in session.leds], 3)
+        clocks = parameters.columns(TIME_OFFSETS)
+        drawn[clocks] = np.abs(time_offsets(truth))[: clocks.stop - clocks.start]
         return cls(
-            information_of(table, block, truth, parameters, session.noise.joint),
+            information_of(problem, truth, parameters),
             A - rigid @ np.linalg.lstsq(rigid, A, rcond=None)[0],
             parameters.prior[parameters.active],
             drawn[parameters.active],

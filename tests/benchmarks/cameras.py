@@ -31,6 +31,7 @@ from tests.cameras.board.boards import CHARUCO, held
 from urdfcal.cli.cameras import command as cameras_command
 from urdfcal.cli.detect import run as detect
 from urdfcal.estimation.evaluation import compare
+from urdfcal.estimation.measurements import Detections
 from urdfcal.images.files import in_parallel, write_image
 from urdfcal.io.folder import read_rig, read_session
 from urdfcal.io.shipped_rigs import find_rig
@@ -68,10 +69,10 @@ def ideal(session: Session, simulated: Simulated, folder: Path, seed: int) -> Se
     """The session with the true places of its sightings, and noise of the sigmas that were claimed."""
     with (folder / TRUTH).open() as file:
         truth = {(row["pose"], row["camera"]): (float(row["u"]), float(row["v"])) for row in csv.DictReader(file)}
-    seen = session.detections
+    seen = session.find(Detections)
     places = [truth[session.poses[p], session.rig.names[c]] for p, c in zip(seen.pose, seen.camera, strict=True)]
     noise = seen.sigma[:, None] * np.random.default_rng([seed, 1]).standard_normal(seen.uv.shape)
-    return replace(session, rig=simulated.session.rig, detections=replace(seen, uv=np.array(places) + noise))
+    return replace(session, rig=simulated.session.rig, measurements=(replace(seen, uv=np.array(places) + noise),))
 
 
 def tip_error(calibration: FittedCalibration, simulated: Simulated, seed: int) -> float:

@@ -13,15 +13,16 @@ from dataclasses import replace
 
 import numpy as np
 
+from tests.states import state_of
+from urdfcal.estimation.blocks.arm import ARM
 from urdfcal.estimation.evaluation import compare
 from urdfcal.estimation.identifiability import identify
-from urdfcal.estimation.linearize import predict
-from urdfcal.estimation.model_spec import Freedoms, nominal
-from urdfcal.estimation.observations import observe
+from urdfcal.estimation.measurements import Detections
+from urdfcal.estimation.model_spec import ModelSpec, nominal
 from urdfcal.estimation.parameters import choose_parameters
+from urdfcal.estimation.problem import Problem
 from urdfcal.estimation.solver import solve
 from urdfcal.estimation.start import first_state
-from urdfcal.estimation.state import State
 from urdfcal.estimation.uncertainty import tip_covariance
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
@@ -37,7 +38,7 @@ def main() -> None:
     arguments = parser.parse_args()
     rig = read_rig(find_rig(arguments.rig))
     table = DHTable.from_chain(rig.chain)
-    freedoms = Freedoms("dh", ("fixed",) * 2, ("fixed",) * 2)
+    spec = ModelSpec("dh", ("fixed",) * 2, ("fixed",) * 2)
     q = rig.chain.random_values(200, np.random.default_rng(0))
     inside, tips, chi2 = [], [], []
     for run in range(arguments.runs):
@@ -46,38 +47,30 @@ def main() -> None:
         if run % 10 == 0:
             simulated = simulate(rig, poses=arguments.poses, seed=run, error_scale=0.0)
         session, truth = simulated.session, simulated.truth
-        start = State(
-            offsets=np.zeros((len(table.rows), 5)),
-            T_world_base=truth.T_world_base,
-            leds=np.array([led.position for led in session.leds]),
-            cameras=session.rig.cameras,
-            T_cam_world=np.array(session.rig.T_cam_world),
-        )
-        parameters = choose_parameters(session, table, start, freedoms)
-        (block,) = observe(session)
-        parameters = identify(table, [block], start, parameters).parameters
+        leds, views = np.array([led.position for led in session.leds]), np.array(session.rig.T_cam_world)
+        start = state_of(session, np.zeros((len(table.rows), 5)), truth.T_world_base, leds, views)
+        exactly = Problem.of(replace(session, q=truth.q), table)
+        (block,) = exactly.observations
+        parameters = identify(exactly, start, choose_parameters(session, exactly, start, spec)).parameters
         drawn = np.where(np.isfinite(parameters.prior), parameters.prior, 0.0)[parameters.active]
-        true = parameters.move(start, drawn * rng.standard_normal(parameters.count))
-        exact = predict(table, replace(block, q=truth.q[block.pose]), true)
-        uv = block.by_row(exact) + rng.normal(0.0, session.noise.pixel, (block.count, 2))
+        true = parameters.retract(start, drawn * rng.standard_normal(parameters.count))
+        uv = block.by_row(exactly.predict(block, true)) + rng.normal(0.0, session.noise.pixel, (block.count, 2))
         readings = truth.q + rng.normal(0.0, session.noise.joint, truth.q.shape)
-        measured = replace(session, q=readings, detections=replace(session.detections, uv=uv))
+        measured = replace(session, q=readings, measurements=(replace(session.find(Detections), uv=uv),))
 
-        blocks = observe(measured)
-        state = first_state(measured, table, np.zeros_like(true.offsets))
-        base = choose_parameters(measured, table, state, nominal(measured, state))
-        state = solve(table, blocks, state, base, measured.noise.joint).state
-        found = identify(table, blocks, state, choose_parameters(measured, table, state, freedoms))
-        fit = solve(table, blocks, state, found.parameters, measured.noise.joint)
+        problem = Problem.of(measured, table)
+        state = first_state(measured, table, problem.nominal_offsets())
+        base = choose_parameters(measured, problem, state, nominal(measured, state))
+        state = solve(problem, state, base).state
+        found = identify(problem, state, choose_parameters(measured, problem, state, spec))
+        fit = solve(problem, state, found.parameters)
 
-        sigma = np.full(fit.parameters.size, np.nan)
-        sigma[fit.parameters.active] = np.sqrt(np.diag(fit.covariance))
-        for index, (row, name) in enumerate(fit.parameters.rows):
-            if np.isfinite(sigma[index]):
-                error = fit.state.offsets[row, PARAMETERS.index(name)] - true.offsets[row, PARAMETERS.index(name)]
-                inside.append(abs(error) < 1.959964 * sigma[index])
-        covariance = tip_covariance(table, fit, q)
-        arms = (replace(rig.chain, placements=table.placements(s.offsets)) for s in (true, fit.state))
+        sigma = fit.parameters.sigmas(fit.covariance)[fit.parameters.columns(ARM)]
+        error = [(fit.state[ARM] - true[ARM])[row, PARAMETERS.index(name)] for row, name in table.parameters]
+        known = np.isfinite(sigma)
+        inside += (np.abs(error)[known] < 1.959964 * sigma[known]).tolist()
+        covariance = tip_covariance(problem, fit, q)
+        arms = (replace(rig.chain, placements=table.placements(s[ARM])) for s in (true, fit.state))
         position = compare(*arms, q).position
         # The error's length against its own predicted distribution, by simulation of the covariance.
         sample = np.random.default_rng(run).standard_normal((400, 3))

@@ -144,7 +144,7 @@ def whole(folder: Path, poses: int, seeds: int) -> None:
         noise = seen.sigma[:, None] * np.random.default_rng(seed + 1000).standard_normal(seen.uv.shape)
         errors = []
         for detections in (seen, replace(seen, uv=np.array(places) + noise)):
-            calibration = calibrate(replace(of, detections=detections))
+            calibration = calibrate(replace(of, measurements=(detections,)))
             nominal = calibration.chain
             q = nominal.random_values(500, np.random.default_rng(seed))
             true, built = (

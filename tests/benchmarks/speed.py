@@ -45,24 +45,32 @@ import numpy as np
 import pinocchio as pin
 from threadpoolctl import threadpool_limits
 
+from tests.states import at_joint_values, true_state_of
+from urdfcal.estimation.blocks.arm import ARM
+from urdfcal.estimation.blocks.base_pose import BASE
+from urdfcal.estimation.blocks.cameras import camera_poses, camera_values
+from urdfcal.estimation.blocks.leds import LEDS
 from urdfcal.estimation.evaluation import compare
 from urdfcal.estimation.identifiability import identify
-from urdfcal.estimation.linearize import predict
-from urdfcal.estimation.model_spec import Freedoms
-from urdfcal.estimation.observations import Observations, observe
+from urdfcal.estimation.measurements import Detections, Points
+from urdfcal.estimation.measurements.pixels import triangulate
+from urdfcal.estimation.model_spec import ModelSpec
 from urdfcal.estimation.parameters import Parameters, choose_parameters
+from urdfcal.estimation.problem import Problem
 from urdfcal.estimation.solver import solve
-from urdfcal.estimation.start import first_state, triangulated
-from urdfcal.estimation.state import State
+from urdfcal.estimation.start import first_state
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.robot.dh import DHTable
-from urdfcal.session.model import Points, Session
 from urdfcal.simulation.simulate import Simulated, simulate
 
 if TYPE_CHECKING:
-    from urdfcal.session.knowledge import Freedom
     from collections.abc import Callable
+
+    from urdfcal.estimation.observations import Observations
+    from urdfcal.estimation.state import State
+    from urdfcal.session.knowledge import Freedom
+    from urdfcal.session.model import Session
 
 POSES, COPIES = 500, (1, 10, 100)
 KINDS = ("pixels", "points")
@@ -88,120 +96,130 @@ class Best:
 
 
 @dataclass(frozen=True)
-class Problem:
+class Task:
     """What every contender is given."""
 
     session: Session
     kind: str
     clock: Callable[[], float]
-    table: DHTable
-    block: Observations
+    estimation: Problem
 
     @classmethod
-    def of(cls, session: Session, kind: str, clock: Callable[[], float]) -> Problem:
-        block = observe(session)[0] if kind == "pixels" else triangulated(session)
-        return cls(session, kind, clock, DHTable.from_chain(session.chain), block)
+    def of(cls, session: Session, kind: str, clock: Callable[[], float]) -> Task:
+        tables = None if kind == "pixels" else [triangulate(session)]
+        return cls(session, kind, clock, Problem.of(session, DHTable.from_chain(session.chain), tables))
+
+    @property
+    def table(self) -> DHTable:
+        return self.estimation.arm
+
+    @property
+    def block(self) -> Observations:
+        return self.estimation.observations[0]
 
     def start(self) -> State:
         offsets = np.zeros_like(self.table.nominal)
         if self.kind == "pixels":
             return first_state(self.session, self.table, offsets)
         # The points are given, so they are not triangulated again.
-        sigma = np.sqrt(np.trace(self.block.covariance[:, 0], axis1=1, axis2=2) / 3.0)
-        given = Points(self.block.pose, self.block.led[:, 0], self.block.value[:, 0], sigma)
-        return first_state(replace(self.session, detections=None, points=given), self.table, offsets)
+        seen = self.block.table
+        given = Points(seen.pose, seen.led, seen.xyz, seen.sigma)
+        return first_state(replace(self.session, measurements=(given,)), self.table, offsets)
 
     def parameters(self, start: State) -> Parameters:
-        fixed: tuple[Freedom, ...] = ("fixed",) * len(start.cameras)
-        candidates = choose_parameters(self.session, self.table, start, Freedoms("dh", fixed, fixed))
-        return identify(self.table, [self.block], start, candidates).parameters
+        fixed: tuple[Freedom, ...] = ("fixed",) * (2 if self.kind == "pixels" else 0)
+        candidates = choose_parameters(self.session, self.estimation, start, ModelSpec("dh", fixed, fixed))
+        return identify(self.estimation, start, candidates).parameters
 
 
-def ours(problem: Problem) -> Best:
+def ours(problem: Task) -> Best:
     times = [problem.clock()]
     start = problem.start()
     times.append(problem.clock())
     parameters = problem.parameters(start)
     times.append(problem.clock())
-    fit = solve(problem.table, [problem.block], start, parameters, problem.session.noise.joint)
+    fit = solve(problem.estimation, start, parameters)
     times.append(problem.clock())
     return Best(
         seconds=times[-1] - times[0],
         parts=dict(zip(("start", "identify", "solve"), np.diff(times), strict=True)),
-        placements=problem.table.placements(fit.state.offsets),
+        placements=problem.table.placements(fit.state[ARM]),
         iterations=len(fit.history),
         shape=(problem.block.value.size, parameters.count),
     )
 
 
-def scipy_loop(problem: Problem, predicted: Callable[[Problem, State], np.ndarray]) -> Best:
+def scipy_loop(problem: Task, predicted: Callable[[Task, State], np.ndarray]) -> Best:
     from scipy.optimize import least_squares
 
     begin = problem.clock()
     table, block = problem.table, problem.block
     start = problem.start()
     parameters = problem.parameters(start)
-    W = whitening(table, block, start, problem.session.noise.joint)
+    W = whitening(problem.estimation, start)
 
     def residuals(step: np.ndarray) -> np.ndarray:
-        state = parameters.move(start, step)
+        state = parameters.retract(start, step)
         residual = (predicted(problem, state) - block.value).reshape(len(W), -1, 1)
         return np.concatenate([(W @ residual).ravel(), parameters.prior_residuals(state)[0]])
 
     found = least_squares(residuals, np.zeros(parameters.count), jac="2-point", method="lm")
     seconds = problem.clock() - begin
-    return Best(seconds, placements=table.placements(parameters.move(start, found.x).offsets))
+    return Best(seconds, placements=table.placements(parameters.retract(start, found.x)[ARM]))
 
 
-def all_at_once(problem: Problem, state: State) -> np.ndarray:
-    return predict(problem.table, problem.block, state)
+def all_at_once(problem: Task, state: State) -> np.ndarray:
+    return problem.estimation.predict(problem.block, state)
 
 
-def pose_by_pose(problem: Problem, state: State) -> np.ndarray:
+def pose_by_pose(problem: Task, state: State) -> np.ndarray:
     """The same, as one would write it."""
     table, block = problem.table, problem.block
-    model = table.chain.build_model(table.placements(state.offsets))
+    model = table.chain.build_model(table.placements(state[ARM]))
     data, last, tip = model.createData(), model.njoints - 1, pin.SE3(table.chain.T_last_tip)
-    T_world_base = pin.SE3(state.T_world_base)
-    poses = [(cv2.Rodrigues(T[:3, :3])[0], T[:3, 3]) for T in state.T_cam_world]
+    T_world_base = pin.SE3(state[BASE])
+    poses = [(cv2.Rodrigues(T[:3, :3])[0], T[:3, 3]) for T in camera_poses(problem.estimation.attachments, state)]
     lenses = [
         (np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]), camera.distortion)
-        for camera in state.cameras
+        for camera in camera_values(problem.estimation.attachments, state)
         for fx, fy, cx, cy in [camera.intrinsics]
     ]
     result = np.zeros_like(block.value)
-    for k, q in enumerate(block.q):
+    for k, q in enumerate(block.readings.q):
         pin.forwardKinematics(model, data, q)
         T_world_tip = T_world_base * data.oMi[last] * tip
         for slot in np.flatnonzero(block.valid[k]):
-            world = T_world_tip.act(state.leds[block.led[k, slot]])
+            world = T_world_tip.act(state[LEDS][block.index["led"][k, slot]])
             if problem.kind == "pixels":
-                c = block.camera[k, slot]
+                c = block.index["camera"][k, slot]
                 world = cv2.projectPoints(np.array([world]), *poses[c], *lenses[c])[0].ravel()
             result[k, slot] = world
     return result
 
 
-def whitening(table: DHTable, block: Observations, state: State, joint_sigma: float) -> np.ndarray:
-    """What gives the residuals of every pose unit variance, (N, m D, m D): sightings and joint readings are noisy."""
+def whitening(estimation: Problem, state: State) -> np.ndarray:
+    """What gives the residuals of every pose unit variance, (N, m D, m D), joint readings being noisy as well."""
+    (block,) = estimation.observations
     N, m, D = block.value.shape
-    steps = 1e-6 * np.eye(block.q.shape[1])
-    at = predict(table, block, state)
-    slopes = [(predict(table, replace(block, q=block.q + step), state) - at) / 1e-6 for step in steps]
-    J_q = joint_sigma * np.stack(slopes, axis=-1).reshape(N, m * D, -1)
+    q = block.readings.q
+    at = estimation.predict(block, state)
+    slopes = [
+        (estimation.predict(at_joint_values(block, q + step), state) - at) / 1e-6 for step in 1e-6 * np.eye(q.shape[1])
+    ]
+    J_q = estimation.joint_sigma * np.stack(slopes, axis=-1).reshape(N, m * D, -1)
     covariance = (J_q @ np.swapaxes(J_q, 1, 2)).reshape(N, m, D, m, D)
     each = np.arange(m)
     covariance[:, each, :, each, :] += np.moveaxis(block.covariance, 1, 0)
     return np.linalg.inv(np.linalg.cholesky(covariance.reshape(N, m * D, m * D)))
 
 
-def figaroh_map(problem: Problem, folder: Path, *, whitened: bool) -> Best:
+def figaroh_map(problem: Task, folder: Path, *, whitened: bool) -> Best:
     """FIGAROH on the points of ``problem``; its model, its files and the whitening are made off the clock."""
     from figaroh.calibration.base_calibration import BaseCalibration
     from figaroh.calibration.calibration_tools import calc_updated_fkm
 
-    session, block = problem.session, problem.block
-    W = whitening(problem.table, block, problem.start(), session.noise.joint)
+    session = problem.session
+    W = whitening(problem.estimation, problem.start())
 
     class Calibration(BaseCalibration):
         def cost_function(self, var: np.ndarray) -> np.ndarray:
@@ -231,9 +249,9 @@ def figaroh_map(problem: Problem, folder: Path, *, whitened: bool) -> Best:
     return Best(seconds, placements=placements)
 
 
-def figaroh_files(problem: Problem, folder: Path) -> Path:
+def figaroh_files(problem: Task, folder: Path) -> Path:
     chain, tolerances = problem.session.chain, problem.session.tolerances
-    measured = np.hstack([problem.block.value[:, 0], problem.block.q])
+    measured = np.hstack([problem.block.value[:, 0], problem.block.readings.q])
     names = ",".join(["x1", "y1", "z1", *chain.names])
     np.savetxt(folder / "points.csv", measured, fmt="%.17g", delimiter=",", header=names, comments="")
     config = folder / "config.yaml"
@@ -257,9 +275,9 @@ tasks:
     return config
 
 
-def limit(problem: Problem, shape: tuple[int, int]) -> np.ndarray:
+def limit(problem: Task, shape: tuple[int, int]) -> np.ndarray:
     """The least that an iteration could cost: the calls alone, and with their results kept for J. [s]"""
-    chain, q = problem.session.chain, problem.block.q
+    chain, q = problem.session.chain, problem.block.readings.q
     model = chain.build_model()
     data, last, tip = model.createData(), model.njoints - 1, pin.SE3(chain.T_last_tip)
     aligned = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
@@ -282,25 +300,27 @@ def limit(problem: Problem, shape: tuple[int, int]) -> np.ndarray:
 
 def tiled(simulated: Simulated, copies: int, seed: int) -> Session:
     """The same poses several times over, each time with fresh noise."""
-    session, truth, seen = simulated.session, simulated.truth, simulated.session.detections
+    session, truth, seen = simulated.session, simulated.truth, simulated.session.find(Detections)
     if copies == 1:
         return session
     rng = np.random.default_rng([seed, copies])
-    at = State(truth.offsets, truth.T_world_base, truth.leds, session.rig.cameras, np.array(session.rig.T_cam_world))
-    (block,) = observe(replace(session, q=truth.q))
-    exact = block.by_row(predict(DHTable.from_chain(session.chain), block, at))
+    exactly = Problem.of(replace(session, q=truth.q), DHTable.from_chain(session.chain))
+    (block,) = exactly.observations
+    exact = block.by_row(exactly.predict(block, true_state_of(simulated)))
     N, uv, q = len(session.poses), np.tile(exact, (copies, 1)), np.tile(truth.q, (copies, 1))
     pose = (seen.pose + N * np.arange(copies)[:, None]).ravel()
     return replace(
         session,
         poses=tuple(f"{k:06d}" for k in range(copies * N)),
         q=q + session.noise.joint * rng.standard_normal(q.shape),
-        detections=Detections(
-            pose,
-            np.tile(seen.camera, copies),
-            np.tile(seen.led, copies),
-            uv + session.noise.pixel * rng.standard_normal(uv.shape),
-            np.tile(seen.sigma, copies),
+        measurements=(
+            Detections(
+                pose,
+                np.tile(seen.camera, copies),
+                np.tile(seen.led, copies),
+                uv + session.noise.pixel * rng.standard_normal(uv.shape),
+                np.tile(seen.sigma, copies),
+            ),
         ),
     )
 

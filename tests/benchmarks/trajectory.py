@@ -45,6 +45,7 @@ from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.chain import Chain
 from urdfcal.session.knowledge import Estimate
+from urdfcal.session.motion import AT_REST
 from urdfcal.simulation.motion import Motion, set_in_motion
 from urdfcal.simulation.simulate import Simulated, simulate
 
@@ -67,7 +68,7 @@ def at_rest(moving: Simulated, rng: np.random.Generator) -> Simulated:
     readings = session.chain.readings(moving.truth.q)
     readings = readings + session.noise.joint * rng.standard_normal(readings.shape)
     return Simulated(
-        replace(session, q=session.chain.joint_values(readings), trajectory=None),
+        replace(session, q=session.chain.joint_values(readings), motion=AT_REST),
         replace(moving.truth, time_offsets=np.zeros(0)),
     )
 
@@ -114,7 +115,7 @@ def main() -> None:
         errors.append([tip_error(fit, of, q) for fit, of in zip(fits, data, strict=True)])
         bounds.append([1e3 * Knowledge.of(of, q, priors=True).reachable() for of in data])
         clocks.append(1e3 * (fits[0].estimate.time_offsets - arguments.offsets))
-        log, off = filmed.session.trajectory.log, " ".join(f"{value:+.4f}" for value in clocks[-1])
+        log, off = filmed.session.motion.log, " ".join(f"{value:+.4f}" for value in clocks[-1])
         print(f"{seed:<5}{np.ptp(log.time):6.0f} s{len(moving.session.poses):8}  {off:23}", end="")
         print(row(*errors[-1]), flush=True)
     ratios = np.array(errors)[:, :1] / np.array(errors)[:, 1:]

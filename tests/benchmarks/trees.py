@@ -18,12 +18,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tests.benchmarks.accuracy import information_of, true_state
+from tests.benchmarks.accuracy import information_of
+from tests.states import true_state_of
+from urdfcal.estimation.blocks.arm import ARM
+from urdfcal.estimation.blocks.cameras import camera_poses
 from urdfcal.estimation.identifiability import identify
-from urdfcal.estimation.linearize import view
-from urdfcal.estimation.model_spec import Freedoms
-from urdfcal.estimation.observations import Observations, arrange, observe
+from urdfcal.estimation.measurements import Detections
+from urdfcal.estimation.model_spec import ModelSpec
 from urdfcal.estimation.parameters import choose_parameters
+from urdfcal.estimation.problem import Problem
 from urdfcal.estimation.solver import solve
 from urdfcal.estimation.start import first_state
 from urdfcal.io.folder import read_rig
@@ -38,57 +41,56 @@ RIGS = ("tiago", "tiago_dual", "ur5_handeye")
 NEW_POSES = 200
 
 
-def everywhere(simulated: Simulated, seed: int) -> Observations:
+def everywhere(simulated: Simulated, seed: int) -> Problem:
     """Every LED before every camera at poses that were not measured."""
     session = simulated.session
     cameras, leds = len(session.rig.cameras), len(session.leds)
     q = session.chain.random_values(NEW_POSES, np.random.default_rng(seed))
     pose, camera, led = (a.ravel() for a in np.meshgrid(range(NEW_POSES), range(cameras), range(leds), indexing="ij"))
-    unit = np.broadcast_to(np.eye(2), (len(pose), 2, 2))
-    return arrange(q, pose, led, camera, np.zeros((len(pose), 2)), unit, session.frames)
+    blank = Detections(pose, camera, led, np.zeros((len(pose), 2)), 1.0)
+    labels = tuple(map(str, range(NEW_POSES)))
+    new = replace(session, poses=labels, q=q, time=None, measurements=(blank,))
+    return Problem.of(new, rows_of(session.chain))
 
 
-def seen(table, block: Observations, state: State) -> np.ndarray:
+def seen(problem: Problem, state: State) -> np.ndarray:
     """(N, m, 3) the LEDs in the cameras' frames, m."""
-    T = state.T_cam_world[block.camera]
-    return (T[..., :3, :3] @ view(table, block, state)[..., None])[..., 0] + T[..., :3, 3]
+    (block,) = problem.observations
+    T = camera_poses(problem.attachments, state)[block.index["camera"]]
+    _, points = block.table.points(block, problem.links(block.readings, state), state)
+    return (T[..., :3, :3] @ points[..., None])[..., 0] + T[..., :3, 3]
 
 
 def one(simulated: Simulated, seed: int) -> tuple[float, float, float]:
     """Rms error at new poses of the drawn arm and of the calibrated one, and the bound, m."""
-    session, truth = simulated.session, true_state(simulated)
-    table, blocks, elsewhere = rows_of(session.chain), observe(session), everywhere(simulated, seed)
-    standing = set(session.frames.standing[:1].tolist())
-    extrinsics = tuple(
-        "free" if session.frames.leader[c] == c and c not in standing else "fixed" for c in range(len(truth.cameras))
-    )
+    session, truth = simulated.session, true_state_of(simulated)
+    table, attachments, elsewhere = rows_of(session.chain), session.attachments, everywhere(simulated, seed)
+    problem = Problem.of(session, table)
+    world = set(attachments.eye_to_hand[:1].tolist())
+    references = enumerate(attachments.reference.tolist())
+    extrinsics = tuple("free" if of == c and c not in world else "fixed" for c, of in references)
     lenses = ("fixed",) * len(extrinsics)
-    parameters = identify(
-        table, blocks, truth, choose_parameters(session, table, truth, Freedoms("dh", lenses, extrinsics, False))
-    ).parameters
-    # What cannot be told is held at its true value: the start has it, all else is as drawn and as found.
-    held = np.array(truth.offsets)
-    for index, (row, name) in enumerate(parameters.rows):
-        if parameters.active[index]:
-            held[row, parameters.columns.index(name)] = 0.0
-    start = first_state(session, table, np.zeros_like(truth.offsets))
-    fixed = identify(
-        table, blocks, start, choose_parameters(session, table, start, Freedoms("none", lenses, extrinsics, False))
-    ).parameters
-    drawn = solve(table, blocks, start, fixed, session.noise.joint)
-    start = replace(start, offsets=held)
-    fit = solve(table, blocks, start, parameters, session.noise.joint)
+    spec = ModelSpec("dh", lenses, extrinsics, priors=False)
+    parameters = identify(problem, truth, choose_parameters(session, problem, truth, spec)).parameters
+    # What is unidentifiable is fixed at its true value: the start has it, all else is nominal or as found.
+    known = np.array(truth[ARM])
+    for row, name in parameters.arm_rows:
+        known[row, table.columns.index(name)] = 0.0
+    start = first_state(session, table, problem.nominal_offsets())
+    arm_fixed = choose_parameters(session, problem, start, spec.nominal_arm)
+    nominal = solve(problem, start, identify(problem, start, arm_fixed).parameters)
+    fit = solve(problem, start.replace({ARM: known}), parameters)
 
-    reference = seen(table, elsewhere, truth)
+    reference = seen(elsewhere, truth)
     before, after = (
-        float(np.sqrt(np.mean(np.sum((seen(table, elsewhere, solution.state) - reference) ** 2, axis=-1))))
-        for solution in (drawn, fit)
+        float(np.sqrt(np.mean(np.sum((seen(elsewhere, solution.state) - reference) ** 2, axis=-1))))
+        for solution in (nominal, fit)
     )
-    information = sum(information_of(table, block, truth, parameters, session.noise.joint) for block in blocks)
+    information = information_of(problem, truth, parameters)
     J = np.empty((*reference.shape, parameters.count))
     for k in range(parameters.count):  # finite differences will do for a benchmark
         step = 1e-6 * np.eye(parameters.count)[k]
-        ahead, behind = (seen(table, elsewhere, parameters.move(truth, s * step)) for s in (1, -1))
+        ahead, behind = (seen(elsewhere, parameters.retract(truth, s * step)) for s in (1, -1))
         J[..., k] = (ahead - behind) / 2e-6
     J = J.reshape(-1, parameters.count)
     bound = float(np.sqrt(np.sum((J @ np.linalg.inv(information)) * J) / (len(J) / 3)))

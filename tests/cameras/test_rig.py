@@ -262,7 +262,6 @@ def test_cameras_are_found_by_name() -> None:
 @pytest.mark.parametrize(
     ("cameras", "transforms", "message"),
     [
-        ((), (), "at least one camera"),
         ((LEFT, LEFT), (np.eye(4), None), "two cameras are named 'left'"),
         ((LEFT, RIGHT), (np.eye(4),), "2 cameras have 1 transforms"),
         ((LEFT, RIGHT), (None, None), "camera 'left': T_cam_world of the first camera is not the identity"),

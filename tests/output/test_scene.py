@@ -104,8 +104,12 @@ def test_the_ghost_is_the_nominal_arm_where_it_fits_the_sightings_best():
     scene = build_scene(calibration)
     chain, q = calibration.chain, calibration.session.q
     T_base_world = inverse(calibration.estimate.T_world_base)
-    T_world_base = calibration.comparison.nominal_arm.fit.state[BASE]
-    nominal = T_base_world @ T_world_base @ tip_poses(chain, q) @ inverse(chain.T_last_tip)
+    nominal = (
+        T_base_world
+        @ calibration.comparison.nominal_arm.fit.state[BASE]
+        @ tip_poses(chain, q)
+        @ inverse(chain.T_last_tip)
+    )
     calibrated = scene.frames[:, -1, :3, 3]
     expected = calibrated + scene.factor * (nominal[:, :3, 3] - calibrated)
     np.testing.assert_allclose(scene.ghost[:, -1, :3, 3], expected, atol=1e-10)

@@ -29,7 +29,7 @@ _FAR = 20.0
 @base_option
 @click.option("--poses", type=click.IntRange(min=4), help="Configurations compared.  [default: 1000]")
 @click.option(
-    "--points", type=click.Path(path_type=Path), help="With a session: this points.csv instead of its own sightings."
+    "--points", type=click.Path(path_type=Path), help="With a session: this points.csv instead of its own measurements."
 )
 @seed_option
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")

@@ -176,7 +176,7 @@ def _sentence(parameters: Parameters, first: int, partners: Sequence[int], *, fi
         )
     if others and position not in others and not any(parameters.blocks[k].toleranced for k in others):
         phrases = list(dict.fromkeys(parameters.blocks[k].phrase for k in sorted(others)))
-        if len(phrases) <= 2:
+        if len(phrases) <= 2 and all(phrases):
             return f"{block.label(index)} cannot be distinguished from {' and '.join(phrases)}: {outcome}"
     named = ", ".join(parameters.blocks[of].label(k) for of, k in owners[:_NAMED])
     more = f" and {len(partners) - _NAMED} more" if len(partners) > _NAMED else ""
@@ -184,10 +184,12 @@ def _sentence(parameters: Parameters, first: int, partners: Sequence[int], *, fi
 
 
 def _is_scale(parameters: Parameters, entries: Sequence[int], involved: Sequence[Block[Any]]) -> bool:
-    """Whether nothing but lengths take part: of the arm, and of two or more others such as LEDs, base and cameras."""
+    """Whether lengths take part, along more than one axis: of the arm, and of two others such as LEDs and the base."""
     owners = [parameters.owner(entry) for entry in entries]
     lengths = all(parameters.blocks[of].units[k] == "m" for of, k in owners)
-    return lengths and any(block.toleranced for block in involved) and len(involved) > 2
+    beside = [of for of, _ in owners if not parameters.blocks[of].toleranced]
+    axes = max((beside.count(of) for of in beside), default=0)
+    return lengths and axes > 1 and any(block.toleranced for block in involved) and len(involved) > 2
 
 
 def _observability(singular: Floats, measurements: int) -> tuple[float, float, float, float, float]:

@@ -34,7 +34,7 @@ class Attempt:
 
     Attributes:
         spec: the model.
-        identifiability: what the sightings tell of its parameters.
+        identifiability: which of its parameters the measurements identify.
         fit: its estimate.
         seen_loss: of the poses it has seen; of unseen ones it cannot be lower.
     """
@@ -58,7 +58,7 @@ class Trial(Attempt):
     loss: float
 
     def residuals(self, what: Literal["residual", "distance"]) -> Floats:
-        """Held-out residuals or distances of all sightings that are no outliers, (S,), in px or m."""
+        """Held-out residuals or distances of all measurements that are no outliers, (S,)."""
         parts: tuple[Floats, ...] = getattr(self.held_out, what)
         return np.concatenate([part[keep] for part, keep in zip(parts, self.fit.kept, strict=True)])
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from urdfcal.arrays import Floats
     from urdfcal.output.chart import Chart
     from urdfcal.output.findings import Overview
-    from urdfcal.output.fitted import Measurements
+    from urdfcal.output.fitted import ResidualTable
     from urdfcal.output.scene import CalibrationScene
 
 # rerun's eye opens 55 degrees high; on a laptop's screen the view is at least so much wider than high.
@@ -144,7 +144,7 @@ def _grid(root: str, name: str, shown: list[Chart]) -> rrb.Container:
     return rrb.Grid(*(chart_view(chart, f"{root}/charts") for chart in shown), text, name=name.capitalize())
 
 
-def _images(images: list[str], overview: Overview, pixels: Measurements) -> list[rrb.View]:
+def _images(images: list[str], overview: Overview, pixels: ResidualTable) -> list[rrb.View]:
     """The residuals of all poses, nominal above and calibrated below, with the arm of this pose."""
     scene, cameras = overview.scene, overview.scene.arm.cameras
     views: list[rrb.View] = []

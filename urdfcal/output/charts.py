@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from urdfcal.arrays import Floats
     from urdfcal.output.chart import Color
     from urdfcal.output.findings import Overview
-    from urdfcal.output.fitted import Measurements
+    from urdfcal.output.fitted import ResidualTable
     from urdfcal.output.scene import Workspace
     from urdfcal.result.fitted import FittedCalibration
 
@@ -67,7 +67,7 @@ def residual_charts(overview: Overview) -> list[Chart]:
     return charts
 
 
-def by_pose(table: Measurements) -> Chart:
+def by_pose(table: ResidualTable) -> Chart:
     """The rms residual of each pose, nominal and calibrated."""
     (pose, before), (_, after) = (table.rms_by_pose(predicted) for predicted in (table.nominal, table.predicted))
     x = Scale.holding(pose + 1, whole=True)
@@ -87,7 +87,7 @@ def by_pose(table: Measurements) -> Chart:
     )
 
 
-def _by_camera(pixels: Measurements, names: list[str]) -> Chart:
+def _by_camera(pixels: ResidualTable, names: list[str]) -> Chart:
     camera = pixels.camera[pixels.used]
     index = np.arange(float(len(names)))
     with np.errstate(invalid="ignore"):
@@ -118,7 +118,7 @@ def _bars(at: Floats, length: Floats, half: float) -> tuple[Floats, Floats]:
     return across, np.stack([zero, length, length, zero], axis=-1)
 
 
-def spread(table: Measurements) -> Chart:
+def spread(table: ResidualTable) -> Chart:
     """How the residuals are distributed, beside the normal distribution that was declared."""
     edges, x = np.linspace(-_SIGMAS, _SIGMAS, 49), np.linspace(-_SIGMAS, _SIGMAS, 121)
     bell = np.exp(-(x**2) / 2) / np.sqrt(2 * np.pi)
@@ -140,7 +140,7 @@ def spread(table: Measurements) -> Chart:
     )
 
 
-def _against(name: str, title: str, value: Floats, table: Measurements) -> Chart:
+def _against(name: str, title: str, value: Floats, table: ResidualTable) -> Chart:
     """Residuals over something they should not depend on, and the means of bins of equal number."""
     known = np.isfinite(value[table.used])
     value, sigmas = value[table.used][known], table.sigmas(table.predicted)[known]

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from urdfcal.arrays import Floats, Ints
     from urdfcal.cameras.camera import Camera
-    from urdfcal.output.fitted import Measurements
+    from urdfcal.output.fitted import ResidualTable
     from urdfcal.output.scene import CalibrationScene, Workspace
     from urdfcal.output.stream import Layer
     from urdfcal.result.fitted import FittedCalibration
@@ -108,7 +108,7 @@ def _log_arm(layer: Layer, uv: Floats, color: tuple[int, ...], radius: float) ->
         layer.each(strips, np.array([pose for pose, _ in pieces]))
 
 
-def _log_image(image: Layer, scene: CalibrationScene, pixels: Measurements, seen: Ints) -> None:
+def _log_image(image: Layer, scene: CalibrationScene, pixels: ResidualTable, seen: Ints) -> None:
     pose = pixels.pose[seen]
     detected, predicted, expected = (uv[seen] + CORNER for uv in (pixels.measured, pixels.predicted, pixels.nominal))
     for name, places, color in (

@@ -15,7 +15,7 @@ from urdfcal.output.svg import svg
 if TYPE_CHECKING:
     from urdfcal.arrays import Floats
     from urdfcal.output.findings import Overview
-    from urdfcal.output.fitted import Measurements
+    from urdfcal.output.fitted import ResidualTable
     from urdfcal.output.scene import CalibrationScene
 
 _CELLS = 24
@@ -71,7 +71,7 @@ def _map(name: str, tip: Floats, error: Floats) -> Chart:
     )
 
 
-def _fields(scene: CalibrationScene, pixels: Measurements) -> str:
+def _fields(scene: CalibrationScene, pixels: ResidualTable) -> str:
     """What is left of the residuals over each camera's image: a bent field means a wrong lens."""
     fields = [_field(scene, pixels, c) for c in range(len(scene.arm.cameras))]
     columns = max(min(3, len(fields)), 2)
@@ -82,7 +82,7 @@ def _fields(scene: CalibrationScene, pixels: Measurements) -> str:
     return svg(rows, min((720 / columns - 30) * shape, _TALLEST) + 26)
 
 
-def _field(scene: CalibrationScene, pixels: Measurements, c: int) -> Chart:
+def _field(scene: CalibrationScene, pixels: ResidualTable, c: int) -> Chart:
     camera = scene.arm.cameras[c]
     mine = pixels.camera == c
     used, cut = mine & pixels.used & np.isfinite(pixels.predicted[:, 0]), pixels.measured[mine & pixels.outlier]

@@ -76,8 +76,8 @@ def entries_of_rows(calibration: FittedCalibration) -> list[tuple[int, int]]:
 
 
 @dataclass(frozen=True, eq=False)
-class Measurements:
-    """Measurements of one kind as a table, one row each, ordered by pose.
+class ResidualTable:
+    """ResidualTable of one kind as a table, one row each, ordered by pose.
 
     Attributes:
         unit: of residuals: px for pixels, mm for points.
@@ -133,7 +133,7 @@ class Measurements:
         return poses, np.sqrt(np.bincount(self.pose[self.used], square)[poses] / count[poses])
 
 
-def measurements_of(calibration: FittedCalibration) -> tuple[Measurements, ...]:
+def measurements_of(calibration: FittedCalibration) -> tuple[ResidualTable, ...]:
     """Bring the calibration's blocks of observations, and what became of them, into tables."""
     fit, tables = calibration.fit, []
     for index, block in enumerate(calibration.observations):
@@ -142,7 +142,7 @@ def measurements_of(calibration: FittedCalibration) -> tuple[Measurements, ...]:
             solution.norms[index][rows] / np.sqrt(block.dimension) for solution in (fit, calibration.nominal_fit)
         )
         tables.append(
-            Measurements(
+            ResidualTable(
                 unit=unit,
                 scale=scale,
                 components=block.table.columns,
@@ -188,7 +188,7 @@ def convergence_of(calibration: FittedCalibration) -> Convergence:
     )
 
 
-def rms_by_iteration(calibration: FittedCalibration, tables: tuple[Measurements, ...]) -> dict[str, Floats]:
+def rms_by_iteration(calibration: FittedCalibration, tables: tuple[ResidualTable, ...]) -> dict[str, Floats]:
     """The rms residual (I + 1,) at the nominal arm and after each step, by unit, outliers left out."""
     result = {}
     for block, outlier, table in zip(calibration.observations, calibration.fit.outlier, tables, strict=True):

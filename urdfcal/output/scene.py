@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
-from urdfcal.arrays import Floats, Ints, frozen, inverse
+from urdfcal.arrays import Bools, Floats, Ints, frozen, inverse
 from urdfcal.cameras.rig import Rig
 from urdfcal.estimation.alignment import kabsch
 from urdfcal.output import fitted
@@ -16,13 +16,9 @@ from urdfcal.output.placing import RobotPoses, dh_frames, row_corners
 from urdfcal.robot.kinematics import tip_poses
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from urdfcal.output.fitted import ArmEstimate, Measurements
+    from urdfcal.output.fitted import ArmEstimate, ResidualTable
     from urdfcal.result.fitted import FittedCalibration
     from urdfcal.session.attachments import Attachments
-
-    Bools = NDArray[np.bool_]
 
 # Enough for a map of 20 x 20 cells; drawing more takes longer and shows the same.
 _SAMPLES = 1500
@@ -88,8 +84,8 @@ class CalibrationScene:
     views: Floats
     links: tuple[str | None, ...]
     leds: LedTable
-    tables: tuple[Measurements, ...]
-    pixels: Measurements | None
+    tables: tuple[ResidualTable, ...]
+    pixels: ResidualTable | None
     rays: Floats
     factor: float
     pixel_factor: float
@@ -163,7 +159,7 @@ def _typical(vectors: Floats) -> float:
     return float(np.nanmedian(np.linalg.norm(vectors, axis=-1)))
 
 
-def _rays(pixels: Measurements, arm: ArmEstimate, poses: RobotPoses) -> Floats:
+def _rays(pixels: ResidualTable, arm: ArmEstimate, poses: RobotPoses) -> Floats:
     T = poses.T_base_cam[pixels.camera, pixels.pose]
     depth = np.einsum("si,si->s", T[:, :3, 2], poses.leds[pixels.pose, pixels.led] - T[:, :3, 3])
     ray = np.empty((len(T), 3))
@@ -174,7 +170,7 @@ def _rays(pixels: Measurements, arm: ArmEstimate, poses: RobotPoses) -> Floats:
 
 
 def _leds(
-    block: Measurements, arm: ArmEstimate, fastened: Attachments, rays: Floats, poses: RobotPoses, nominal: Floats
+    block: ResidualTable, arm: ArmEstimate, fastened: Attachments, rays: Floats, poses: RobotPoses, nominal: Floats
 ) -> LedTable:
     """Gather detections of an LED at a pose; nominal LEDs (F, N, L, 3) as seen from each frame that cameras are in."""
     view = fastened.camera[block.camera] if block.by_camera else np.zeros_like(block.camera)
@@ -211,7 +207,7 @@ def _leds(
 
 
 def _triangulated(
-    pixels: Measurements, arm: ArmEstimate, fastened: Attachments, poses: RobotPoses, row: Ints, pose: Ints, view: Ints
+    pixels: ResidualTable, arm: ArmEstimate, fastened: Attachments, poses: RobotPoses, row: Ints, pose: Ints, view: Ints
 ) -> tuple[Floats, Floats]:
     """Points (M, 3) and covariances, in the base link's frame, each by the cameras that are in one frame; else NaN."""
     uv = np.full((len(pose), len(arm.cameras), 2), np.nan)

@@ -14,6 +14,8 @@ from tests.estimation.problems import Example, at_rest, branched, eye_in_hand, f
 from urdfcal.cameras.camera import Camera
 from urdfcal.estimation.blocks.base_pose import BaseBlock
 from urdfcal.estimation.joint_models import JOINT_MODELS
+from urdfcal.estimation.linearize import Tangent
+from urdfcal.estimation.measurements import Detections
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -171,3 +173,17 @@ def test_priors_of_all_blocks_have_their_derivative(example: Example) -> None:
         numeric = (after - before) / (2 * step[column])
         scale = max(np.abs(numeric).max(), 1.0)
         assert np.abs(J[:, column] - numeric).max() < 1e-5 * scale, parameters.names[entry]
+
+
+def test_a_pixel_in_a_lens_is_scaled_to_the_effect_of_a_radian(example: Example) -> None:
+    # What identifiability compares columns by: unscaled, pixels would look hundreds of times as weak.
+    parameters = example.parameters
+    units = np.array([unit for block in parameters.blocks for unit in block.units])[parameters.active]
+    scales = parameters.scales(example.state)[parameters.active]
+    for observed in example.problem.observations:
+        J = Tangent.at(example.problem, observed, example.state, parameters).linearise().J
+        effect = scales * np.sqrt(np.mean(J.reshape(-1, parameters.count) ** 2, axis=0))
+        largest = effect[units == "rad"].max()
+        seen = (units == "px") & effect.astype(bool)
+        assert seen.any() or not isinstance(observed.table, Detections)
+        assert ((effect[seen] > 0.02 * largest) & (effect[seen] < 5.0 * largest)).all()

@@ -14,6 +14,7 @@ import pytest
 
 from tests.estimation.derivatives import STEPS, assert_derivatives
 from tests.estimation.problems import Example, at_rest, filmed
+from urdfcal.estimation.blocks.arm import ARM
 from urdfcal.estimation.joint_models import JOINT_MODELS, JointModel
 from urdfcal.estimation.linearize import Tangent
 from urdfcal.estimation.problem import Problem
@@ -100,6 +101,25 @@ def test_at_its_nominal_value_it_adds_nothing(model: JointModel, session: Sessio
 def test_away_from_nominal_it_adds_something(model: JointModel, readings: Readings) -> None:
     assert np.isfinite(model.values(readings, some_value(model))).all()
     assert np.asarray(model.values(readings, some_value(model))).any()
+
+
+def test_what_is_the_same_at_every_pose_is_held_by_the_arm_itself(model: JointModel, session: Session) -> None:
+    # A corrected URDF has no joint models: it must move as the arm does with them.
+    example = Example.of(session, "dh")
+    readings = example.problem.observations[0].readings
+    nominal = {of.key: of.nominal for of in example.problem.joint_models}
+    state = example.start.replace({**nominal, model.key: some_value(model)})
+    offsets = example.problem.offsets(state)
+    if np.ptp(model.values(readings, state[model.key]), axis=0).any():
+        np.testing.assert_array_equal(offsets, state[ARM] + model.offsets(example.problem.arm, state[model.key]))
+        return
+    expected, without, held = (
+        example.problem.links(readings, at)
+        for at in (state, state.replace(nominal), state.replace({**nominal, ARM: offsets}))
+    )
+    assert np.abs(np.array(without.p) - expected.p).max() > 1e-6
+    np.testing.assert_allclose(held.R, expected.R, atol=1e-12)
+    np.testing.assert_allclose(held.p, expected.p, atol=1e-12)
 
 
 def test_its_jacobian_agrees_with_finite_differences(model: JointModel, readings: Readings) -> None:

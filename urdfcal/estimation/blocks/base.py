@@ -32,7 +32,7 @@ class Block(ABC, Generic[V]):
         nominal: the value that the prior is centred at.
         sigma: (k,) prior standard deviation about the nominal value; inf where there is no prior. [unit]
         fixed: coordinates that are not estimated, by index, each with the reason.
-        phrase: completes "cannot be distinguished from ..." where all coordinates of the block could take part.
+        phrase: completes "cannot be distinguished from ..." for all coordinates together; empty where each is named.
         toleranced: whether the prior is a manufacturing tolerance, which can share out an unidentifiable direction.
         order: blocks of a lower number give up a coordinate first where a direction is unidentifiable.
         own_section: whether the result document has a section for the block.

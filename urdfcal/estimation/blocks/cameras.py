@@ -60,7 +60,7 @@ class LensBlock(Block[Camera]):
             nominal=nominal,
             sigma=np.where(sigma > 0.0, sigma, np.inf),
             fixed=_exact(sigma),
-            phrase=f"the lens of {nominal.name}",
+            phrase="",
         )
 
     def retract(self, value: Camera, step: Floats) -> Camera:

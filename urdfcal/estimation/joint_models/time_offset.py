@@ -47,7 +47,7 @@ class TimeOffsets(JointModel):
             units=("s",) * len(names),
             nominal=np.zeros(len(names)),
             sigma=np.full(len(names), CLOCK),
-            phrase="the cameras' time offsets",
+            phrase="",
         )
 
     @classmethod
