@@ -45,7 +45,7 @@ def command(
 ) -> None:
     """Compare the tips of two versions of a robot over its workspace, or the residuals of a session under one.
 
-    With a session, base pose and LED places (and camera poses, for pixels) are fitted; the arm is as A draws it.
+    With a session, base pose and LED positions (and camera poses, for pixels) are fitted; the arm is A's.
     """
     if Path(other).is_dir() or other.endswith((".yaml", ".yml")):
         if tip or base or poses:
