@@ -261,7 +261,5 @@ class SessionFile(_Tables):
         if self.frames is not None and self.cameras is None:
             raise ValueError("frames are named, but no cameras")
         if self.frames is None and self.estimate.time_offset is not None:
-            raise ValueError(
-                "estimate.time_offset is given, but no frames: they do not matter to an arm at rest"
-            )
+            raise ValueError("estimate.time_offset is given, but no frames: they do not matter to an arm at rest")
         return self
