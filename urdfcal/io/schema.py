@@ -162,7 +162,7 @@ class StandKeys(_Keys):
 
 
 def _noise(keys: dict[str, float]) -> Noise:
-    own = {name: keys.pop(name) for name in ("pixel", "point", "joint")}
+    own = {name: keys.pop(name) for name in ("pixel", "point", "joint") if name in keys}
     return Noise(**own, other=keys)
 
 
@@ -201,7 +201,7 @@ class SetupFile(_Keys):
             "leds": tuple(Led(name, led.position, led.sigma, led.link) for name, led in self.leds.items()),  # type: ignore[arg-type]
             "mounts": self.cameras.mounts if self.cameras is not None else (),
             "led_distances": tuple(LedDistance(d.leds, d.distance, d.sigma) for d in self.led_distances),
-            "noise": _noise(self.noise.model_dump()),
+            "noise": _noise(self.noise.model_dump(exclude_unset=True)),
             "estimate": Estimate(**self.estimate.model_dump()),
             "tolerances": Tolerances(
                 self.tolerances.length, self.tolerances.angle, self.tolerances.zero, self.tolerances.joints
