@@ -185,7 +185,7 @@ class Recording:
 
 
 def pixels(number: int, size: tuple[int, int] = SIZE) -> np.ndarray:
-    """A picture that is like no other."""
+    """A image that is like no other."""
     return np.random.default_rng(number).integers(0, 256, (size[1], size[0]), np.uint8)
 
 
@@ -203,13 +203,13 @@ def recording(kind: str, seconds: float = 1.0) -> Recording:
 
 
 def moving(kind: str, simulated: Simulated, seconds: float, offsets: Sequence[float]) -> Recording:
-    """What a simulated arm looks like while it moves through its poses: joints at 125 Hz, pictures at 30 Hz.
+    """What a simulated arm looks like while it moves through its poses: joints at 125 Hz, images at 30 Hz.
 
     Args:
         kind: of the bag.
         simulated: the arm, its poses, the LED, and two cameras without distortion or with radtan.
         seconds: that it takes.
-        offsets: of each camera's clock: a picture is taken that much after its stamp. [s]
+        offsets: of each camera's clock: a image is taken that much after its stamp. [s]
     """
     session, truth, bag = simulated.session, simulated.truth, Recording(kind)
     rig = session.rig

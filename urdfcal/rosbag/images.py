@@ -1,4 +1,4 @@
-"""The pictures of a bag, written one by one as they are read."""
+"""The images of a bag, written one by one as they are read."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ _DIGITS = 6
 
 
 @dataclass(frozen=True, eq=False)
-class Frames:
-    """The pictures of one camera.
+class WrittenImages:
+    """The images of one camera.
 
     Attributes:
         times: when they were taken.
@@ -40,36 +40,36 @@ class Frames:
 
 
 @dataclass(frozen=True)
-class _Taken:
-    """One picture that is written: its stamp and when it was received, in ns, and its file."""
+class _WrittenImage:
+    """One image that is written: its stamp and when it was received, in ns, and its file."""
 
     stamp: int
     received: int
     path: Path
 
 
-def write_pictures(
+def write_images(
     folder: Path, messages: Iterable[Message], topics: Sequence[str], cameras: Sequence[Camera]
-) -> tuple[Frames, ...]:
-    """Write pictures as ``folder``/<camera>/<number of the message>.png, or .jpg where they were recorded as that.
+) -> tuple[WrittenImages, ...]:
+    """Write images as ``folder``/<camera>/<number of the message>.png, or .jpg where they were recorded as that.
 
-    Pictures that were not recorded whole are left out.
+    Images that were not recorded whole are left out.
 
     Args:
         folder: where to; it is made.
         messages: of the topics, in the order in which they were recorded.
         topics: of every camera, sensor_msgs/Image or CompressedImage.
-        cameras: that took the pictures.
+        cameras: that took the images.
 
     Returns:
-        Of every camera, which pictures there are.
+        Of every camera, which images there are.
 
     Raises:
-        CameraError: a picture is of another kind or size than its camera takes, or none was recorded whole.
+        CameraError: an image is of another kind or size than its camera takes, or none was recorded whole.
         SessionError: a camera took none, or its clock was set back.
         OSError: they cannot be written.
     """
-    taken: list[list[_Taken]] = [[] for _ in topics]
+    written: list[list[_WrittenImage]] = [[] for _ in topics]
     damaged: list[list[CameraError]] = [[] for _ in topics]
 
     def numbered() -> Iterator[tuple[int, int, Message]]:
@@ -79,52 +79,52 @@ def write_pictures(
             counts[camera] += 1
             yield camera, counts[camera], message
 
-    def write(task: tuple[int, int, Message]) -> tuple[int, _Taken | CameraError]:
+    def write(task: tuple[int, int, Message]) -> tuple[int, _WrittenImage | CameraError]:
         camera, number, message = task
         path = folder / cameras[camera].name / f"{number:0{_DIGITS}d}"
         where = f"{message.topic}, message {number}"
         try:
-            return camera, _Taken(message.stamp, message.received, _write(path, message.content, cameras[camera]))
+            path = _write(path, message.content, cameras[camera])
         except DamagedPictureError as error:
             return camera, CameraError(error.what, where=where)
         except CameraError as error:
             raise CameraError(error.what, where=where, remedy=error.remedy) from error
+        return camera, _WrittenImage(message.stamp, message.received, path)
 
     for one in cameras:
         (folder / one.name).mkdir(parents=True)
     for camera, result in in_parallel(write, numbered()):
-        if isinstance(result, _Taken):
-            taken[camera].append(result)
-        else:
+        if isinstance(result, CameraError):
             damaged[camera].append(result)
-    return tuple(_in_order(*of) for of in zip(topics, taken, damaged, strict=True))
+        else:
+            written[camera].append(result)
+    return tuple(_in_order(*of) for of in zip(topics, written, damaged, strict=True))
 
 
-def _in_order(topic: str, taken: Sequence[_Taken], damaged: Sequence[CameraError]) -> Frames:
-    """The pictures that have a time of their own; the files of others are removed."""
-    if damaged and not taken:
+def _in_order(topic: str, written: Sequence[_WrittenImage], damaged: Sequence[CameraError]) -> WrittenImages:
+    """Return the images that have a time of their own; remove the files of others."""
+    if damaged and not written:
         raise damaged[0]
-    times = timeline(topic, [one.stamp for one in taken], [one.received for one in taken])
-    for i in np.setdiff1d(np.arange(len(taken)), times.kept):
-        taken[i].path.unlink()
-    warnings = [f"{len(damaged)} pictures are damaged and left out; the first: {damaged[0]}"] if damaged else []
-    return Frames(times, tuple(taken[i].path.stem for i in times.kept), tuple(warnings))
+    times = timeline(topic, [one.stamp for one in written], [one.received for one in written])
+    for i in np.setdiff1d(np.arange(len(written)), times.kept):
+        written[i].path.unlink()
+    warnings = [f"{len(damaged)} images are damaged and left out; the first: {damaged[0]}"] if damaged else []
+    return WrittenImages(times, tuple(written[i].path.stem for i in times.kept), tuple(warnings))
 
 
 def _write(path: Path, content: Any, camera: Camera) -> Path:
-    """Write the picture of one message, and say where it is."""
+    """Write the image of one message, and return its file."""
     if hasattr(content, "format"):
         data = content.data.tobytes()
         suffix, image, size = decode_compressed(content.format, data)
     else:
-        size = int(content.width), int(content.height)
-        suffix, data = ".png", b""
+        suffix, data, size = ".png", b"", (int(content.width), int(content.height))
         image = decode_raw(content.encoding, size, content.step, content.data, big_endian=bool(content.is_bigendian))
     if size != camera.resolution:
         raise CameraError(
             f"it is {size[0]} x {size[1]} pixels, and the camera {camera.name!r} "
             f"{camera.resolution[0]} x {camera.resolution[1]}",
-            remedy="Describe the camera as the pictures were taken, with --cameras FILE.",
+            remedy="Describe the camera as the images were taken, with --cameras FILE.",
         )
     path = path.with_suffix(suffix)
     if image is None:

@@ -1,4 +1,4 @@
-"""From a bag to a session of a moving arm: its cameras, joints.csv, frames.csv, and the pictures."""
+"""Import of a bag as a session of a moving arm: its cameras, joints.csv, frames.csv, and the images."""
 
 from __future__ import annotations
 
@@ -11,11 +11,10 @@ from urdfcal.io.folder import IMAGES
 from urdfcal.io.writing import put_into, write_table
 from urdfcal.names import listed
 from urdfcal.rosbag.bag import TRANSFORMS
-from urdfcal.rosbag.cameras import read_rig
-from urdfcal.rosbag.clock import on_clock_of
-from urdfcal.rosbag.images import write_pictures
+from urdfcal.rosbag.cameras import TF_STATIC, read_bag_cameras
+from urdfcal.rosbag.clock import align_clock
+from urdfcal.rosbag.images import write_images
 from urdfcal.rosbag.joints import read_joint_states
-from urdfcal.rosbag.static_transforms import TF_STATIC
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -25,15 +24,15 @@ if TYPE_CHECKING:
     from urdfcal.robot.urdf.urdf import Urdf
     from urdfcal.rosbag.bag import Bag, Message
     from urdfcal.rosbag.clock import Timeline
-    from urdfcal.rosbag.images import Frames
+    from urdfcal.rosbag.images import WrittenImages
     from urdfcal.rosbag.joints import JointStates
-    from urdfcal.rosbag.topics import Chosen
+    from urdfcal.rosbag.topics import ChosenTopics
     from urdfcal.session.knowledge import Led
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
-    """What a bag does not tell.
+class ImportSetup:
+    """What a session needs and a bag does not hold.
 
     Attributes:
         urdf: the robot description.
@@ -51,16 +50,16 @@ class Known:
 
 
 @dataclass(frozen=True, eq=False)
-class Imported:
-    """What became of a bag.
+class ImportSummary:
+    """What was imported from a bag.
 
     Attributes:
         origin: the time that is 0 in the session, on the robot's clock. [ns]
         joints: when the joint states were taken.
-        cameras: when the pictures were taken, by camera.
+        cameras: when the images were taken, by camera.
         rig: the cameras.
-        notes: how it is known where the cameras stand that the bag describes.
-        warnings: what was left out, or done to the times.
+        notes: where the poses of the cameras come from that the bag describes.
+        warnings: which messages were left out, and what was done to the times.
     """
 
     origin: int
@@ -72,20 +71,26 @@ class Imported:
 
 
 def import_bag(
-    bag: Bag, chosen: Chosen, known: Known, folder: str | Path, progress: Callable[[int], object] | None = None
-) -> Imported:
-    """Write a session from a bag; all of it or nothing. Of its pictures never more than a few are in memory.
+    bag: Bag,
+    topics: ChosenTopics,
+    setup: ImportSetup,
+    folder: str | Path,
+    progress: Callable[[int], object] | None = None,
+) -> ImportSummary:
+    """Write a session from a bag; all of it or nothing.
+
+    Of its images never more than a few are in memory.
 
     Args:
         bag: the recording.
-        chosen: its topics.
-        known: what it does not tell.
+        topics: of the joints and the cameras.
+        setup: what the bag does not hold.
         folder: where to; made if need be, in a folder that exists. It must be empty.
-        progress: called with the number of messages read since the last call: those of ``chosen`` and /tf_static.
+        progress: called with the number of messages read since the last call: those of ``topics`` and /tf_static.
 
     Raises:
         SessionError: the bag is damaged, or its joint states or times cannot be used.
-        CameraError: a camera or a picture cannot be used.
+        CameraError: a camera or an image cannot be used.
         OutputError: the folder is not empty, or cannot be written.
     """
     folder = Path(folder)
@@ -94,35 +99,36 @@ def import_bag(
             "there is something already", where=str(folder), remedy="Name another folder, or empty it first."
         )
 
-    def counted(messages: Iterator[Message]) -> Iterator[Message]:
-        for message in messages:
+    def read(*names: str) -> Iterator[Message]:
+        for message in bag.messages(names):
             if progress:
                 progress(1)
             yield message
 
-    states = read_joint_states(chosen.joints, counted(bag.messages([chosen.joints])), known.chain.actuated)
-    rig, notes = known.rig, tuple[str, ...]()
+    joints = setup.chain.actuated
+    states = read_joint_states(topics.joints, read(topics.joints), joints)
+    rig, notes = setup.rig, tuple[str, ...]()
     if rig is None:
-        infos = [(camera.name, camera.info) for camera in chosen.cameras if camera.info is not None]
+        infos = [(camera.name, camera.info) for camera in topics.cameras if camera.info is not None]
         static = [topic.name for topic in bag.topics if topic.name == TF_STATIC and topic.type == TRANSFORMS]
-        rig, notes = read_rig(infos, counted(bag.messages([*(info for _, info in infos), *static])))
-    images = _in_order_of(rig, chosen)
+        rig, notes = read_bag_cameras(infos, read(*(info for _, info in infos), *static))
+    images = _image_topics(rig, topics)
     with put_into(folder) as partial:
-        _write_setup(partial, known, rig)
-        taken = write_pictures(partial / IMAGES, counted(bag.messages(images)), images, rig.cameras)
+        _write_setup(partial, setup, rig)
+        written = write_images(partial / IMAGES, read(*images), images, rig.cameras)
         frames = {
-            name: replace(of, times=on_clock_of(states.times, of.times))
-            for name, of in zip(rig.names, taken, strict=True)
+            name: replace(of, times=align_clock(states.times, of.times))
+            for name, of in zip(rig.names, written, strict=True)
         }
-        origin = _write_tables(partial, states, known.chain.actuated, frames)
+        origin = _write_tables(partial, states, joints, frames)
     warnings = (warning for of in frames.values() for warning in (*of.warnings, *of.times.warnings))
     cameras = {name: of.times for name, of in frames.items()}
-    return Imported(origin, states.times, cameras, rig, notes, (*states.warnings, *warnings))
+    return ImportSummary(origin, states.times, cameras, rig, notes, (*states.warnings, *warnings))
 
 
-def _in_order_of(rig: Rig, chosen: Chosen) -> tuple[str, ...]:
-    """The topics of the pictures, in the order of the cameras."""
-    images = {camera.name: camera.image for camera in chosen.cameras}
+def _image_topics(rig: Rig, topics: ChosenTopics) -> tuple[str, ...]:
+    """Return the topics of the images, in the order of the cameras."""
+    images = {camera.name: camera.image for camera in topics.cameras}
     if set(images) != set(rig.names):
         raise CameraError(
             f"the cameras described are {listed(rig.names)}, those in the bag are called {listed(images)}",
@@ -131,20 +137,19 @@ def _in_order_of(rig: Rig, chosen: Chosen) -> tuple[str, ...]:
     return tuple(images[name] for name in rig.names)
 
 
-def _write_setup(folder: Path, known: Known, rig: Rig) -> None:
+def _write_setup(folder: Path, setup: ImportSetup, rig: Rig) -> None:
     """Write session.yaml, the cameras, and the robot unless it is in a package."""
     import yaml
 
     from urdfcal.cameras.io.formats import write_kalibr
 
-    reference, chain = known.urdf_reference, known.chain
+    reference, chain, led = setup.urdf_reference, setup.chain, setup.led
     if not reference.startswith("package://"):
         reference = Path(reference).name
-        (folder / reference).write_bytes(known.urdf.data)
-    led = {} if known.led.position is None else {"position": known.led.position.tolist()}
+        (folder / reference).write_bytes(setup.urdf.data)
     content = {
         "robot": {"urdf": reference, "base_link": chain.base_link, "tip_link": chain.tip_link},
-        "leds": {known.led.name: led},
+        "leds": {led.name: {} if led.position is None else {"position": led.position.tolist()}},
         "cameras": "cameras.yaml",
         "joints": "joints.csv",
         "frames": "frames.csv",
@@ -154,7 +159,7 @@ def _write_setup(folder: Path, known: Known, rig: Rig) -> None:
     (folder / "session.yaml").write_text(text, encoding="utf-8")
 
 
-def _write_tables(folder: Path, states: JointStates, joints: Sequence[str], frames: Mapping[str, Frames]) -> int:
+def _write_tables(folder: Path, states: JointStates, joints: Sequence[str], frames: Mapping[str, WrittenImages]) -> int:
     """Write joints.csv and frames.csv, and return the time that is 0 in them. [ns]."""
     origin = int(min(times.time[0] for times in (states.times, *(of.times for of in frames.values()))))
 
