@@ -12,7 +12,6 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from tests.io.making import ACTUATED
 from urdfcal.simulation.render import Light, Scenery, Sensor
-from urdfcal.simulation.scene import Scene
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -213,7 +212,6 @@ def moving(kind: str, simulated: Simulated, seconds: float, offsets: Sequence[fl
     """
     session, truth, bag = simulated.session, simulated.truth, Recording(kind)
     rig = session.rig
-    assert rig is not None
 
     def motion(time: float) -> np.ndarray:
         """Joint values (n,): from pose to pose with the least jerk, and never beyond either."""
@@ -225,21 +223,13 @@ def moving(kind: str, simulated: Simulated, seconds: float, offsets: Sequence[fl
     actuated = [joint.mimic is None for joint in session.chain.joints]
     for i in range(round(125 * seconds)):
         bag.joints(START + 8_000_000 * i, motion(0.008 * i)[actuated], session.chain.actuated)
-    scene = Scene(
-        session.chain,
-        truth.placements,
-        session.attachments,
-        truth.leds,
-        truth.T_world_base,
-        rig.cameras,
-        truth.T_cam_frame,
-    )
+    scene = simulated.scene
     rng = np.random.default_rng(0)
     for camera, (one, offset) in enumerate(zip(rig.cameras, offsets, strict=True)):
         sensor, scenery = Sensor(one.resolution), Scenery.flat(one.resolution, 25.0)
         for i in range(round(30 * seconds)):
             stamp = 33_333_333 * i
-            uv = scene.images(motion(1e-9 * stamp + offset)[None])[0, camera, 0]
+            uv = scene.pixels(motion(1e-9 * stamp + offset)[None])[0, camera, 0]
             lights = [Light(uv, 1500.0, 1.5)] if one.in_image(uv) else []
             image = sensor.expose(scenery.expected(lights), rng)
             bag.image(f"/{one.name}/image_raw", START + stamp, image)
