@@ -20,7 +20,7 @@ from urdfcal.errors import CameraError, OutputError, SessionError, UrdfcalError
 from urdfcal.images.files import read_image, workers
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.urdf.urdf import Urdf
-from urdfcal.rosbag import images as bag_images
+from urdfcal.rosbag import importing
 from urdfcal.rosbag.bag import open_bag
 from urdfcal.rosbag.importing import ImportSetup, ImportSummary, import_bag
 from urdfcal.rosbag.topics import TopicOptions, choose_topics
@@ -280,7 +280,7 @@ def test_a_full_disk_leaves_nothing(tmp_path: Path, known: ImportSetup, monkeypa
     def full(path: Path, image: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(bag_images, "write_image", full)
+    monkeypatch.setattr(importing, "write_image", full)
     with pytest.raises(OutputError, match="s: cannot write here: No space left on device"):
         bring(recording("mcap", 0.2), tmp_path / "s", known)
     assert not [path for path in tmp_path.iterdir() if path.name not in ("arm.urdf", "bag-mcap")]
@@ -290,7 +290,7 @@ def test_only_a_few_images_are_in_memory(tmp_path: Path, known: ImportSetup, mon
     bag = recording("mcap", 3.0)
     others = sum(1 for _, topic, _ in bag.messages if "image" not in topic)
     lock, read, written, ahead = threading.Lock(), [0], [0], [0]
-    write = bag_images.write_image
+    write = importing.write_image
 
     def write_and_count(path: Path, image: Any) -> None:
         write(path, image)
@@ -302,7 +302,7 @@ def test_only_a_few_images_are_in_memory(tmp_path: Path, known: ImportSetup, mon
             read[0] += count
             ahead.append(read[0] - others - written[0])
 
-    monkeypatch.setattr(bag_images, "write_image", write_and_count)
+    monkeypatch.setattr(importing, "write_image", write_and_count)
     bring(bag, tmp_path / "s", known, progress=progress)
     assert written[0] == 180
     assert max(ahead) <= 2 * workers() + 1

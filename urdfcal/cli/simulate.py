@@ -106,14 +106,11 @@ def command(
 
         simulated = set_in_motion(simulated, MotionSettings(speed, frame_rate, joint_rate, time_offsets))
     if filmed:
-        from urdfcal.simulation.images import Exposure, write_simulated_images, write_simulated_videos
+        from urdfcal.simulation.images import Exposure, write_simulated_images
 
         exposure = Exposure(peak=peak, distractors=distractors)
         with progress_bar("rendering", None) as advance:
-            if video:
-                write_simulated_videos(session, simulated, exposure, frame_rate, advance)
-            else:
-                write_simulated_images(session, simulated, exposure, advance)
+            write_simulated_images(session, simulated, exposure, advance, video_rate=frame_rate if video else None)
     else:
         write_simulated(session, simulated)
     for warning in simulated.session.warnings:

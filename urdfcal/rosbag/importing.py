@@ -2,32 +2,39 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from urdfcal.errors import CameraError, OutputError
+from urdfcal.images.encodings import DamagedPictureError, decode_compressed, decode_raw
+from urdfcal.images.files import in_parallel, write_image
 from urdfcal.io.folder import IMAGES
 from urdfcal.io.writing import put_into, write_table
 from urdfcal.names import listed
 from urdfcal.rosbag.bag import TRANSFORMS
 from urdfcal.rosbag.cameras import TF_STATIC, read_bag_cameras
-from urdfcal.rosbag.clock import align_clock
-from urdfcal.rosbag.images import write_images
+from urdfcal.rosbag.clock import align_clock, timeline
 from urdfcal.rosbag.joints import read_joint_states
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
+    from urdfcal.cameras.camera import Camera
     from urdfcal.cameras.rig import Rig
     from urdfcal.robot.chain import Chain
     from urdfcal.robot.urdf.urdf import Urdf
     from urdfcal.rosbag.bag import Bag, Message
     from urdfcal.rosbag.clock import Timeline
-    from urdfcal.rosbag.images import WrittenImages
     from urdfcal.rosbag.joints import JointStates
     from urdfcal.rosbag.topics import ChosenTopics
     from urdfcal.session.knowledge import Led
+
+
+# Nine hours of images at 30 Hz.
+_DIGITS = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +75,30 @@ class ImportSummary:
     rig: Rig
     notes: tuple[str, ...]
     warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _CameraImages:
+    """The images of one camera.
+
+    Attributes:
+        times: when they were taken.
+        labels: their files' names without suffix, in the same order.
+        warnings: which were damaged, and what was done to the times.
+    """
+
+    times: Timeline
+    labels: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _WrittenImage:
+    """One image that is written: its stamp and when it was received, in ns, and its file."""
+
+    stamp: int
+    received: int
+    path: Path
 
 
 def import_bag(
@@ -115,13 +146,9 @@ def import_bag(
     images = _image_topics(rig, topics)
     with put_into(folder) as partial:
         _write_setup(partial, setup, rig)
-        written = write_images(partial / IMAGES, read(*images), images, rig.cameras)
-        frames = {
-            name: replace(of, times=align_clock(states.times, of.times))
-            for name, of in zip(rig.names, written, strict=True)
-        }
+        frames = _write_images(partial / IMAGES, read(*images), images, rig.cameras, states.times)
         origin = _write_tables(partial, states, joints, frames)
-    warnings = (warning for of in frames.values() for warning in (*of.warnings, *of.times.warnings))
+    warnings = (warning for of in frames.values() for warning in of.warnings)
     cameras = {name: of.times for name, of in frames.items()}
     return ImportSummary(origin, states.times, cameras, rig, notes, (*states.warnings, *warnings))
 
@@ -159,7 +186,96 @@ def _write_setup(folder: Path, setup: ImportSetup, rig: Rig) -> None:
     (folder / "session.yaml").write_text(text, encoding="utf-8")
 
 
-def _write_tables(folder: Path, states: JointStates, joints: Sequence[str], frames: Mapping[str, WrittenImages]) -> int:
+def _write_images(
+    folder: Path, messages: Iterable[Message], topics: Sequence[str], cameras: Sequence[Camera], robot: Timeline
+) -> dict[str, _CameraImages]:
+    """Write images as ``folder``/<camera>/<number of the message>.png, or .jpg where they were recorded as that.
+
+    Args:
+        folder: where to; it is made.
+        messages: of the topics, in the order in which they were recorded.
+        topics: of every camera, sensor_msgs/Image or CompressedImage.
+        cameras: that took the images.
+        robot: the times of the joint states, on whose clock the images' times are to be.
+
+    Returns:
+        Of every camera, the images that were recorded whole.
+
+    Raises:
+        CameraError: an image is of another kind or size than its camera takes, or none was recorded whole.
+        SessionError: a camera took none, its clock was set back, or it was recorded at another time.
+        OSError: they cannot be written.
+    """
+    written: list[list[_WrittenImage]] = [[] for _ in topics]
+    damaged: list[list[CameraError]] = [[] for _ in topics]
+
+    def numbered() -> Iterator[tuple[int, int, Message]]:
+        counts = [0] * len(topics)
+        for message in messages:
+            camera = topics.index(message.topic)
+            counts[camera] += 1
+            yield camera, counts[camera], message
+
+    def write(task: tuple[int, int, Message]) -> tuple[int, _WrittenImage | CameraError]:
+        camera, number, message = task
+        path = folder / cameras[camera].name / f"{number:0{_DIGITS}d}"
+        where = f"{message.topic}, message {number}"
+        try:
+            path = _write_one(path, message.content, cameras[camera])
+        except DamagedPictureError as error:
+            return camera, CameraError(error.what, where=where)
+        except CameraError as error:
+            raise CameraError(error.what, where=where, remedy=error.remedy) from error
+        return camera, _WrittenImage(message.stamp, message.received, path)
+
+    for one in cameras:
+        (folder / one.name).mkdir(parents=True)
+    for camera, result in in_parallel(write, numbered()):
+        if isinstance(result, CameraError):
+            damaged[camera].append(result)
+        else:
+            written[camera].append(result)
+    of_cameras = zip(topics, written, damaged, strict=True)
+    return {one.name: _in_order(*of, robot) for one, of in zip(cameras, of_cameras, strict=True)}
+
+
+def _in_order(
+    topic: str, written: Sequence[_WrittenImage], damaged: Sequence[CameraError], robot: Timeline
+) -> _CameraImages:
+    """Return the images that have a time of their own; remove the files of others."""
+    if damaged and not written:
+        raise damaged[0]
+    times = timeline(topic, [one.stamp for one in written], [one.received for one in written])
+    for i in np.setdiff1d(np.arange(len(written)), times.kept):
+        written[i].path.unlink()
+    times = align_clock(robot, times)
+    warnings = [f"{len(damaged)} images are damaged and left out; the first: {damaged[0]}"] if damaged else []
+    return _CameraImages(times, tuple(written[i].path.stem for i in times.kept), (*warnings, *times.warnings))
+
+
+def _write_one(path: Path, content: Any, camera: Camera) -> Path:
+    """Write the image of one message, and return its file."""
+    if hasattr(content, "format"):
+        data = content.data.tobytes()
+        suffix, image, size = decode_compressed(content.format, data)
+    else:
+        suffix, data, size = ".png", b"", (int(content.width), int(content.height))
+        image = decode_raw(content.encoding, size, content.step, content.data, big_endian=bool(content.is_bigendian))
+    if size != camera.resolution:
+        raise CameraError(
+            f"it is {size[0]} x {size[1]} pixels, and the camera {camera.name!r} "
+            f"{camera.resolution[0]} x {camera.resolution[1]}",
+            remedy="Describe the camera as the images were taken, with --cameras FILE.",
+        )
+    path = path.with_suffix(suffix)
+    if image is None:
+        path.write_bytes(data)
+    else:
+        write_image(path, image)
+    return path
+
+
+def _write_tables(folder: Path, states: JointStates, joints: Sequence[str], frames: Mapping[str, _CameraImages]) -> int:
     """Write joints.csv and frames.csv, and return the time that is 0 in them. [ns]."""
     origin = int(min(times.time[0] for times in (states.times, *(of.times for of in frames.values()))))
 

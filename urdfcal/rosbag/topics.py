@@ -109,7 +109,7 @@ def _joints(topics: Sequence[Topic], named: str | None) -> str:
 
 def _camera(topics: Sequence[Topic], name: str, image: str, info: str | None, *, infos: bool) -> CameraTopics:
     _known(topics, image, _IMAGES)
-    usual = _usual_info(image)
+    usual = f"{_namespace(image)}/camera_info"  # where image_transport looks for it
     if info is not None:
         _known(topics, info, (CAMERA_INFO,))
     elif not infos:
@@ -164,11 +164,6 @@ def _by_namespace(topics: Sequence[Topic]) -> dict[str, tuple[str, None]]:
 def _namespace(image: str) -> str:
     """Return the namespace of a camera's topics: /left of /left/image_raw and of /left/image_raw/compressed."""
     return image.removesuffix("/compressed").rpartition("/")[0]
-
-
-def _usual_info(image: str) -> str:
-    """Return the topic of camera_info beside the images, as image_transport finds it."""
-    return f"{_namespace(image)}/camera_info"
 
 
 def _natural(name: str) -> list[tuple[bool, int, str]]:

@@ -97,13 +97,13 @@ class CollisionChecker:
     def _blocked(self, led: Floats, centre: Floats, screens: Sequence[int]) -> bool:
         line = centre - led
         turn = turn_z_to(line)
-        place = coal.Transform3s(turn, (led + centre) / 2.0)
+        placement = pin.SE3(turn, (led + centre) / 2.0)
         ray = coal.Capsule(_RAY, float(np.linalg.norm(line)))
-        return any(_touch(self._shape(i), _transform(self._placed.oMg[i]), ray, place) for i in screens)
+        return any(_touch(self._shape(i), self._placed.oMg[i], ray, placement) for i in screens)
 
     def _holds(self, i: int, led: Floats) -> bool:
-        placement = _transform(self._geometry.geometryObjects[i].placement)
-        return _touch(self._shape(i), placement, coal.Sphere(_BULB), coal.Transform3s(np.eye(3), led))
+        placement = self._geometry.geometryObjects[i].placement
+        return _touch(self._shape(i), placement, coal.Sphere(_BULB), pin.SE3(np.eye(3), led))
 
     def _shape(self, i: int) -> Any:
         return self._geometry.geometryObjects[i].geometry
@@ -111,20 +111,15 @@ class CollisionChecker:
     def _joint(self, i: int) -> int:
         return int(self._geometry.geometryObjects[i].parentJoint)
 
-    def _neighbours(self, i: int, j: int) -> bool:
-        a, b = self._joint(i), self._joint(j)
-        return bool(self._model.parents[max(a, b)] == min(a, b))
-
     def _add_pairs(self, chain: Mechanism) -> None:
         table = self._geometry.ngeoms - 1
-        # Neighbours touch by design. The table is on the base link's side, but nobody's neighbour.
-        pairs = [
-            pin.CollisionPair(i, j)
-            for i, j in combinations(range(self._geometry.ngeoms), 2)
-            if self._joint(i) != self._joint(j) and (j == table or not self._neighbours(i, j))
-        ]
-        for pair in pairs:
-            self._geometry.addCollisionPair(pair)
+        pairs = []
+        for i, j in combinations(range(self._geometry.ngeoms), 2):
+            a, b = sorted((self._joint(i), self._joint(j)))
+            # Neighbours touch by design. The table is on the base link's side, but nobody's neighbour.
+            if a != b and (j == table or self._model.parents[b] != a):
+                pairs.append(pin.CollisionPair(i, j))
+                self._geometry.addCollisionPair(pairs[-1])
         placed, always = self._geometry.createData(), np.ones(len(pairs), dtype=bool)
         for q in chain.random_values(_TRIALS, np.random.default_rng(0)):
             pin.computeCollisions(self._model, self._data, self._geometry, placed, q, False)
@@ -194,9 +189,6 @@ def _hull(shape: Any) -> Any:
     return shape.convex
 
 
-def _transform(placement: pin.SE3) -> Any:
-    return coal.Transform3s(placement.rotation, placement.translation)
-
-
-def _touch(a: Any, T_a: Any, b: Any, T_b: Any) -> bool:
+def _touch(a: Any, M_a: pin.SE3, b: Any, M_b: pin.SE3) -> bool:
+    T_a, T_b = (coal.Transform3s(M.rotation, M.translation) for M in (M_a, M_b))
     return bool(coal.collide(a, T_a, b, T_b, coal.CollisionRequest(), coal.CollisionResult()))

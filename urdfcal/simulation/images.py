@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
     from urdfcal.simulation.truth import Simulated
 
 TRUTH = "truth_detections.csv"
+
+T = TypeVar("T")
 
 # Keeps the images' random numbers apart from the session's.
 _STREAM = 4
@@ -96,6 +99,8 @@ def write_simulated_images(
     simulated: Simulated,
     exposure: Exposure,
     progress: Callable[[int], object] | None = None,
+    *,
+    video_rate: float | None = None,
 ) -> int:
     """Write a session whose detections are still to be made from its images, and the truth beside it.
 
@@ -107,77 +112,47 @@ def write_simulated_images(
         simulated: session and truth; the session's own detections are not used.
         exposure: how the images are taken.
         progress: called with the number of images written since the last call.
+        video_rate: frames per second, for players; writes one video a camera instead of image files.
 
     Returns:
         The number of images.
 
     Raises:
-        SessionError: a camera is eye-in-hand.
-        OutputError: the folder holds a session or a truth already, or cannot be written.
-    """
-    session, folder = simulated.session, Path(folder)
-    shoot = _Shooting.of(simulated, exposure)
-    write_simulated(folder, simulated, detections=False)
-
-    with staged(folder) as stage:
-
-        def take(view: _View) -> None:
-            led = f".{session.led_names[view.led]}" if len(session.leds) > 1 else ""
-            name = f"{session.label(view.pose)}{led}.png"
-            write_image(stage / IMAGES / shoot.names[view.camera] / name, shoot.image(view))
-
-        for name in shoot.names:
-            (stage / IMAGES / name).mkdir(parents=True)
-        for _ in in_parallel(take, shoot.views):
-            if progress:
-                progress(1)
-        shoot.write_truth(stage / TRUTH, session)
-    return len(shoot.views)
-
-
-def write_simulated_videos(
-    folder: str | Path,
-    simulated: Simulated,
-    exposure: Exposure,
-    rate: float,
-    progress: Callable[[int], object] | None = None,
-) -> int:
-    """Write the same of a moving arm, as one video a camera.
-
-    Args:
-        folder: where to; made if need be, in a folder that exists.
-        simulated: session and truth; the session's own detections are not used.
-        exposure: how the images are taken.
-        rate: frames per second, for players.
-        progress: called with the number of images written since the last call.
-
-    Returns:
-        The number of images.
-
-    Raises:
-        SessionError: there are several LEDs, which would all be lit, the arm is at rest, or a camera is eye-in-hand.
+        SessionError: a camera is eye-in-hand, or a video is to show several LEDs, which would all be lit, or an arm at
+            rest.
         CameraError: this OpenCV encodes no videos.
         OutputError: the folder holds a session or a truth already, or cannot be written.
     """
     session, folder = simulated.session, Path(folder)
-    if not isinstance(session.motion, Trajectory) or len(session.leds) > 1:
+    if video_rate is not None and (not isinstance(session.motion, Trajectory) or len(session.leds) > 1):
         raise SessionError("a video shows a moving arm with one LED", where="simulate", remedy="Write images.")
-    shoot = _Shooting.of(simulated, exposure)
+    shooting = _Shooting.of(simulated, exposure)
     write_simulated(folder, simulated, detections=False)
 
-    def taken(views: Sequence[_View]) -> Iterator[Image]:
-        for image in in_parallel(shoot.image, views):
-            yield image
+    def counted(results: Iterator[T]) -> Iterator[T]:
+        for result in results:
+            yield result
             if progress:
                 progress(1)
 
     with staged(folder) as stage:
-        (stage / IMAGES).mkdir()
-        for c, camera in enumerate(shoot.cameras):
-            views = [view for view in shoot.views if view.camera == c]
-            write_video(stage / IMAGES / f"{camera.name}.mp4", taken(views), camera.resolution, rate)
-        shoot.write_truth(stage / TRUTH, session)
-    return len(shoot.views)
+
+        def write(view: _View) -> None:
+            led = f".{session.led_names[view.led]}" if len(session.leds) > 1 else ""
+            name = f"{session.label(view.pose)}{led}.png"
+            write_image(stage / IMAGES / shooting.names[view.camera] / name, shooting.image(view))
+
+        for c, camera in enumerate(shooting.cameras):
+            views = [view for view in shooting.views if view.camera == c]
+            if video_rate is None:
+                (stage / IMAGES / camera.name).mkdir(parents=True)
+                deque(counted(in_parallel(write, views)), maxlen=0)
+            else:
+                (stage / IMAGES).mkdir(exist_ok=True)
+                images = counted(in_parallel(shooting.image, views))
+                write_video(stage / IMAGES / f"{camera.name}.mp4", images, camera.resolution, video_rate)
+        shooting.write_truth(stage / TRUTH, session)
+    return len(shooting.views)
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,8 +231,8 @@ def _lamps(scene: Scene, exposure: Exposure, rng: np.random.Generator) -> list[t
     )
     peak = exposure.peak * rng.uniform(*_LAMP_PEAK, count)
     lights = []
-    for camera, T in zip(scene.cameras, scene.T_cam_frame, strict=True):
-        uv = camera.project(points @ T[:3, :3].T + T[:3, 3])
+    for camera, T_cam in zip(scene.cameras, scene.T_cam_frame, strict=True):
+        uv = camera.project(points @ T_cam[:3, :3].T + T_cam[:3, 3])
         lights.append(tuple(Light(uv[i], peak[i], sigma[i]) for i in range(count) if np.isfinite(uv[i, 0])))
     return lights
 
