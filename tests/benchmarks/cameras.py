@@ -28,6 +28,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tests.cameras.board.boards import CHARUCO, held
+from tests.cameras.board.rendering import BoardRenderer
 from urdfcal.cli.cameras import command as cameras_command
 from urdfcal.cli.detect import run as detect
 from urdfcal.estimation.blocks.cameras import lens_key
@@ -38,7 +39,6 @@ from urdfcal.io.folder import read_rig, read_session
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.pipeline import calibrate
 from urdfcal.session.knowledge import Estimate
-from urdfcal.simulation.board_images import BoardRenderer
 from urdfcal.simulation.images import TRUTH, Exposure, write_simulated_images
 from urdfcal.simulation.simulate import Simulated, simulate
 

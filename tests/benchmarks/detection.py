@@ -23,6 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.centroid_bound import centroid_bound
 from urdfcal.detection.detect import detect
 from urdfcal.detection.spots.centroid import HALF, Crops, fit_spots
 from urdfcal.estimation.evaluation import compare
@@ -31,7 +32,7 @@ from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.chain import Chain
 from urdfcal.simulation.images import TRUTH, Exposure, write_simulated_images
-from urdfcal.simulation.render import Light, Scenery, Sensor, centroid_bound
+from urdfcal.simulation.render import Light, Scenery, Sensor
 from urdfcal.simulation.simulate import simulate
 
 SIDE = 2 * HALF + 1

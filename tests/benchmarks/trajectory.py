@@ -46,7 +46,7 @@ from urdfcal.pipeline import calibrate
 from urdfcal.robot.chain import Chain
 from urdfcal.session.knowledge import Estimate
 from urdfcal.session.motion import AT_REST
-from urdfcal.simulation.motion import Motion, set_in_motion
+from urdfcal.simulation.motion import MotionSettings, set_in_motion
 from urdfcal.simulation.simulate import Simulated, simulate
 
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ def main() -> None:
     errors, bounds, clocks = [], [], []
     for seed in range(arguments.seeds):
         still = simulate(rig, poses=arguments.waypoints, seed=seed, pixel=0.1)
-        filmed = set_in_motion(still, Motion(time_offsets=tuple(arguments.offsets)))
+        filmed = set_in_motion(still, MotionSettings(time_offsets=tuple(arguments.offsets)))
         moving = thinned(filmed, arguments.every)
         data = [
             moving,

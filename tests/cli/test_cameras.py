@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from tests.cameras.board.boards import CHARUCO, PAIR, errors, held
+from tests.cameras.board.rendering import BoardRenderer
 from urdfcal.cameras.io.formats import read_cameras, read_kalibr, write_kalibr
 from urdfcal.cameras.rig import CameraSigma, Rig
 from urdfcal.cli.cameras import command
 from urdfcal.errors import CameraError
 from urdfcal.images.files import write_image
-from urdfcal.simulation.board_images import BoardRenderer
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -41,9 +41,9 @@ def test_one_command_makes_a_session(folder: Path, kind: str, capsys: pytest.Cap
     assert run(arguments) == 0
     said = capsys.readouterr().out
     assert "/joint_states: 50 joint states at 125.0 Hz" in said
-    assert "left: /left/image_raw, 12 pictures at 30.0 Hz, 64 x 48 px" in said
+    assert "left: /left/image_raw, 12 images at 30.0 Hz, 64 x 48 px" in said
     assert "time 0 is 1700000123.987654321 s" in said
-    assert "- where right stands is from /right/camera_info" in said
+    assert "- the pose of right is from /right/camera_info" in said
     assert said.endswith("\ns\n")
     content = yaml.safe_load((folder / "s" / "session.yaml").read_text())
     assert content["leds"] == {"red": {"position": [0.03, 0.02, -0.05]}}
@@ -53,16 +53,16 @@ def test_one_command_makes_a_session(folder: Path, kind: str, capsys: pytest.Cap
 def test_topics_may_be_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     named = ["--joints", "/joint_states", "--camera", "b=/right/image_raw", "--camera"]
     assert run([*USUAL, *named, "a=/left/image_raw,/left/camera_info"]) == 0
-    assert "where a stands" in capsys.readouterr().out
+    assert "the pose of a" in capsys.readouterr().out
     with (folder / "s" / "frames.csv").open() as file:
         assert [row["camera"] for row in csv.DictReader(file)] == ["b"] * 12 + ["a"] * 12
 
 
 def test_cameras_may_be_described_by_a_file(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(USUAL) == 0
-    assert "where right stands" in capsys.readouterr().out
+    assert "the pose of right" in capsys.readouterr().out
     assert run([*USUAL, "-o", "again", "--cameras", "s/cameras.yaml"]) == 0
-    assert "where right stands" not in capsys.readouterr().out
+    assert "the pose of right" not in capsys.readouterr().out
     for name in ("cameras.yaml", "frames.csv", "joints.csv", "session.yaml"):
         assert (folder / "again" / name).read_bytes() == (folder / "s" / name).read_bytes()
 

@@ -15,7 +15,7 @@ from urdfcal.estimation.start import first_state
 from urdfcal.robot.placements import PlacementTable
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.session.model import Session  # noqa: TC001  # a field's type
-from urdfcal.simulation.motion import Motion, set_in_motion
+from urdfcal.simulation.motion import MotionSettings, set_in_motion
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -76,4 +76,4 @@ def eye_in_hand(simulated: Callable) -> Session:
 
 def filmed(simulated: Callable) -> Session:
     """An arm filmed in motion."""
-    return set_in_motion(simulated("elbow3r", poses=6), Motion(frame_rate=1.0)).session
+    return set_in_motion(simulated("elbow3r", poses=6), MotionSettings(frame_rate=1.0)).session

@@ -19,7 +19,7 @@ from urdfcal.pipeline import calibrate
 from urdfcal.robot.dh import DHTable
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.session.knowledge import Led
-from urdfcal.simulation.motion import Motion, set_in_motion
+from urdfcal.simulation.motion import MotionSettings, set_in_motion
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -66,7 +66,7 @@ def test_two_runs_fix_the_same_parameters(simulated: Callable) -> None:
 
 
 def test_a_lens_or_a_time_offset_is_not_said_to_be_a_cameras_pose(simulated: Callable) -> None:
-    session = set_in_motion(simulated("ur5", poses=8), Motion()).session
+    session = set_in_motion(simulated("ur5", poses=8), MotionSettings()).session
     table = DHTable.from_chain(session.chain)
     state = start_state(session, table, np.zeros_like(table.nominal)).replace({TIME_OFFSETS: np.zeros(2)})
     problem = Problem.of(session, table)

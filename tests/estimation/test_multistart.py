@@ -18,7 +18,7 @@ from urdfcal.estimation.time_offset_start import start_state
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.dh import DHTable
 from urdfcal.session.knowledge import Estimate, Noise
-from urdfcal.simulation.motion import Motion, set_in_motion
+from urdfcal.simulation.motion import MotionSettings, set_in_motion
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -69,7 +69,7 @@ def test_the_kept_solution_is_the_one_near_nominal(simulated: Callable) -> None:
 
 
 def test_arms_that_differ_only_where_a_moving_arm_did_not_go_are_not_the_same(simulated: Callable) -> None:
-    session = set_in_motion(simulated("ur5", poses=8), Motion()).session
+    session = set_in_motion(simulated("ur5", poses=8), MotionSettings()).session
     table = DHTable.from_chain(session.chain)
     nominal = start_state(session, table, np.zeros_like(table.nominal))
     other = nominal.replace({ARM: 0.1 * (np.arange(5) == 0) * np.ones_like(table.nominal)})

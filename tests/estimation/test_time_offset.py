@@ -25,7 +25,7 @@ from urdfcal.robot.dh import DHTable
 from urdfcal.session.knowledge import Estimate
 from urdfcal.session.motion import AT_REST
 from urdfcal.session.trajectory import JointLog
-from urdfcal.simulation.motion import Motion, set_in_motion
+from urdfcal.simulation.motion import MotionSettings, set_in_motion
 from urdfcal.simulation.simulate import simulate
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def filmed(
     rig: str, poses: int, rate: float, offsets: tuple[float, ...] = OFFSETS, outliers: float = 0.0, seed: int = 1
 ) -> Simulated:
     still = simulate(read_rig(find_rig(rig)), poses=poses, seed=seed, pixel=0.1, outliers=outliers)
-    return set_in_motion(still, Motion(frame_rate=rate, time_offsets=offsets))
+    return set_in_motion(still, MotionSettings(frame_rate=rate, time_offsets=offsets))
 
 
 def at_rest(moving: Simulated) -> Session:

@@ -12,7 +12,6 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from tests.io.making import ACTUATED
 from urdfcal.simulation.render import Light, Scenery, Sensor
-from urdfcal.simulation.scene import Scene
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -185,7 +184,7 @@ class Recording:
 
 
 def pixels(number: int, size: tuple[int, int] = SIZE) -> np.ndarray:
-    """A picture that is like no other."""
+    """A image that is like no other."""
     return np.random.default_rng(number).integers(0, 256, (size[1], size[0]), np.uint8)
 
 
@@ -203,17 +202,16 @@ def recording(kind: str, seconds: float = 1.0) -> Recording:
 
 
 def moving(kind: str, simulated: Simulated, seconds: float, offsets: Sequence[float]) -> Recording:
-    """What a simulated arm looks like while it moves through its poses: joints at 125 Hz, pictures at 30 Hz.
+    """What a simulated arm looks like while it moves through its poses: joints at 125 Hz, images at 30 Hz.
 
     Args:
         kind: of the bag.
         simulated: the arm, its poses, the LED, and two cameras without distortion or with radtan.
         seconds: that it takes.
-        offsets: of each camera's clock: a picture is taken that much after its stamp. [s]
+        offsets: of each camera's clock: a image is taken that much after its stamp. [s]
     """
     session, truth, bag = simulated.session, simulated.truth, Recording(kind)
     rig = session.rig
-    assert rig is not None
 
     def motion(time: float) -> np.ndarray:
         """Joint values (n,): from pose to pose with the least jerk, and never beyond either."""
@@ -225,21 +223,13 @@ def moving(kind: str, simulated: Simulated, seconds: float, offsets: Sequence[fl
     actuated = [joint.mimic is None for joint in session.chain.joints]
     for i in range(round(125 * seconds)):
         bag.joints(START + 8_000_000 * i, motion(0.008 * i)[actuated], session.chain.actuated)
-    scene = Scene(
-        session.chain,
-        truth.placements,
-        session.attachments,
-        truth.leds,
-        truth.T_world_base,
-        rig.cameras,
-        truth.T_cam_frame,
-    )
+    scene = simulated.scene
     rng = np.random.default_rng(0)
     for camera, (one, offset) in enumerate(zip(rig.cameras, offsets, strict=True)):
         sensor, scenery = Sensor(one.resolution), Scenery.flat(one.resolution, 25.0)
         for i in range(round(30 * seconds)):
             stamp = 33_333_333 * i
-            uv = scene.images(motion(1e-9 * stamp + offset)[None])[0, camera, 0]
+            uv = scene.pixels(motion(1e-9 * stamp + offset)[None])[0, camera, 0]
             lights = [Light(uv, 1500.0, 1.5)] if one.in_image(uv) else []
             image = sensor.expose(scenery.expected(lights), rng)
             bag.image(f"/{one.name}/image_raw", START + stamp, image)

@@ -9,7 +9,7 @@ import pytest
 from tests.rosbag.bags import BASELINE, START, Recording
 from urdfcal.errors import CameraError
 from urdfcal.rosbag.bag import Message
-from urdfcal.rosbag.cameras import read_rig
+from urdfcal.rosbag.cameras import read_bag_cameras
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -21,7 +21,7 @@ D = (-0.1, 0.02, 0.001, -0.002, 0.0)
 
 
 def read(bag: Recording) -> tuple[Rig, tuple[str, ...]]:
-    return read_rig(TOPICS, [Message(topic, received, content) for received, topic, content in bag.messages])
+    return read_bag_cameras(TOPICS, [Message(topic, received, content) for received, topic, content in bag.messages])
 
 
 def pair(kind: str = "sqlite3", **of_both: Any) -> Recording:
@@ -41,7 +41,7 @@ def test_lenses_are_those_of_the_message(kind: str) -> None:
     assert rig.cameras[1].distortion_model == "radtan"
     assert rig.cameras[1].distortion.tolist() == list(D[:4])
     assert rig.T_cam_world[1] is None
-    assert notes == ("where right stands is not known: it is estimated",)
+    assert notes == ("the pose of right is not known: it is estimated",)
 
 
 @pytest.mark.parametrize(
@@ -68,7 +68,7 @@ def test_a_stereo_pair_stands_as_its_projection_says() -> None:
     rig, notes = read(bag)
     np.testing.assert_allclose(rig.T_cam_world[1][:3, 3], [-BASELINE, 0.0, 0.0], atol=1e-15)
     np.testing.assert_array_equal(rig.T_cam_world[1][:3, :3], np.eye(3))
-    assert notes == ("where right stands is from /right/camera_info",)
+    assert notes == ("the pose of right is from /right/camera_info",)
 
 
 @pytest.mark.parametrize("kind", ["ros1", "sqlite3"])
@@ -87,7 +87,14 @@ def test_optical_frames_stand_as_the_static_transforms_say(kind: str) -> None:
     rig, notes = read(bag)
     expected = (T[2] * T[3]).inverse() * (T[0] * T[1])
     np.testing.assert_allclose(rig.T_cam_world[1], expected.homogeneous, atol=1e-14)
-    assert notes == ("where right stands is from /tf_static",)
+    assert notes == ("the pose of right is from /tf_static",)
+
+
+def test_of_a_transform_that_is_given_twice_the_last_one_counts() -> None:
+    bag, turn = pair(), np.array([0.0, 0.0, 0.0, 1.009])  # about as long as tf2 allows
+    for x in (0.1, 0.2):
+        bag.static(START, [("left_optical_frame", "right_optical_frame", (x, 0, 0), turn)])
+    np.testing.assert_allclose(read(bag)[0].T_cam_world[1][:3], np.eye(4)[:3] - [[0, 0, 0, 0.2], [0] * 4, [0] * 4])
 
 
 @pytest.mark.parametrize(
@@ -99,7 +106,7 @@ def test_optical_frames_stand_as_the_static_transforms_say(kind: str) -> None:
     ],
     ids=["not connected", "a placeholder", "x is forward"],
 )
-def test_what_the_transforms_do_not_tell_is_estimated(frames: tuple[str, str], transforms: Any) -> None:
+def test_what_the_transforms_do_not_determine_is_estimated(frames: tuple[str, str], transforms: Any) -> None:
     bag = Recording("sqlite3")
     for (_, topic), frame in zip(TOPICS, frames, strict=True):
         bag.info(topic, START, frame=frame)
@@ -120,6 +127,12 @@ def no_transform() -> Recording:
     return bag
 
 
+def not_finite() -> Recording:
+    bag = pair()
+    bag.static(START, [("b", "left_optical_frame", (np.nan, 0, 0), (0.0, 0.0, 0.0, 1.0))])
+    return bag
+
+
 def zoomed() -> Recording:
     bag = pair()
     bag.info(TOPICS[0][1], START + 1, focal=90.0, frame="left_optical_frame")
@@ -135,8 +148,9 @@ def without(topic: str) -> Recording:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (looped, "'left_optical_frame' hangs on itself"),
-        (no_transform, "between 'b' and 'left_optical_frame' is no rigid transform"),
+        (looped, "'left_optical_frame' is its own ancestor"),
+        (no_transform, "the transform from 'left_optical_frame' to 'b' is not rigid"),
+        (not_finite, "from 'left_optical_frame' to 'b' is not rigid"),
         (zoomed, "/left/camera_info: it changes during the recording"),
         (lambda: without("/right/camera_info"), "/right/camera_info: there is no camera_info.*--cameras FILE"),
         (
@@ -155,7 +169,7 @@ def test_cameras_that_cannot_be_used_are_refused(make: Callable[[], Recording], 
         read(make())
 
 
-def test_an_uncalibrated_camera_is_told_apart_from_a_broken_one() -> None:
+def test_an_uncalibrated_camera_is_distinguished_from_a_broken_one() -> None:
     bag = pair()
     bag.messages[0][2].k[:] = 0.0
     with pytest.raises(
@@ -164,5 +178,5 @@ def test_an_uncalibrated_camera_is_told_apart_from_a_broken_one() -> None:
         read(bag)
 
 
-def test_the_whole_picture_may_be_said_as_a_region() -> None:
+def test_the_whole_image_may_be_said_as_a_region() -> None:
     assert read(pair(roi=(0, 0, 64, 48), binning=1))[0].cameras[0].resolution == (64, 48)

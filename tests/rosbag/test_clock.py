@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from urdfcal.errors import SessionError
-from urdfcal.rosbag.clock import Timeline, on_clock_of, timeline
+from urdfcal.rosbag.clock import Timeline, align_clock, timeline
 
 DAY = 1_700_000_123_987_654_321
 MS, S = 10**6, 10**9
@@ -56,14 +56,14 @@ def test_a_clock_that_was_set_back_is_refused() -> None:
 
 def test_clocks_that_agree_are_left_alone() -> None:
     robot, camera = made(DAY, DAY + 10 * S), made(DAY + 9 * S, DAY + 30 * S, delay=50 * MS)
-    assert on_clock_of(robot, camera) is camera
+    assert align_clock(robot, camera) is camera
 
 
 def test_a_camera_that_counts_from_when_it_was_switched_on_gets_the_robots_clock() -> None:
     robot = made(DAY, DAY + 10 * S, delay=2 * MS)
-    # Its stamps are 10 s at the robot's DAY; pictures take 30 ms to the recorder.
+    # Its stamps are 10 s at the robot's DAY; images take 30 ms to the recorder.
     camera = made(10 * S, 20 * S, delay=DAY - 10 * S + 30 * MS)
-    moved = on_clock_of(robot, camera)
+    moved = align_clock(robot, camera)
     np.testing.assert_array_equal(np.diff(moved.time), np.diff(camera.time))
     assert moved.time[0] == DAY + 28 * MS
     assert f"its clock differs from that of /t; {(DAY - 10 * S + 28 * MS) / S:.9f} s are added" in moved.warnings[-1]
@@ -72,4 +72,4 @@ def test_a_camera_that_counts_from_when_it_was_switched_on_gets_the_robots_clock
 def test_what_was_not_recorded_together_is_refused() -> None:
     robot, camera = made(DAY, DAY + 10 * S), made(DAY + 20 * S, DAY + 30 * S)
     with pytest.raises(SessionError, match="not recorded at the same time"):
-        on_clock_of(robot, camera)
+        align_clock(robot, camera)

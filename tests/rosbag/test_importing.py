@@ -20,10 +20,10 @@ from urdfcal.errors import CameraError, OutputError, SessionError, UrdfcalError
 from urdfcal.images.files import read_image, workers
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.urdf.urdf import Urdf
-from urdfcal.rosbag import images as bag_pictures
+from urdfcal.rosbag import importing
 from urdfcal.rosbag.bag import open_bag
-from urdfcal.rosbag.importing import Imported, Known, import_bag
-from urdfcal.rosbag.topics import Wanted, choose_topics
+from urdfcal.rosbag.importing import ImportSetup, ImportSummary, import_bag
+from urdfcal.rosbag.topics import TopicOptions, choose_topics
 from urdfcal.session.knowledge import Led
 
 if TYPE_CHECKING:
@@ -32,19 +32,21 @@ if TYPE_CHECKING:
 
 
 @pytest.fixture
-def known(tmp_path: Path) -> Known:
+def known(tmp_path: Path) -> ImportSetup:
     (tmp_path / "arm.urdf").write_text(URDF)
     urdf = Urdf.read(tmp_path / "arm.urdf")
-    return Known(
+    return ImportSetup(
         urdf, str(tmp_path / "arm.urdf"), Chain.from_urdf(urdf, "tip"), Led("led", np.array([0.1, 0, 0])), None
     )
 
 
-def bring(bag: Recording, folder: Path, known: Known, wanted: Wanted | None = None, progress: Any = None) -> Imported:
+def bring(
+    bag: Recording, folder: Path, known: ImportSetup, options: TopicOptions | None = None, progress: Any = None
+) -> ImportSummary:
     """Write the bag beside the session's folder, and import it."""
     path = bag.write(folder.parent / f"bag-{bag.kind}")
     with open_bag(path) as opened:
-        return import_bag(opened, choose_topics(opened.topics, wanted or Wanted()), known, folder, progress)
+        return import_bag(opened, choose_topics(opened.topics, options or TopicOptions()), known, folder, progress)
 
 
 def table(path: Path) -> list[dict[str, str]]:
@@ -57,7 +59,7 @@ def nanoseconds(seconds: str) -> int:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_session_has_every_number_and_every_pixel(tmp_path: Path, known: Known, kind: str) -> None:
+def test_a_session_has_every_number_and_every_pixel(tmp_path: Path, known: ImportSetup, kind: str) -> None:
     counts: list[int] = []
     bag = recording(kind)
     bag.joints(START + 2_000, [0.02], ["grip"])
@@ -97,7 +99,9 @@ def test_a_session_has_every_number_and_every_pixel(tmp_path: Path, known: Known
     }
 
 
-def test_pictures_that_repeat_a_stamp_leave_no_file_and_late_ones_are_in_order(tmp_path: Path, known: Known) -> None:
+def test_images_that_repeat_a_stamp_leave_no_file_and_late_ones_are_in_order(
+    tmp_path: Path, known: ImportSetup
+) -> None:
     bag = recording("mcap", 0.2)
     bag.drop("/right/image_raw")
     for i, number in enumerate((0, 2, 1, 2, 3)):
@@ -112,7 +116,7 @@ def test_pictures_that_repeat_a_stamp_leave_no_file_and_late_ones_are_in_order(t
     assert len(imported.warnings) == 2
 
 
-def test_compressed_pictures_are_kept_to_the_last_byte(tmp_path: Path, known: Known) -> None:
+def test_compressed_images_are_kept_to_the_last_byte(tmp_path: Path, known: ImportSetup) -> None:
     bag = recording("ros1", 0.2)
     bag.drop("/left/image_raw")
     files = {}
@@ -124,7 +128,7 @@ def test_compressed_pictures_are_kept_to_the_last_byte(tmp_path: Path, known: Kn
     assert {path.name: path.read_bytes() for path in (tmp_path / "s" / "images" / "left").iterdir()} == files
 
 
-def test_a_damaged_picture_among_others_is_left_out(tmp_path: Path, known: Known) -> None:
+def test_a_damaged_image_among_others_is_left_out(tmp_path: Path, known: ImportSetup) -> None:
     bag = recording("mcap", 0.2)
     bag.drop("/left/image_raw")
     data = cv2.imencode(".jpg", pixels(0))[1].tobytes()
@@ -138,10 +142,10 @@ def test_a_damaged_picture_among_others_is_left_out(tmp_path: Path, known: Known
         "000004",
     ]
     (warning,) = imported.warnings
-    assert warning.startswith("1 pictures are damaged and left out; the first: /left/image_raw/compressed, message 3: ")
+    assert warning.startswith("1 images are damaged and left out; the first: /left/image_raw/compressed, message 3: ")
 
 
-def test_colours_and_depths_reach_the_file(tmp_path: Path, known: Known) -> None:
+def test_colours_and_depths_reach_the_file(tmp_path: Path, known: ImportSetup) -> None:
     bag = recording("sqlite3", 0.2)
     bag.drop("/left/image_raw")
     rng = np.random.default_rng(0)
@@ -155,7 +159,7 @@ def test_colours_and_depths_reach_the_file(tmp_path: Path, known: Known) -> None
     np.testing.assert_array_equal(read_image(images / "000002.png"), deep)
 
 
-def test_cameras_may_come_from_a_file(tmp_path: Path, known: Known) -> None:
+def test_cameras_may_come_from_a_file(tmp_path: Path, known: ImportSetup) -> None:
     bring(recording("mcap", 0.2), tmp_path / "first", known)
     first = read_kalibr(tmp_path / "first" / "cameras.yaml")
     T = np.eye(4)
@@ -165,7 +169,7 @@ def test_cameras_may_come_from_a_file(tmp_path: Path, known: Known) -> None:
     bag = recording("sqlite3", 0.2)
     bag.drop("/left/camera_info")
     bag.drop("/right/camera_info")
-    bring(bag, tmp_path / "s", replace(known, rig=rig), Wanted(infos=False))
+    bring(bag, tmp_path / "s", replace(known, rig=rig), TopicOptions(infos=False))
     read = read_kalibr(tmp_path / "s" / "cameras.yaml")
     assert read.names == ("right", "left")
     np.testing.assert_array_equal(read.T_cam_world[1], T)
@@ -185,19 +189,19 @@ def test_a_robot_of_a_package_stays_there(tmp_path: Path) -> None:
     bag.drop("/joint_states")
     for i in range(5):
         bag.joints(START + 8_000_000 * i, np.arange(6), chain.actuated)
-    bring(bag, tmp_path / "s", Known(urdf, reference, chain, Led("led"), None))
+    bring(bag, tmp_path / "s", ImportSetup(urdf, reference, chain, Led("led"), None))
     assert not list((tmp_path / "s").glob("*.urdf"))
     assert yaml.safe_load((tmp_path / "s" / "session.yaml").read_text())["robot"]["urdf"] == reference
 
 
-def test_a_clock_since_power_up_is_put_beside_the_robots(tmp_path: Path, known: Known) -> None:
+def test_a_clock_since_power_up_is_put_beside_the_robots(tmp_path: Path, known: ImportSetup) -> None:
     bag = recording("mcap", 0.5)
     bag.drop("/left/image_raw")
     for i in range(10):
         bag.image("/left/image_raw", 5 * 10**9 + 30_000_000 * i, pixels(i), received=START + 9_000_000 + 30_000_000 * i)
     imported = bring(bag, tmp_path / "s", known)
     rows = [row for row in table(tmp_path / "s" / "frames.csv") if row["camera"] == "left"]
-    # Joint states take 1 ms to the recorder, and so are these pictures taken to.
+    # Joint states take 1 ms to the recorder, and so are these images taken to.
     assert [nanoseconds(row["time"]) for row in rows] == [8_000_000 + 30_000_000 * i for i in range(10)]
     assert "/left/image_raw: its clock differs" in imported.warnings[0]
 
@@ -235,11 +239,11 @@ def of_another_day() -> Recording:
         (too_large, CameraError, r"/left/image_raw, message 1: it is 65 x 48 pixels, and the camera 'left' 64 x 48"),
         (all_damaged, CameraError, "/left/image_raw/compressed, message 1: 3 bytes of the format 'jpeg' are no whole"),
         (of_unknown_encoding, CameraError, "/right/image_raw, message 4: images encoded as 'yuv422' are not supported"),
-        (of_another_day, SessionError, "/left/image_raw: its pictures were not recorded at the same time"),
+        (of_another_day, SessionError, "/left/image_raw: its images were not recorded at the same time"),
     ],
 )
 def test_a_bag_that_cannot_be_used_leaves_nothing(
-    tmp_path: Path, known: Known, make: Callable[[], Recording], error: type[UrdfcalError], message: str
+    tmp_path: Path, known: ImportSetup, make: Callable[[], Recording], error: type[UrdfcalError], message: str
 ) -> None:
     (tmp_path / "out").mkdir()
     with pytest.raises(error, match=message):
@@ -247,17 +251,19 @@ def test_a_bag_that_cannot_be_used_leaves_nothing(
     assert {path.name for path in (tmp_path / "out").iterdir()} <= {"bag-mcap", "bag-sqlite3", "bag-ros1.bag"}
 
 
-def test_cameras_of_other_names_are_refused_before_anything_is_written(tmp_path: Path, known: Known) -> None:
+def test_cameras_of_other_names_are_refused_before_anything_is_written(tmp_path: Path, known: ImportSetup) -> None:
     bring(recording("mcap", 0.2), tmp_path / "first", known)
     rig = read_kalibr(tmp_path / "first" / "cameras.yaml")
     renamed = Rig((rig.cameras[0], replace(rig.cameras[1], name="cam1")), rig.T_cam_world)
     message = r"described are left, cam1, those in the bag are called left, right\. .* --camera left=/left/image_raw"
     with pytest.raises(CameraError, match=message):
-        bring(recording("sqlite3", 0.2), tmp_path / "second" / "s", replace(known, rig=renamed), Wanted(infos=False))
+        bring(
+            recording("sqlite3", 0.2), tmp_path / "second" / "s", replace(known, rig=renamed), TopicOptions(infos=False)
+        )
     assert not (tmp_path / "second" / "s").exists()
 
 
-def test_a_folder_with_anything_in_it_is_left_alone(tmp_path: Path, known: Known) -> None:
+def test_a_folder_with_anything_in_it_is_left_alone(tmp_path: Path, known: ImportSetup) -> None:
     (tmp_path / "s").mkdir()
     (tmp_path / "s" / "notes.txt").write_text("mine")
     with pytest.raises(OutputError, match="there is something already"):
@@ -270,21 +276,21 @@ def test_a_folder_with_anything_in_it_is_left_alone(tmp_path: Path, known: Known
     }  # fmt: skip
 
 
-def test_a_full_disk_leaves_nothing(tmp_path: Path, known: Known, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_leaves_nothing(tmp_path: Path, known: ImportSetup, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(path: Path, image: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(bag_pictures, "write_image", full)
+    monkeypatch.setattr(importing, "write_image", full)
     with pytest.raises(OutputError, match="s: cannot write here: No space left on device"):
         bring(recording("mcap", 0.2), tmp_path / "s", known)
     assert not [path for path in tmp_path.iterdir() if path.name not in ("arm.urdf", "bag-mcap")]
 
 
-def test_only_a_few_pictures_are_in_memory(tmp_path: Path, known: Known, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_a_few_images_are_in_memory(tmp_path: Path, known: ImportSetup, monkeypatch: pytest.MonkeyPatch) -> None:
     bag = recording("mcap", 3.0)
     others = sum(1 for _, topic, _ in bag.messages if "image" not in topic)
     lock, read, written, ahead = threading.Lock(), [0], [0], [0]
-    write = bag_pictures.write_image
+    write = importing.write_image
 
     def write_and_count(path: Path, image: Any) -> None:
         write(path, image)
@@ -296,7 +302,7 @@ def test_only_a_few_pictures_are_in_memory(tmp_path: Path, known: Known, monkeyp
             read[0] += count
             ahead.append(read[0] - others - written[0])
 
-    monkeypatch.setattr(bag_pictures, "write_image", write_and_count)
+    monkeypatch.setattr(importing, "write_image", write_and_count)
     bring(bag, tmp_path / "s", known, progress=progress)
     assert written[0] == 180
     assert max(ahead) <= 2 * workers() + 1

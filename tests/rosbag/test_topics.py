@@ -4,8 +4,9 @@ import pytest
 
 from urdfcal.errors import SessionError
 from urdfcal.rosbag.bag import CAMERA_INFO, COMPRESSED, IMAGE, JOINT_STATE, TRANSFORMS, Topic
-from urdfcal.rosbag.topics import CameraTopics, Wanted, choose_topics
+from urdfcal.rosbag.topics import CameraTopics, TopicOptions, choose_topics
 
+NOTHING = TopicOptions()
 PAIR = {
     "/joint_states": JOINT_STATE,
     "/left/image_raw": IMAGE,
@@ -21,7 +22,7 @@ def topics(of: dict[str, str], empty: tuple[str, ...] = ()) -> list[Topic]:
 
 
 def test_a_pair_is_found_by_its_types() -> None:
-    chosen = choose_topics(topics(PAIR), Wanted())
+    chosen = choose_topics(topics(PAIR), NOTHING)
     assert chosen.joints == "/joint_states"
     assert chosen.cameras == (
         CameraTopics("left", "/left/image_raw", "/left/camera_info"),
@@ -43,13 +44,15 @@ def test_cameras_are_called_by_their_namespaces(spaces: list[str], names: list[s
     of = {"/j": JOINT_STATE}
     for space in spaces:
         of |= {f"{space}/image": IMAGE, f"{space}/camera_info": CAMERA_INFO}
-    assert [camera.name for camera in choose_topics(topics(of), Wanted()).cameras] == names
+    assert [camera.name for camera in choose_topics(topics(of), NOTHING).cameras] == names
 
 
 def test_what_is_named_is_used_and_nothing_else() -> None:
     of = PAIR | {"/other/joint_states": JOINT_STATE, "/left/image_mono": IMAGE, "/my_info": CAMERA_INFO}
-    wanted = Wanted("/joint_states", {"b": ("/right/image_raw/compressed", None), "a": ("/left/image_raw", "/my_info")})
-    chosen = choose_topics(topics(of), wanted)
+    options = TopicOptions(
+        "/joint_states", {"b": ("/right/image_raw/compressed", None), "a": ("/left/image_raw", "/my_info")}
+    )
+    chosen = choose_topics(topics(of), options)
     assert chosen.joints == "/joint_states"
     assert chosen.cameras == (
         CameraTopics("b", "/right/image_raw/compressed", "/right/camera_info"),
@@ -59,7 +62,7 @@ def test_what_is_named_is_used_and_nothing_else() -> None:
 
 def test_cameras_described_elsewhere_need_no_info() -> None:
     of = {name: type_ for name, type_ in PAIR.items() if type_ != CAMERA_INFO} | {"/third/image_rect": IMAGE}
-    chosen = choose_topics(topics(of), Wanted(infos=False))
+    chosen = choose_topics(topics(of), TopicOptions(infos=False))
     assert [(camera.name, camera.info) for camera in chosen.cameras] == [
         ("left", None),
         ("right", None),
@@ -68,63 +71,83 @@ def test_cameras_described_elsewhere_need_no_info() -> None:
 
 
 @pytest.mark.parametrize(
-    ("more", "without", "wanted", "message"),
+    ("more", "without", "options", "message"),
     [
-        ({}, ["/joint_states"], Wanted(), r"no joint states.*The topics are: /left/camera_info \(sensor_msgs/msg/Cam"),
-        ({"/b": JOINT_STATE}, [], Wanted(), "2 topics with joint states: /b, /joint_states. Use --joints /b"),
-        ({}, [], Wanted("/joint_state"), "no topic '/joint_state'. Did you mean '/joint_states'"),
-        ({}, [], Wanted("/tf"), "'/tf' is tf2_msgs/msg/TFMessage, not JointState"),
-        ({"/left/image_raw/compressed": COMPRESSED}, [], Wanted(), r"2 topics with pictures in /left.*--camera NAME="),
-        ({}, ["/left/camera_info"], Wanted(), r"/left/image_raw has no /left/camera_info.*--cameras FILE.*left=/left"),
+        (
+            {},
+            ["/joint_states"],
+            NOTHING,
+            r"no joint states.*The topics are: /left/camera_info \(sensor_msgs/msg/Cam",
+        ),
+        ({"/b": JOINT_STATE}, [], NOTHING, "2 topics with joint states: /b, /joint_states. Use --joints /b"),
+        ({}, [], TopicOptions("/joint_state"), "no topic '/joint_state'. Did you mean '/joint_states'"),
+        ({}, [], TopicOptions("/tf"), "'/tf' is tf2_msgs/msg/TFMessage, not JointState"),
+        (
+            {"/left/image_raw/compressed": COMPRESSED},
+            [],
+            NOTHING,
+            r"2 topics with images in /left.*--camera NAME=",
+        ),
+        (
+            {},
+            ["/left/camera_info"],
+            NOTHING,
+            r"/left/image_raw has no /left/camera_info.*--cameras FILE.*left=/left",
+        ),
         (
             {"/left/image_rect": IMAGE},
             ["/left/image_raw"],
-            Wanted(),
+            NOTHING,
             "/left/image_rect is rectified, /left/camera_info describes",
         ),
-        ({}, ["/left/image_raw", "/right/image_raw/compressed"], Wanted(), "there are no pictures"),
+        ({}, ["/left/image_raw", "/right/image_raw/compressed"], NOTHING, "there are no images"),
         (
             {"/left/image_rect": IMAGE},
             [],
-            Wanted(cameras={"a": ("/left/image_rect", "/left/camera_info")}),
+            TopicOptions(cameras={"a": ("/left/image_rect", "/left/camera_info")}),
             "/left/image_rect is rectified",
         ),
         (
             {},
             [],
-            Wanted(cameras={"a": ("/left/image_raw", None), "b": ("/left/image_raw", None)}),
-            "two cameras have the same pictures",
+            TopicOptions(cameras={"a": ("/left/image_raw", None), "b": ("/left/image_raw", None)}),
+            "two cameras have the same images",
         ),
         (
             {"/camera/image": IMAGE, "/image": IMAGE},
             [],
-            Wanted(infos=False),
-            "cannot be called by that.*--camera NAME=",
+            TopicOptions(infos=False),
+            "cannot be named after their namespaces.*--camera NAME=",
         ),
-        ({}, [], Wanted(cameras={"x": ("/tf", None)}), "'/tf' is tf2_msgs/msg/TFMessage, not Image or CompressedImage"),
-        ({}, [], Wanted(cameras={"x": ("/left/image_raw", "/tf")}), "'/tf' is .*, not CameraInfo"),
+        (
+            {},
+            [],
+            TopicOptions(cameras={"x": ("/tf", None)}),
+            "'/tf' is tf2_msgs/msg/TFMessage, not Image or CompressedImage",
+        ),
+        ({}, [], TopicOptions(cameras={"x": ("/left/image_raw", "/tf")}), "'/tf' is .*, not CameraInfo"),
     ],
 )
-def test_where_nothing_tells_it_the_choice_is_the_users(
-    more: dict[str, str], without: list[str], wanted: Wanted, message: str
+def test_an_open_choice_is_left_to_the_user(
+    more: dict[str, str], without: list[str], options: TopicOptions, message: str
 ) -> None:
     of = {name: type_ for name, type_ in (PAIR | more).items() if name not in without}
     with pytest.raises(SessionError, match=message):
-        choose_topics(topics(of), wanted)
+        choose_topics(topics(of), options)
 
 
 def test_topics_without_messages_are_not_there() -> None:
     of = PAIR | {"/b": JOINT_STATE, "/left/image_mono": IMAGE}
-    assert choose_topics(topics(of, ("/b", "/left/image_mono")), Wanted()).joints == "/joint_states"
+    assert choose_topics(topics(of, ("/b", "/left/image_mono")), NOTHING).joints == "/joint_states"
 
 
 @pytest.mark.parametrize("name", ["..", ".", ".hidden", "a/b", "a\\b", "/etc", "", "a\n", "-o", "a\0b"])
 def test_a_camera_is_never_called_by_a_path(name: str) -> None:
     with pytest.raises(SessionError, match="cannot be that of a folder"):
-        choose_topics(topics(PAIR), Wanted(cameras={name: ("/left/image_raw", None)}))
+        choose_topics(topics(PAIR), TopicOptions(cameras={name: ("/left/image_raw", None)}))
 
 
 def test_a_namespace_is_never_a_path() -> None:
     of = {"/j": JOINT_STATE, "/a/../image": IMAGE, "/a/../camera_info": CAMERA_INFO}
     with pytest.raises(SessionError, match=r"'\.\.' cannot be that of a folder.*--camera NAME=/a/\.\./image"):
-        choose_topics(topics(of), Wanted())
+        choose_topics(topics(of), NOTHING)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.centroid_bound import centroid_bound, variance
 from urdfcal.errors import CameraError
-from urdfcal.simulation.render import Light, Scenery, Sensor, add_light, centroid_bound
+from urdfcal.simulation.render import Light, Scenery, Sensor, add_light
 
 SIZE = (64, 48)
 
@@ -55,7 +56,7 @@ def test_noise_is_that_of_the_sensor(bits: int) -> None:
     assert counts.dtype == (np.uint8 if bits == 8 else np.uint16)
     read = (counts - sensor.black) * sensor.electrons_per_count
     assert read.mean() == pytest.approx(900.0, rel=0.01)
-    assert read.var() == pytest.approx(float(sensor.variance(np.array(900.0))), rel=0.04)
+    assert read.var() == pytest.approx(float(variance(sensor, np.array(900.0))), rel=0.04)
 
 
 def test_a_sensor_saturates_at_its_full_well() -> None:

@@ -23,7 +23,7 @@ from urdfcal.robot.mechanism import BASE
 from urdfcal.robot.urdf.urdf import Urdf, find_urdf, package_roots
 from urdfcal.session.knowledge import Led
 from urdfcal.session.model import Stand
-from urdfcal.simulation.collision import Clearance
+from urdfcal.simulation.collision import CollisionChecker
 from urdfcal.simulation.geometric_errors import draw_offsets
 from urdfcal.simulation.scene import look_at
 from urdfcal.simulation.simulate import simulate, write_simulated
@@ -77,7 +77,7 @@ def independent_pixels(simulated, cameras):
 
 
 @pytest.mark.parametrize("name", RIGS)
-def test_sightings_are_those_of_the_true_robot_by_an_independent_path(quiet, rigs, name):
+def test_detections_are_those_of_the_true_robot_by_an_independent_path(quiet, rigs, name):
     seen = quiet[name].session.find(Detections)
     cameras = yaml.safe_load((rigs[name].folder / "cameras.yaml").read_text())
     for k, uv in enumerate(independent_pixels(quiet[name], cameras)):
@@ -113,11 +113,11 @@ def test_nothing_was_left_unchecked(quiet, name):
 
 
 @pytest.mark.parametrize("name", RIGS)
-def test_the_true_tip_is_millimetres_from_the_drawn_one(quiet, name):
+def test_the_true_tip_is_millimetres_from_the_nominal_one(quiet, name):
     session, truth = quiet[name].session, quiet[name].truth
     q = session.chain.random_values(200, np.random.default_rng(0))
-    drawn, true = (tip_poses(session.chain, q, p)[:, :3, 3] for p in (session.chain.placements, truth.placements))
-    rms = np.sqrt(np.mean(np.sum((true - drawn) ** 2, axis=1)))
+    nominal, true = (tip_poses(session.chain, q, p)[:, :3, 3] for p in (session.chain.placements, truth.placements))
+    rms = np.sqrt(np.mean(np.sum((true - nominal) ** 2, axis=1)))
     assert 0.5e-3 < rms < 8e-3
 
 
@@ -313,42 +313,42 @@ WALL = """<?xml version="1.0"?>
 """
 
 
-def clearance_of(text, eyes=1):
+def checker_of(text, cameras=1):
     urdf = Urdf.parse(text.encode())
     chain = Chain.from_urdf(urdf, "hand", "base")
-    return Clearance(chain, urdf, [(1, np.array([0.0, 0.06, 0.1]))], [(BASE, np.full(3, 9.0))] * eyes)
+    return CollisionChecker(chain, urdf, [(1, np.array([0.0, 0.06, 0.1]))], [(BASE, np.full(3, 9.0))] * cameras)
 
 
 def test_an_arm_keeps_clear_of_what_stands_beside_it_and_of_the_table():
-    clearance = clearance_of(WALL)
+    checker = checker_of(WALL)
     upright, back, into_wall, into_table = np.array([[0.0, 0.0], [-1.4, 0.0], [1.2, 0.4], [-2.2, -0.6]])
-    assert clearance.free(upright)
-    assert clearance.free(back)
-    assert not clearance.free(into_wall)
-    assert not clearance.free(into_table)
+    assert checker.is_free(upright)
+    assert checker.is_free(back)
+    assert not checker.is_free(into_wall)
+    assert not checker.is_free(into_table)
 
 
-def test_what_overlaps_in_every_pose_is_drawn_so_and_no_collision():
+def test_what_overlaps_in_every_pose_is_nominal_so_and_no_collision():
     size = 'size="0.02 1 1"'
     assert size in WALL
-    assert clearance_of(WALL.replace(size, 'size="9 9 1.8"')).free(np.array([1.2, 0.4]))
+    assert checker_of(WALL.replace(size, 'size="9 9 1.8"')).is_free(np.array([1.2, 0.4]))
 
 
 def test_an_led_behind_the_wall_or_the_hand_is_not_seen():
-    clearance = clearance_of(WALL)
+    checker = checker_of(WALL)
     folded = np.array([-1.0, -1.2])  # the hand low behind the wall
     beside, beyond = np.array([[-0.5, 2.0, 0.5]]), np.array([[2.0, 0.0, 0.4]])
-    assert clearance.sees(folded, beside)
-    assert not clearance.sees(folded, beyond)
-    assert not clearance_of(WALL, eyes=2).sees(folded, np.concatenate([beside, beyond]))
+    assert checker.is_seen(folded, beside)
+    assert not checker.is_seen(folded, beyond)
+    assert not checker_of(WALL, cameras=2).is_seen(folded, np.concatenate([beside, beyond]))
     upright = np.array([0.0, 0.0])
-    assert clearance.sees(upright, np.array([[0.0, 2.0, 0.8]]))
-    assert not clearance.sees(upright, np.array([[0.0, -2.0, 0.8]]))
+    assert checker.is_seen(upright, np.array([[0.0, 2.0, 0.8]]))
+    assert not checker.is_seen(upright, np.array([[0.0, -2.0, 0.8]]))
 
 
 def test_an_led_that_the_drawing_puts_inside_its_link_is_not_hidden_by_it():
     wide = WALL.replace('<box size="0.05 0.05 0.2"/>', '<box size="0.15 0.15 0.2"/>')
-    assert clearance_of(wide).sees(np.array([0.0, 0.0]), np.array([[0.0, -2.0, 0.8]]))
+    assert checker_of(wide).is_seen(np.array([0.0, 0.0]), np.array([[0.0, -2.0, 0.8]]))
 
 
 def test_a_camera_stands_upright_where_it_is_put():

@@ -51,9 +51,9 @@ def command(rig: str, output: Path | None, seed: int) -> None:
     )
     tips = [tip.link for tip in session.chain.tips if tip.joint != BASE]
     for link in tips:
-        drawn, built, truth = (Chain.from_urdf(urdf, link, session.chain.base_link) for urdf in urdfs)
-        q = drawn.random_values(1000, np.random.default_rng(seed))
-        before, after = (asdict(Spread.of(1e3 * compare(robot, truth, q).position)) for robot in (drawn, built))
+        nominal, calibrated, truth = (Chain.from_urdf(urdf, link, session.chain.base_link) for urdf in urdfs)
+        q = nominal.random_values(1000, np.random.default_rng(seed))
+        before, after = (asdict(Spread.of(1e3 * compare(robot, truth, q).position)) for robot in (nominal, calibrated))
         click.echo(
             f"{'tip' if len(tips) == 1 else link} against the true robot over the workspace: "
             f"{before['rms']:.2f} -> {after['rms']:.2f} mm rms, {before['max']:.2f} -> {after['max']:.2f} mm max"

@@ -11,8 +11,8 @@ from urdfcal.cli.options import base_option
 
 if TYPE_CHECKING:
     from urdfcal.rosbag.clock import Timeline
-    from urdfcal.rosbag.importing import Imported
-    from urdfcal.rosbag.topics import Chosen
+    from urdfcal.rosbag.importing import ImportSummary
+    from urdfcal.rosbag.topics import ChosenTopics
 
 
 def _led(value: str | tuple[str, list[float] | None]) -> tuple[str, list[float] | None]:
@@ -45,13 +45,13 @@ def _camera(value: str | tuple[str, str, str | None]) -> tuple[str, str, str | N
 @click.command("import")
 @click.argument("path", metavar="BAG", type=click.Path(path_type=Path))
 @click.option("-o", "--output", "session", type=click.Path(path_type=Path), help="Folder to write.")
-@click.option("--urdf", metavar="ROBOT.urdf", help="The robot as drawn: a file, or package://...")
+@click.option("--urdf", metavar="ROBOT.urdf", help="The nominal robot: a file, or package://...")
 @click.option("--tip", metavar="LINK", help="Link at the end of the chain.")
 @base_option
 @click.option("--joints", metavar="TOPIC", help="Of the joint states.  [default: the only one]")
 @click.option(
     "--camera", "named", type=_camera, multiple=True, metavar="NAME=TOPIC[,INFO]",
-    help="A camera: its pictures, and its camera_info if that is not beside them.  [default: all]",
+    help="A camera: its images, and its camera_info if that is not beside them.  [default: all]",
 )  # fmt: skip
 @click.option("--led", type=_led, default="led", metavar="NAME[=X,Y,Z]", help="The LED, in the tip's frame, m.")
 @click.option(
@@ -73,8 +73,8 @@ def command(
 ) -> None:
     """Make a session of a moving arm from BAG: .bag of ROS 1; folder, .db3 or .mcap of ROS 2.
 
-    Joint readings are sensor_msgs/JointState, pictures Image or CompressedImage. Cameras are called by the namespaces
-    of their topics. Where the second one stands is taken from a stereo pair's camera_info, or /tf_static.
+    Joint readings are sensor_msgs/JointState, images Image or CompressedImage. Cameras are named after the namespaces
+    of their topics. The second one's pose is taken from a stereo pair's camera_info, or /tf_static.
     """
     if listing:
         _list(path)
@@ -90,26 +90,26 @@ def command(
     from urdfcal.robot.chain import Chain
     from urdfcal.robot.urdf.urdf import Urdf, find_urdf
     from urdfcal.rosbag.bag import open_bag
-    from urdfcal.rosbag.importing import Known, import_bag
-    from urdfcal.rosbag.topics import Wanted, choose_topics
+    from urdfcal.rosbag.importing import ImportSetup, import_bag
+    from urdfcal.rosbag.topics import TopicOptions, choose_topics
     from urdfcal.session.knowledge import Led
 
     check_names("LEDs", [led[0]])
     robot = Urdf.read(find_urdf(urdf))
-    known = Known(
+    setup = ImportSetup(
         urdf=robot,
         urdf_reference=urdf,
         chain=Chain.from_urdf(robot, tip, base),
         led=Led(*led),  # type: ignore[arg-type]  # a list serves as an array
         rig=None if described is None else read_cameras([described]),
     )
-    wanted = Wanted(joints, {name: (image, info) for name, image, info in named}, infos=described is None)
+    options = TopicOptions(joints, {name: (image, info) for name, image, info in named}, infos=described is None)
     with open_bag(path) as bag:
-        chosen = choose_topics(bag.topics, wanted)
-        count = sum(topic.count for topic in bag.topics if topic.name in chosen.names)
+        topics = choose_topics(bag.topics, options)
+        count = sum(topic.count for topic in bag.topics if topic.name in topics.names)
         with progress_bar("reading", count) as advance:
-            imported = import_bag(bag, chosen, known, session, advance)
-    _print(chosen, imported)
+            summary = import_bag(bag, topics, setup, session, advance)
+    _print(topics, summary)
     click.echo(str(session))
 
 
@@ -125,15 +125,15 @@ def _list(path: Path) -> None:
     output().print(table)
 
 
-def _print(chosen: Chosen, imported: Imported) -> None:
-    click.echo(f"{chosen.joints}: {_of('joint states', imported.joints)}")
-    topics = {camera.name: camera.image for camera in chosen.cameras}
-    for camera in imported.rig.cameras:
+def _print(topics: ChosenTopics, summary: ImportSummary) -> None:
+    click.echo(f"{topics.joints}: {_of('joint states', summary.joints)}")
+    images = {camera.name: camera.image for camera in topics.cameras}
+    for camera in summary.rig.cameras:
         width, height = camera.resolution
-        pictures = _of("pictures", imported.cameras[camera.name])
-        click.echo(f"{camera.name}: {topics[camera.name]}, {pictures}, {width} x {height} px")
-    click.echo(f"time 0 is {imported.origin // 10**9}.{imported.origin % 10**9:09d} s")
-    for note in (*imported.notes, *imported.warnings):
+        taken = _of("images", summary.cameras[camera.name])
+        click.echo(f"{camera.name}: {images[camera.name]}, {taken}, {width} x {height} px")
+    click.echo(f"time 0 is {summary.origin // 10**9}.{summary.origin % 10**9:09d} s")
+    for note in (*summary.notes, *summary.warnings):
         click.echo(f"- {note}")
 
 

@@ -16,7 +16,7 @@ _POSITIVE = click.FloatRange(min=0.0, min_open=True)
 @click.option("-o", "--output", "session", type=click.Path(path_type=Path), required=True, help="Folder to write.")
 @click.option("--poses", type=click.IntRange(min=3), default=50, show_default=True, help="Number of arm positions.")
 @seed_option
-@click.option("--pixel", type=click.FloatRange(min=0.0), help="Noise of the sightings in px.  [default: the rig's]")
+@click.option("--pixel", type=click.FloatRange(min=0.0), help="Noise of the detections in px.  [default: the rig's]")
 @click.option(
     "--error-scale",
     type=click.FloatRange(min=0.0),
@@ -29,7 +29,7 @@ _POSITIVE = click.FloatRange(min=0.0, min_open=True)
     type=click.FloatRange(0.0, 1.0),
     default=0.0,
     show_default=True,
-    help="Fraction of sightings moved by 5 to 200 px.",
+    help="Fraction of detections moved by 5 to 200 px.",
 )
 @click.option("--trajectory", is_flag=True, help="Film the arm on its way from pose to pose.")
 @click.option("--speed", type=_POSITIVE, default=0.5, show_default=True, help="Of its fastest joint, rad/s or m/s.")
@@ -91,7 +91,7 @@ def command(
     if time_offsets and not trajectory:
         raise click.UsageError("--time-offset goes with --trajectory")
     description = read_rig(find_rig(rig))
-    with progress_bar("posing", poses) as advance:
+    with progress_bar("sampling poses", poses) as advance:
         simulated = simulate(
             description,
             poses=poses,
@@ -102,18 +102,15 @@ def command(
             progress=advance,
         )
     if trajectory:
-        from urdfcal.simulation.motion import Motion, set_in_motion
+        from urdfcal.simulation.motion import MotionSettings, set_in_motion
 
-        simulated = set_in_motion(simulated, Motion(speed, frame_rate, joint_rate, time_offsets))
+        simulated = set_in_motion(simulated, MotionSettings(speed, frame_rate, joint_rate, time_offsets))
     if filmed:
-        from urdfcal.simulation.images import Exposure, write_simulated_images, write_simulated_videos
+        from urdfcal.simulation.images import Exposure, write_simulated_images
 
         exposure = Exposure(peak=peak, distractors=distractors)
         with progress_bar("rendering", None) as advance:
-            if video:
-                write_simulated_videos(session, simulated, exposure, frame_rate, advance)
-            else:
-                write_simulated_images(session, simulated, exposure, advance)
+            write_simulated_images(session, simulated, exposure, advance, video_rate=frame_rate if video else None)
     else:
         write_simulated(session, simulated)
     for warning in simulated.session.warnings:

@@ -1,4 +1,8 @@
-"""Recordings of ROS 1 (.bag) and ROS 2 (sqlite3 or MCAP), read without ROS: topics, and their messages one by one."""
+"""Recordings of ROS 1 (.bag) and ROS 2 (sqlite3 or MCAP), read without ROS: topics, and their messages one by one.
+
+rosbags' own AnyReader is not used: it compiles the definitions of all topics of a bag, and gives up at the first one
+that it cannot parse or whose hash differs, though nobody needs that topic.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +19,6 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
     from pathlib import Path
 
-    from rosbags.interfaces import Connection
     from rosbags.rosbag1 import Reader as Reader1
     from rosbags.rosbag2 import Reader as Reader2
     from rosbags.typesys.store import Typestore
@@ -36,7 +39,7 @@ _TRANSFORMS_1 = "geometry_msgs/TransformStamped[] transforms\n"
 
 @dataclass(frozen=True)
 class Topic:
-    """What was recorded under one name.
+    """A topic of a bag.
 
     Attributes:
         name: the topic's.
@@ -65,14 +68,14 @@ class Message:
 
     @property
     def stamp(self) -> int:
-        """When its sender says that it was measured. [ns]."""
+        """When the sender measured it, by the message's header. [ns]."""
         stamp = self.content.header.stamp
         return int(stamp.sec) * _NANO + int(stamp.nanosec)
 
 
 @dataclass(frozen=True, eq=False)
 class Bag:
-    """A recording that is open.
+    """An open recording.
 
     Attributes:
         path: its file, or the folder of ROS 2.
@@ -95,29 +98,22 @@ class Bag:
         Raises:
             SessionError: the bag is damaged, or its messages are not what ROS calls by that name.
         """
-        with _told(self.path):
+        ros1 = _is_ros1(self.path)
+        decode = self._types.deserialize_ros1 if ros1 else self._types.deserialize_cdr
+        with _errors_explained(self.path):
             connections = [one for one in self._reader.connections if one.topic in topics]
             for one in connections:
-                self._check_definition(one)
-            if not connections:
-                return
-            for connection, received, data in self._reader.messages(connections):
+                name = one.msgtype
+                # Older bags of ROS 2 have no hashes.
+                if one.digest and one.digest != (
+                    self._types.generate_msgdef(name)[1] if ros1 else self._types.hash_rihs01(name)
+                ):
+                    raise SessionError(f"{one.topic} is not what ROS calls {name}", where=str(self.path))
+            # Of no connections rosbags reads all.
+            for connection, received, data in self._reader.messages(connections) if connections else ():
                 if received > _LATEST:
                     raise SessionError("the time of a message is damaged", where=f"{self.path}: {connection.topic}")
-                yield Message(connection.topic, received, self._decoded(data, connection.msgtype))
-
-    def _decoded(self, data: bytes, type_: str) -> Any:
-        decode = self._types.deserialize_ros1 if _first(self.path) else self._types.deserialize_cdr
-        return decode(data, type_)
-
-    def _check_definition(self, connection: Connection) -> None:
-        # Older bags of ROS 2 do not say.
-        if not connection.digest:
-            return
-        name = connection.msgtype
-        hashed = self._types.generate_msgdef(name)[1] if _first(self.path) else self._types.hash_rihs01(name)
-        if hashed != connection.digest:
-            raise SessionError(f"{connection.topic} is not what ROS calls {name}", where=str(self.path))
+                yield Message(connection.topic, received, decode(data, connection.msgtype))
 
 
 @contextmanager
@@ -149,41 +145,34 @@ def open_bag(path: Path) -> Iterator[Bag]:
             remedy=f"Those of ROS 1 end in {_SUFFIXES[0]}, files of ROS 2 in {' or '.join(_SUFFIXES[1:])}.",
         )
     types = _typestore(path)
-    with _told(path):
-        reader = Reader1(path) if _first(path) else Reader2(path)
+    with _errors_explained(path):
+        reader = Reader1(path) if _is_ros1(path) else Reader2(path)
         reader.open()
     try:
-        with _told(path):
-            topics = _topics(reader.connections)
+        with _errors_explained(path):
+            topics = tuple(
+                Topic(name, of.msgtype or " or ".join(sorted({one.msgtype for one in of.connections})), of.msgcount)
+                for name, of in sorted(reader.topics.items())
+            )
             duration = reader.duration / _NANO if reader.message_count else 0.0
         yield Bag(path, topics, duration, reader, types)
     finally:
         reader.close()
 
 
-def _first(path: Path) -> bool:
-    """Whether it is a bag of ROS 1."""
+def _is_ros1(path: Path) -> bool:
     return path.suffix == ".bag" and not path.is_dir()
 
 
-def _topics(connections: Collection[Connection]) -> tuple[Topic, ...]:
-    names = sorted({one.topic for one in connections})
-    by_name = {name: [one for one in connections if one.topic == name] for name in names}
-    return tuple(
-        Topic(name, " or ".join(sorted({one.msgtype for one in of})), sum(one.msgcount for one in of))
-        for name, of in by_name.items()
-    )
-
-
 def _typestore(path: Path) -> Typestore:
-    """The definitions of messages.
+    """Return the definitions of messages.
 
     A bag's own are not needed: JointState, Image, CompressedImage, CameraInfo and TFMessage have been the same in all
     distributions of ROS 2, and in ROS 1 (compared: their hashes in rosbags, Dashing to Lyrical).
     """
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    if not _first(path):
+    if not _is_ros1(path):
         return get_typestore(Stores.ROS2_HUMBLE)
     types = get_typestore(Stores.ROS1_NOETIC)
     types.register(get_types_from_msg(_TRANSFORMS_1, TRANSFORMS))
@@ -191,7 +180,7 @@ def _typestore(path: Path) -> Typestore:
 
 
 @contextmanager
-def _told(path: Path) -> Iterator[None]:
+def _errors_explained(path: Path) -> Iterator[None]:
     """Say which bag cannot be read, and why."""
     import apsw
     from rosbags import rosbag1, rosbag2
@@ -203,7 +192,7 @@ def _told(path: Path) -> Iterator[None]:
     else:
         from backports.zstd import ZstdError
 
-    # Rosbags trusts the numbers in a file: what a damaged one makes it raise is as varied (tests/session/test_bag.py
+    # Rosbags trusts the numbers in a file: what a damaged one makes it raise is as varied (tests/rosbag/test_bag.py
     # cuts and changes bags). Only its code and that of its libraries runs below.
     explained = (rosbag1.ReaderError, rosbag2.ReaderError, SerdeError, TypesysError, OSError)
     damage = (
@@ -213,9 +202,9 @@ def _told(path: Path) -> Iterator[None]:
     try:
         yield
     except damage as error:
-        said = str(error) if isinstance(error, explained) else f"{type(error).__name__} {error}".strip()
+        reason = str(error) if isinstance(error, explained) else f"{type(error).__name__} {error}".strip()
         raise SessionError(
-            f"the bag cannot be read: {said}",
+            f"the bag cannot be read: {reason}",
             where=str(path),
             remedy="If it is damaged or was not closed: `rosbag reindex`, `ros2 bag reindex` or `mcap recover`.",
         ) from error

@@ -1,4 +1,4 @@
-"""The cameras that a bag describes: their lenses by camera_info, and where they stand by that or by /tf_static."""
+"""The cameras that a bag describes: their lenses by camera_info, their poses by that or by /tf_static."""
 
 from __future__ import annotations
 
@@ -6,51 +6,52 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from urdfcal.arrays import Floats, inverse
 from urdfcal.cameras.io.ros import CameraInfo, rig_of
 from urdfcal.cameras.rig import Rig
 from urdfcal.errors import CameraError
-from urdfcal.rosbag.static_transforms import TF_STATIC, StaticFrames, bare
+from urdfcal.rotations import quaternion_to_matrix
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
-    from urdfcal.arrays import Floats
     from urdfcal.rosbag.bag import Message
 
-# Keys of a camera_info file, as vision.ros names them in messages, and the message's fields: those of ROS 2, and of
-# ROS 1 in capitals.
+TF_STATIC = "/tf_static"
+
+# Keys of a camera_info file, as our messages name them, and the fields of ROS 2; those of ROS 1 are in capitals.
 _FIELDS = {"camera_matrix": "k", "distortion_coefficients": "d", "rectification_matrix": "r", "projection_matrix": "p"}
 # REP 103: a frame with z forward, x right and y down, as a camera's is here, has this in its name.
 _OPTICAL = "optical"
 # Two lenses are never a micrometre apart; a placeholder's are. [m]
 _LEAST_APART = 1e-6
+# tf2 refuses quaternions that are off by more than this.
+_UNIT = 1e-2
 _ELSEWHERE = "Describe the cameras with --cameras FILE."
 
 
-def read_rig(topics: Sequence[tuple[str, str]], messages: Iterable[Message]) -> tuple[Rig, tuple[str, ...]]:
+def read_bag_cameras(topics: Sequence[tuple[str, str]], messages: Iterable[Message]) -> tuple[Rig, tuple[str, ...]]:
     """Read the cameras; the first one is the world.
 
-    Where a camera stands is told by its projection matrix if it is the second of a stereo pair, else by /tf_static if
-    that connects the optical frames of both; else it is unknown, and to be estimated.
+    A camera's pose comes from its projection matrix if it is the second of a stereo pair, else from /tf_static if that
+    connects the optical frames of both; else it is unknown, and to be estimated.
 
     Args:
         topics: of every camera its name and the topic of its camera_info.
         messages: of these topics and of /tf_static.
 
     Returns:
-        The cameras, and how their places are known in words.
+        The cameras, and a sentence for each pose on where it comes from.
 
     Raises:
-        CameraError: a camera has no camera_info, one that changes, or one that does not describe its pictures.
+        CameraError: a camera has no camera_info, one that changes, or one that does not describe its images.
     """
     first: dict[str, Any] = {}
-    transforms = []
+    transforms: list[Any] = []
     for message in messages:
         if message.topic == TF_STATIC:
-            transforms.append(message.content)
-        elif message.topic not in first:
-            first[message.topic] = message.content
-        elif _all_of(message.content) != _all_of(first[message.topic]):
+            transforms += message.content.transforms
+        elif _values(first.setdefault(message.topic, message.content)) != _values(message.content):
             raise CameraError(
                 "it changes during the recording",
                 where=message.topic,
@@ -60,21 +61,24 @@ def read_rig(topics: Sequence[tuple[str, str]], messages: Iterable[Message]) -> 
         if topic not in first:
             raise CameraError("there is no camera_info", where=topic, remedy=_ELSEWHERE)
     rig = rig_of([_info(name, topic, first[topic]) for name, topic in topics])
-    static = StaticFrames(transforms)
-    frames = [bare(first[topic].header.frame_id) for _, topic in topics]
-    places, notes = [rig.T_cam_world[0]], []
+    # Of a frame that is given twice, the last.
+    parents = {
+        _without_slash(one.child_frame_id): (_without_slash(one.header.frame_id), _rigid(one)) for one in transforms
+    }
+    frames = [_without_slash(first[topic].header.frame_id) for _, topic in topics]
+    poses, notes = [rig.T_cam_world[0]], []
     for (name, source), T, frame in zip(topics[1:], rig.T_cam_world[1:], frames[1:], strict=True):
         if T is None and _OPTICAL in frame and _OPTICAL in frames[0]:
-            T, source = static.between(frame, frames[0]), TF_STATIC
+            T, source = _between(parents, frame, frames[0]), TF_STATIC
             if T is not None and np.linalg.norm(T[:3, 3]) < _LEAST_APART:
                 T = None
-        places.append(T)
-        notes.append(f"where {name} stands is " + (f"from {source}" if T is not None else "not known: it is estimated"))
-    return Rig(rig.cameras, tuple(places)), tuple(notes)
+        poses.append(T)
+        notes.append(f"the pose of {name} is " + (f"from {source}" if T is not None else "not known: it is estimated"))
+    return Rig(rig.cameras, tuple(poses)), tuple(notes)
 
 
 def _info(name: str, topic: str, message: Any) -> CameraInfo:
-    """What one message says, checked for what a file cannot say."""
+    """Convert one message, checked for what a file cannot say."""
 
     def error(key: str, what: str, remedy: str) -> CameraError:
         return CameraError(what, where=f"{topic} ({_FIELDS.get(key, key)})", remedy=remedy)
@@ -86,10 +90,10 @@ def _info(name: str, topic: str, message: Any) -> CameraInfo:
     if not K.any():
         raise error("camera_matrix", "the camera is not calibrated: its matrix is zero", _ELSEWHERE)
     roi, size = message.roi, (int(message.width), int(message.height))
-    # All zero is the whole picture, too.
+    # All zero is the whole image, too.
     cut = (roi.x_offset, roi.y_offset, roi.width, roi.height) not in ((0, 0, 0, 0), (0, 0, *size))
     if cut or message.binning_x > 1 or message.binning_y > 1:
-        raise CameraError("pictures that are binned or cut out (roi) are not supported", where=topic, remedy=_ELSEWHERE)
+        raise CameraError("images that are binned or cut out (roi) are not supported", where=topic, remedy=_ELSEWHERE)
     return CameraInfo(
         name=name,
         size=size,
@@ -109,10 +113,47 @@ def _array(message: Any, field: str) -> Floats:
     return np.asarray(values, dtype=np.float64)
 
 
-def _all_of(message: Any) -> tuple[Any, ...]:
+def _values(message: Any) -> tuple[Any, ...]:
     """All that a camera_info says, to be compared."""
     roi = message.roi
     size = (message.width, message.height, message.binning_x, message.binning_y)
     cut = (roi.x_offset, roi.y_offset, roi.width, roi.height)
     arrays = tuple(_array(message, field).tobytes() for field in _FIELDS.values())
     return (*size, *cut, message.distortion_model, *arrays)
+
+
+def _between(parents: Mapping[str, tuple[str, Floats]], frame: str, other: str) -> Floats | None:
+    """Return T_frame_other, None where no static transforms connect them; of each frame its parent and pose there."""
+    (root, T_root_frame), (other_root, T_root_other) = _root(parents, frame), _root(parents, other)
+    return inverse(T_root_frame) @ T_root_other if root == other_root else None
+
+
+def _root(parents: Mapping[str, tuple[str, Floats]], frame: str) -> tuple[str, Floats]:
+    """Return the root of the tree that ``frame`` is in, and T_root_frame."""
+    T, passed = np.eye(4), {frame}
+    while frame in parents:
+        frame, T_parent_frame = parents[frame]
+        T = T_parent_frame @ T
+        if frame in passed:
+            raise CameraError(f"the frame {frame!r} is its own ancestor", where=TF_STATIC)
+        passed.add(frame)
+    return frame, T
+
+
+def _without_slash(frame: str) -> str:
+    """Return a frame's name without the slash that ROS 1 once wrote before it."""
+    return frame.removeprefix("/")
+
+
+def _rigid(transform: Any) -> Floats:
+    q, t = transform.transform.rotation, transform.transform.translation
+    quaternion = np.array([q.x, q.y, q.z, q.w])
+    T = np.eye(4)
+    T[:3, 3] = t.x, t.y, t.z
+    if not abs(np.linalg.norm(quaternion) - 1.0) < _UNIT or not np.isfinite(T).all():
+        raise CameraError(
+            f"the transform from {transform.child_frame_id!r} to {transform.header.frame_id!r} is not rigid",
+            where=TF_STATIC,
+        )
+    T[:3, :3] = quaternion_to_matrix(quaternion)
+    return T

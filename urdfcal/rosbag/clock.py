@@ -1,4 +1,4 @@
-"""Times of messages: their own stamps put in order, and the clocks of several senders compared."""
+"""Times of messages: their stamps in order, and the clocks of their senders aligned."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 _NANO = 1_000_000_000
-# Networks exchange messages by milliseconds; a clock that is set back, or a simulation that starts anew, by seconds.
-_EXCHANGED = 1 * _NANO
+# Networks reorder messages by milliseconds; a clock that is set back, or a simulation that starts anew, by seconds.
+_REORDERED = 1 * _NANO
 
 
 @dataclass(frozen=True, eq=False)
 class Timeline:
-    """When the messages of one topic were measured.
+    """The times at which the messages of one topic were measured.
 
     Attributes:
         topic: its name.
         kept: (K,) indices of the messages that have a time of their own, in the order of these times.
         time: (K,) strictly increasing, on the sender's clock. [ns]
         delay: from a message's time to its arrival, the shortest. [ns]
-        warnings: what was done to get there.
+        warnings: which messages were left out or reordered, and which clock was changed.
     """
 
     topic: str
@@ -45,7 +45,7 @@ def timeline(topic: str, stamps: Sequence[int], received: Sequence[int]) -> Time
     """Put messages in the order of their stamps.
 
     Messages without a stamp among others that have one, and those that repeat one, are left out. Where none has one,
-    the times at which they were received stand in.
+    the times at which they were received are used instead.
 
     Args:
         topic: whose messages these are.
@@ -62,13 +62,13 @@ def timeline(topic: str, stamps: Sequence[int], received: Sequence[int]) -> Time
     blank = time == 0
     if blank.all():
         time, blank = arrival, np.zeros(len(time), dtype=bool)
-        warnings.append(f"{topic}: no message has a stamp; the times at which they were recorded stand in")
+        warnings.append(f"{topic}: no message has a stamp; the times at which they were recorded are used")
     elif blank.any():
         warnings.append(f"{topic}: {np.count_nonzero(blank)} messages without a stamp are left out")
     kept = np.flatnonzero(~blank)
     back = np.maximum.accumulate(time[kept]) - time[kept]
-    if back.max() > _EXCHANGED:
-        number = int(kept[np.argmax(back > _EXCHANGED)])
+    if back.max() > _REORDERED:
+        number = int(kept[np.argmax(back > _REORDERED)])
         raise SessionError(
             f"the stamp of message {number + 1} is {back.max() / _NANO:.3f} s before an earlier one's",
             where=topic,
@@ -85,8 +85,8 @@ def timeline(topic: str, stamps: Sequence[int], received: Sequence[int]) -> Time
     return Timeline(topic, kept, time[kept], delay, tuple(warnings))
 
 
-def on_clock_of(robot: Timeline, camera: Timeline) -> Timeline:
-    """A camera's times, on the robot's clock if its own has nothing in common with that one.
+def align_clock(robot: Timeline, camera: Timeline) -> Timeline:
+    """Return a camera's times, on the robot's clock if its own has nothing in common with that one.
 
     Cameras often count from when they were switched on. A constant difference does not matter, since it is estimated,
     but it must be small: then the shortest delays of both on their way to the recorder are taken for the same.
@@ -97,14 +97,14 @@ def on_clock_of(robot: Timeline, camera: Timeline) -> Timeline:
     if _overlap(robot, camera):
         return camera
     shift = camera.delay - robot.delay
-    said = (
+    warning = (
         f"{camera.topic}: its clock differs from that of {robot.topic}; {shift / _NANO:.9f} s are added to its stamps, "
         "by the times at which the messages were recorded"
     )
-    moved = Timeline(camera.topic, camera.kept, camera.time + shift, robot.delay, (*camera.warnings, said))
+    moved = Timeline(camera.topic, camera.kept, camera.time + shift, robot.delay, (*camera.warnings, warning))
     if not _overlap(robot, moved):
         raise SessionError(
-            f"its pictures were not recorded at the same time as the joint states of {robot.topic}",
+            f"its images were not recorded at the same time as the joint states of {robot.topic}",
             where=camera.topic,
             remedy="Record both together.",
         )

@@ -1,39 +1,45 @@
-"""From a bag to a session of a moving arm: its cameras, joints.csv, frames.csv, and the pictures."""
+"""Import of a bag as a session of a moving arm: its cameras, joints.csv, frames.csv, and the images."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from urdfcal.errors import CameraError, OutputError
+from urdfcal.images.encodings import DamagedPictureError, decode_compressed, decode_raw
+from urdfcal.images.files import in_parallel, write_image
 from urdfcal.io.folder import IMAGES
 from urdfcal.io.writing import put_into, write_table
 from urdfcal.names import listed
 from urdfcal.rosbag.bag import TRANSFORMS
-from urdfcal.rosbag.cameras import read_rig
-from urdfcal.rosbag.clock import on_clock_of
-from urdfcal.rosbag.images import write_pictures
+from urdfcal.rosbag.cameras import TF_STATIC, read_bag_cameras
+from urdfcal.rosbag.clock import align_clock, timeline
 from urdfcal.rosbag.joints import read_joint_states
-from urdfcal.rosbag.static_transforms import TF_STATIC
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
+    from urdfcal.cameras.camera import Camera
     from urdfcal.cameras.rig import Rig
     from urdfcal.robot.chain import Chain
     from urdfcal.robot.urdf.urdf import Urdf
     from urdfcal.rosbag.bag import Bag, Message
     from urdfcal.rosbag.clock import Timeline
-    from urdfcal.rosbag.images import Frames
     from urdfcal.rosbag.joints import JointStates
-    from urdfcal.rosbag.topics import Chosen
+    from urdfcal.rosbag.topics import ChosenTopics
     from urdfcal.session.knowledge import Led
 
 
+# Nine hours of images at 30 Hz.
+_DIGITS = 6
+
+
 @dataclass(frozen=True, eq=False)
-class Known:
-    """What a bag does not tell.
+class ImportSetup:
+    """What a session needs and a bag does not hold.
 
     Attributes:
         urdf: the robot description.
@@ -51,16 +57,16 @@ class Known:
 
 
 @dataclass(frozen=True, eq=False)
-class Imported:
-    """What became of a bag.
+class ImportSummary:
+    """What was imported from a bag.
 
     Attributes:
         origin: the time that is 0 in the session, on the robot's clock. [ns]
         joints: when the joint states were taken.
-        cameras: when the pictures were taken, by camera.
+        cameras: when the images were taken, by camera.
         rig: the cameras.
-        notes: how it is known where the cameras stand that the bag describes.
-        warnings: what was left out, or done to the times.
+        notes: where the poses of the cameras come from that the bag describes.
+        warnings: which messages were left out, and what was done to the times.
     """
 
     origin: int
@@ -71,21 +77,51 @@ class Imported:
     warnings: tuple[str, ...]
 
 
+@dataclass(frozen=True, eq=False)
+class _CameraImages:
+    """The images of one camera.
+
+    Attributes:
+        times: when they were taken.
+        labels: their files' names without suffix, in the same order.
+        warnings: which were damaged, and what was done to the times.
+    """
+
+    times: Timeline
+    labels: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _WrittenImage:
+    """One image that is written: its stamp and when it was received, in ns, and its file."""
+
+    stamp: int
+    received: int
+    path: Path
+
+
 def import_bag(
-    bag: Bag, chosen: Chosen, known: Known, folder: str | Path, progress: Callable[[int], object] | None = None
-) -> Imported:
-    """Write a session from a bag; all of it or nothing. Of its pictures never more than a few are in memory.
+    bag: Bag,
+    topics: ChosenTopics,
+    setup: ImportSetup,
+    folder: str | Path,
+    progress: Callable[[int], object] | None = None,
+) -> ImportSummary:
+    """Write a session from a bag; all of it or nothing.
+
+    Of its images never more than a few are in memory.
 
     Args:
         bag: the recording.
-        chosen: its topics.
-        known: what it does not tell.
+        topics: of the joints and the cameras.
+        setup: what the bag does not hold.
         folder: where to; made if need be, in a folder that exists. It must be empty.
-        progress: called with the number of messages read since the last call: those of ``chosen`` and /tf_static.
+        progress: called with the number of messages read since the last call: those of ``topics`` and /tf_static.
 
     Raises:
         SessionError: the bag is damaged, or its joint states or times cannot be used.
-        CameraError: a camera or a picture cannot be used.
+        CameraError: a camera or an image cannot be used.
         OutputError: the folder is not empty, or cannot be written.
     """
     folder = Path(folder)
@@ -94,35 +130,32 @@ def import_bag(
             "there is something already", where=str(folder), remedy="Name another folder, or empty it first."
         )
 
-    def counted(messages: Iterator[Message]) -> Iterator[Message]:
-        for message in messages:
+    def read(*names: str) -> Iterator[Message]:
+        for message in bag.messages(names):
             if progress:
                 progress(1)
             yield message
 
-    states = read_joint_states(chosen.joints, counted(bag.messages([chosen.joints])), known.chain.actuated)
-    rig, notes = known.rig, tuple[str, ...]()
+    joints = setup.chain.actuated
+    states = read_joint_states(topics.joints, read(topics.joints), joints)
+    rig, notes = setup.rig, tuple[str, ...]()
     if rig is None:
-        infos = [(camera.name, camera.info) for camera in chosen.cameras if camera.info is not None]
+        infos = [(camera.name, camera.info) for camera in topics.cameras if camera.info is not None]
         static = [topic.name for topic in bag.topics if topic.name == TF_STATIC and topic.type == TRANSFORMS]
-        rig, notes = read_rig(infos, counted(bag.messages([*(info for _, info in infos), *static])))
-    images = _in_order_of(rig, chosen)
+        rig, notes = read_bag_cameras(infos, read(*(info for _, info in infos), *static))
+    images = _image_topics(rig, topics)
     with put_into(folder) as partial:
-        _write_setup(partial, known, rig)
-        taken = write_pictures(partial / IMAGES, counted(bag.messages(images)), images, rig.cameras)
-        frames = {
-            name: replace(of, times=on_clock_of(states.times, of.times))
-            for name, of in zip(rig.names, taken, strict=True)
-        }
-        origin = _write_tables(partial, states, known.chain.actuated, frames)
-    warnings = (warning for of in frames.values() for warning in (*of.warnings, *of.times.warnings))
+        _write_setup(partial, setup, rig)
+        frames = _write_images(partial / IMAGES, read(*images), images, rig.cameras, states.times)
+        origin = _write_tables(partial, states, joints, frames)
+    warnings = (warning for of in frames.values() for warning in of.warnings)
     cameras = {name: of.times for name, of in frames.items()}
-    return Imported(origin, states.times, cameras, rig, notes, (*states.warnings, *warnings))
+    return ImportSummary(origin, states.times, cameras, rig, notes, (*states.warnings, *warnings))
 
 
-def _in_order_of(rig: Rig, chosen: Chosen) -> tuple[str, ...]:
-    """The topics of the pictures, in the order of the cameras."""
-    images = {camera.name: camera.image for camera in chosen.cameras}
+def _image_topics(rig: Rig, topics: ChosenTopics) -> tuple[str, ...]:
+    """Return the topics of the images, in the order of the cameras."""
+    images = {camera.name: camera.image for camera in topics.cameras}
     if set(images) != set(rig.names):
         raise CameraError(
             f"the cameras described are {listed(rig.names)}, those in the bag are called {listed(images)}",
@@ -131,20 +164,19 @@ def _in_order_of(rig: Rig, chosen: Chosen) -> tuple[str, ...]:
     return tuple(images[name] for name in rig.names)
 
 
-def _write_setup(folder: Path, known: Known, rig: Rig) -> None:
+def _write_setup(folder: Path, setup: ImportSetup, rig: Rig) -> None:
     """Write session.yaml, the cameras, and the robot unless it is in a package."""
     import yaml
 
     from urdfcal.cameras.io.formats import write_kalibr
 
-    reference, chain = known.urdf_reference, known.chain
+    reference, chain, led = setup.urdf_reference, setup.chain, setup.led
     if not reference.startswith("package://"):
         reference = Path(reference).name
-        (folder / reference).write_bytes(known.urdf.data)
-    led = {} if known.led.position is None else {"position": known.led.position.tolist()}
+        (folder / reference).write_bytes(setup.urdf.data)
     content = {
         "robot": {"urdf": reference, "base_link": chain.base_link, "tip_link": chain.tip_link},
-        "leds": {known.led.name: led},
+        "leds": {led.name: {} if led.position is None else {"position": led.position.tolist()}},
         "cameras": "cameras.yaml",
         "joints": "joints.csv",
         "frames": "frames.csv",
@@ -154,7 +186,96 @@ def _write_setup(folder: Path, known: Known, rig: Rig) -> None:
     (folder / "session.yaml").write_text(text, encoding="utf-8")
 
 
-def _write_tables(folder: Path, states: JointStates, joints: Sequence[str], frames: Mapping[str, Frames]) -> int:
+def _write_images(
+    folder: Path, messages: Iterable[Message], topics: Sequence[str], cameras: Sequence[Camera], robot: Timeline
+) -> dict[str, _CameraImages]:
+    """Write images as ``folder``/<camera>/<number of the message>.png, or .jpg where they were recorded as that.
+
+    Args:
+        folder: where to; it is made.
+        messages: of the topics, in the order in which they were recorded.
+        topics: of every camera, sensor_msgs/Image or CompressedImage.
+        cameras: that took the images.
+        robot: the times of the joint states, on whose clock the images' times are to be.
+
+    Returns:
+        Of every camera, the images that were recorded whole.
+
+    Raises:
+        CameraError: an image is of another kind or size than its camera takes, or none was recorded whole.
+        SessionError: a camera took none, its clock was set back, or it was recorded at another time.
+        OSError: they cannot be written.
+    """
+    written: list[list[_WrittenImage]] = [[] for _ in topics]
+    damaged: list[list[CameraError]] = [[] for _ in topics]
+
+    def numbered() -> Iterator[tuple[int, int, Message]]:
+        counts = [0] * len(topics)
+        for message in messages:
+            camera = topics.index(message.topic)
+            counts[camera] += 1
+            yield camera, counts[camera], message
+
+    def write(task: tuple[int, int, Message]) -> tuple[int, _WrittenImage | CameraError]:
+        camera, number, message = task
+        path = folder / cameras[camera].name / f"{number:0{_DIGITS}d}"
+        where = f"{message.topic}, message {number}"
+        try:
+            path = _write_one(path, message.content, cameras[camera])
+        except DamagedPictureError as error:
+            return camera, CameraError(error.what, where=where)
+        except CameraError as error:
+            raise CameraError(error.what, where=where, remedy=error.remedy) from error
+        return camera, _WrittenImage(message.stamp, message.received, path)
+
+    for one in cameras:
+        (folder / one.name).mkdir(parents=True)
+    for camera, result in in_parallel(write, numbered()):
+        if isinstance(result, CameraError):
+            damaged[camera].append(result)
+        else:
+            written[camera].append(result)
+    of_cameras = zip(topics, written, damaged, strict=True)
+    return {one.name: _in_order(*of, robot) for one, of in zip(cameras, of_cameras, strict=True)}
+
+
+def _in_order(
+    topic: str, written: Sequence[_WrittenImage], damaged: Sequence[CameraError], robot: Timeline
+) -> _CameraImages:
+    """Return the images that have a time of their own; remove the files of others."""
+    if damaged and not written:
+        raise damaged[0]
+    times = timeline(topic, [one.stamp for one in written], [one.received for one in written])
+    for i in np.setdiff1d(np.arange(len(written)), times.kept):
+        written[i].path.unlink()
+    times = align_clock(robot, times)
+    warnings = [f"{len(damaged)} images are damaged and left out; the first: {damaged[0]}"] if damaged else []
+    return _CameraImages(times, tuple(written[i].path.stem for i in times.kept), (*warnings, *times.warnings))
+
+
+def _write_one(path: Path, content: Any, camera: Camera) -> Path:
+    """Write the image of one message, and return its file."""
+    if hasattr(content, "format"):
+        data = content.data.tobytes()
+        suffix, image, size = decode_compressed(content.format, data)
+    else:
+        suffix, data, size = ".png", b"", (int(content.width), int(content.height))
+        image = decode_raw(content.encoding, size, content.step, content.data, big_endian=bool(content.is_bigendian))
+    if size != camera.resolution:
+        raise CameraError(
+            f"it is {size[0]} x {size[1]} pixels, and the camera {camera.name!r} "
+            f"{camera.resolution[0]} x {camera.resolution[1]}",
+            remedy="Describe the camera as the images were taken, with --cameras FILE.",
+        )
+    path = path.with_suffix(suffix)
+    if image is None:
+        path.write_bytes(data)
+    else:
+        write_image(path, image)
+    return path
+
+
+def _write_tables(folder: Path, states: JointStates, joints: Sequence[str], frames: Mapping[str, _CameraImages]) -> int:
     """Write joints.csv and frames.csv, and return the time that is 0 in them. [ns]."""
     origin = int(min(times.time[0] for times in (states.times, *(of.times for of in frames.values()))))
 

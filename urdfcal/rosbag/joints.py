@@ -1,4 +1,4 @@
-"""From sensor_msgs/JointState to a table of readings: messages that speak of the whole arm, each joint by its name."""
+"""Joint readings from sensor_msgs/JointState: messages that have all joints of the arm, each by its name."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class JointStates:
-    """The arm's readings.
+    """The readings of an arm's joints.
 
     Attributes:
         times: when each was taken.
@@ -41,8 +41,7 @@ class JointStates:
 def read_joint_states(topic: str, messages: Iterable[Message], joints: Sequence[str]) -> JointStates:
     """Read the positions of some joints.
 
-    Messages that speak of none of them are another device's, and those without positions tell nothing: they are left
-    out.
+    Messages with none of them are another device's, and those without positions are of no use: they are left out.
 
     Args:
         topic: its name.
@@ -52,9 +51,9 @@ def read_joint_states(topic: str, messages: Iterable[Message], joints: Sequence[
     Raises:
         SessionError: no message has all joints, or one contradicts itself.
     """
-    wanted = set(joints)
+    needed = set(joints)
     stamps, received, rows = [], [], []
-    # Messages that cannot be used: by the names of the joints that they have, and by joint that is not a number.
+    # Messages that cannot be used: by the joints that they have, and by the joint that is not a number.
     parts: Counter[frozenset[str]] = Counter()
     undefined: Counter[str] = Counter()
     seen: dict[str, None] = {}
@@ -62,7 +61,7 @@ def read_joint_states(topic: str, messages: Iterable[Message], joints: Sequence[
     for number, message in enumerate(messages, 1):
         names, positions = message.content.name, message.content.position
         seen |= dict.fromkeys(names)
-        if not wanted.intersection(names):
+        if not needed.intersection(names):
             continue
         if not len(positions):
             empty += 1
@@ -75,8 +74,8 @@ def read_joint_states(topic: str, messages: Iterable[Message], joints: Sequence[
             )
             raise SessionError(what, where=topic)
         value = dict(zip(names, positions.tolist(), strict=True))
-        if not wanted <= value.keys():
-            parts[frozenset(wanted & value.keys())] += 1
+        if not needed <= value.keys():
+            parts[frozenset(needed & value.keys())] += 1
             continue
         row = [value[name] for name in joints]
         bad = [name for name, x in zip(joints, row, strict=True) if not np.isfinite(x)]
@@ -95,17 +94,17 @@ def read_joint_states(topic: str, messages: Iterable[Message], joints: Sequence[
             "is no finite number"
         )
     if not rows:
-        raise _nothing(topic, joints, list(seen), parts, warnings)
+        raise _unusable(topic, joints, list(seen), parts, warnings)
     if parts:
         warnings.append(f"{topic}: {parts.total()} messages have only some of the joints and are left out")
     times = timeline(topic, stamps, received)
     return JointStates(times, np.array(rows)[times.kept], (*warnings, *times.warnings))
 
 
-def _nothing(
+def _unusable(
     topic: str, joints: Sequence[str], seen: Sequence[str], parts: Counter[frozenset[str]], warnings: Sequence[str]
 ) -> SessionError:
-    """Why no message can be used."""
+    """Say why no message can be used."""
     missing = [name for name in joints if name not in seen]
     if missing:
         return SessionError(
@@ -116,7 +115,7 @@ def _nothing(
     if parts:
         sets = "; ".join(f"{listed(sorted(names))} ({count} messages)" for names, count in parts.most_common(4))
         return SessionError(
-            f"no message has all joints of the arm, they come apart: {sets}",
+            f"no message has all joints of the arm: {sets}",
             where=topic,
             remedy="Record a topic on which one node publishes them together.",
         )

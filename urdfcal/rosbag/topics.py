@@ -1,4 +1,4 @@
-"""Which topics of a bag are the joints and the cameras: by their types and ROS's names, or as the user says."""
+"""The choice of a bag's topics: joints and cameras by their types and ROS's names, or as the user says."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class CameraTopics:
 
     Attributes:
         name: the camera's in the session.
-        image: its pictures.
+        image: its images.
         info: its camera_info; None where the camera is described elsewhere.
     """
 
@@ -36,13 +36,13 @@ class CameraTopics:
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """What the user says of a bag's topics.
+class TopicOptions:
+    """What the user says about the topics of a bag.
 
     Attributes:
         joints: the topic with the joint states; None: the only one.
-        cameras: topics of the pictures, and of the camera_info if it has an unusual name, by camera; empty: all.
-        infos: whether the cameras are to be described by the bag.
+        cameras: topics of the images, and of the camera_info if it has an unusual name, by camera; empty: all.
+        infos: whether the bag is to describe the cameras.
     """
 
     joints: str | None = None
@@ -51,7 +51,7 @@ class Wanted:
 
 
 @dataclass(frozen=True)
-class Chosen:
+class ChosenTopics:
     """The topics that a session is made of.
 
     Attributes:
@@ -68,19 +68,19 @@ class Chosen:
         return (self.joints, *(name for camera in self.cameras for name in (camera.image, camera.info) if name))
 
 
-def choose_topics(topics: Sequence[Topic], wanted: Wanted) -> Chosen:
+def choose_topics(topics: Sequence[Topic], options: TopicOptions) -> ChosenTopics:
     """Find the topics of the joints and the cameras.
 
     Args:
         topics: all of the bag.
-        wanted: what the user says of them.
+        options: what the user says about them.
 
     Raises:
-        SessionError: a topic is not there, of another type, or nothing tells which of several is meant.
+        SessionError: a topic is missing or of another type, or the choice between several is open.
     """
     filled = [topic for topic in topics if topic.count]
-    named = wanted.cameras or _by_namespace(filled)
-    cameras = tuple(_camera(filled, name, *topics, infos=wanted.infos) for name, topics in named.items())
+    named = options.cameras or _by_namespace(filled)
+    cameras = tuple(_camera(filled, name, *topics, infos=options.infos) for name, topics in named.items())
     for camera in cameras:
         if not _FOLDER.fullmatch(camera.name):
             raise SessionError(
@@ -88,13 +88,13 @@ def choose_topics(topics: Sequence[Topic], wanted: Wanted) -> Chosen:
                 remedy=f"Use letters and digits: --camera NAME={camera.image}.",
             )
     if len({camera.image for camera in cameras}) < len(cameras):
-        raise SessionError("two cameras have the same pictures", remedy="Every camera has a topic of its own.")
-    return Chosen(_joints(filled, wanted.joints), cameras)
+        raise SessionError("two cameras have the same images", remedy="Every camera has a topic of its own.")
+    return ChosenTopics(_joints(filled, options.joints), cameras)
 
 
-def _joints(topics: Sequence[Topic], wanted: str | None) -> str:
-    if wanted is not None:
-        return _known(topics, wanted, (JOINT_STATE,))
+def _joints(topics: Sequence[Topic], named: str | None) -> str:
+    if named is not None:
+        return _known(topics, named, (JOINT_STATE,))
     found = [topic.name for topic in topics if topic.type == JOINT_STATE]
     if not found:
         raise SessionError(
@@ -109,7 +109,7 @@ def _joints(topics: Sequence[Topic], wanted: str | None) -> str:
 
 def _camera(topics: Sequence[Topic], name: str, image: str, info: str | None, *, infos: bool) -> CameraTopics:
     _known(topics, image, _IMAGES)
-    usual = _usual_info(image)
+    usual = f"{_namespace(image)}/camera_info"  # where image_transport looks for it
     if info is not None:
         _known(topics, info, (CAMERA_INFO,))
     elif not infos:
@@ -124,21 +124,21 @@ def _camera(topics: Sequence[Topic], name: str, image: str, info: str | None, *,
     info = info or usual
     if info == usual and image.rpartition("/")[2].startswith("image_rect"):
         raise SessionError(
-            f"{image} is rectified, {usual} describes the pictures before that",
-            remedy="Use the raw pictures, or describe the rectified ones with --cameras FILE.",
+            f"{image} is rectified, {usual} describes the images before that",
+            remedy="Use the raw images, or describe the rectified ones with --cameras FILE.",
         )
     return CameraTopics(name, image, info)
 
 
 def _by_namespace(topics: Sequence[Topic]) -> dict[str, tuple[str, None]]:
-    """The topic of the pictures of every camera, if each has only one."""
+    """Return the topic of the images of every camera, if each has only one."""
     by_space: dict[str, list[str]] = {}
     for topic in topics:
         if topic.type in _IMAGES:
             by_space.setdefault(_namespace(topic.name), []).append(topic.name)
     if not by_space:
         raise SessionError(
-            "there are no pictures (sensor_msgs/Image or CompressedImage)",
+            "there are no images (sensor_msgs/Image or CompressedImage)",
             remedy=f"The topics are: {listed(_names(topics))}.",
         )
     spaces = sorted(by_space, key=_natural)
@@ -146,7 +146,7 @@ def _by_namespace(topics: Sequence[Topic]) -> dict[str, tuple[str, None]]:
         if len(by_space[space]) > 1:
             every = [name for one in spaces for name in by_space[one]]
             raise SessionError(
-                f"there are {len(by_space[space])} topics with pictures in {space or '/'}",
+                f"there are {len(by_space[space])} topics with images in {space or '/'}",
                 remedy=f"Say which to use, --camera NAME=TOPIC for each camera. The topics are: {listed(every)}.",
             )
     # A camera of the root namespace has none to be called by.
@@ -155,30 +155,25 @@ def _by_namespace(topics: Sequence[Topic]) -> dict[str, tuple[str, None]]:
         names = [space.strip("/").replace("/", "_") or "camera" for space in spaces]
     if len(set(names)) < len(names):
         raise SessionError(
-            f"the cameras in {listed([space or '/' for space in spaces])} cannot be called by that",
-            remedy="Say what they are called: --camera NAME=TOPIC for each.",
+            f"the cameras in {listed([space or '/' for space in spaces])} cannot be named after their namespaces",
+            remedy="Name them: --camera NAME=TOPIC for each.",
         )
     return {name: (by_space[space][0], None) for name, space in zip(names, spaces, strict=True)}
 
 
 def _namespace(image: str) -> str:
-    """Where a camera's topics are: /left of /left/image_raw and of /left/image_raw/compressed."""
+    """Return the namespace of a camera's topics: /left of /left/image_raw and of /left/image_raw/compressed."""
     return image.removesuffix("/compressed").rpartition("/")[0]
 
 
-def _usual_info(image: str) -> str:
-    """The topic of camera_info beside the pictures, as image_transport finds it."""
-    return f"{_namespace(image)}/camera_info"
-
-
 def _natural(name: str) -> list[tuple[bool, int, str]]:
-    """A key that sorts cam2 before cam10."""
+    """Return a key that sorts cam2 before cam10."""
     parts = re.split(r"(\d+)", name)
     return [(part.isdecimal(), int(part) if part.isdecimal() else 0, part) for part in parts]
 
 
 def _known(topics: Sequence[Topic], name: str, types: Sequence[str]) -> str:
-    """``name``, if there is such a topic, and of one of these types."""
+    """Return ``name`` if there is such a topic, and of one of these types."""
     usable = [topic.name for topic in topics if topic.type in types]
     if name not in usable:
         found = next((topic.type for topic in topics if topic.name == name), None)

@@ -1,4 +1,4 @@
-"""Whether an arm can take a pose: clear of itself and of the table, and no LED hidden behind it."""
+"""Collisions of an arm with itself and the table, and lines of sight that it blocks."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from pinocchio import coal
 
 from urdfcal.errors import RobotError
 from urdfcal.robot.urdf.urdf import package_roots
+from urdfcal.rotations import turn_z_to
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -18,19 +19,21 @@ if TYPE_CHECKING:
     from urdfcal.arrays import Floats
     from urdfcal.robot.mechanism import Mechanism
     from urdfcal.robot.urdf.urdf import Urdf
+    from urdfcal.session.model import Setup
+    from urdfcal.simulation.scene import Scene
 
 # What stands on a table may reach below its own origin: mounting plates, cables, a table that is not flat. [m]
 _TABLE = -0.03
 # Of an LED in its housing, and of the ray that has to pass. [m]
 _BULB = 0.004
 _RAY = 0.001
-# A pair that collides in all of these random poses overlaps as drawn, or hangs below its base as a leg does.
+# A pair that collides in all of these random poses overlaps by design, or hangs below its base as a leg does.
 # A pair that is free in one pose of ten is taken for such a one in 1.5 % of cases.
 _TRIALS = 40
 
 
-class Clearance:
-    """The collision geometry of an arm as drawn, each solid by its convex hull.
+class CollisionChecker:
+    """The collision geometry of the nominal arm, each solid by its convex hull.
 
     Joints off the chain stay at zero. Not compared are solids of the same link or of links that one joint
     connects, and pairs that collide in every pose. A hull holds more than its mesh, so that some poses are refused
@@ -41,15 +44,15 @@ class Clearance:
     """
 
     def __init__(
-        self, chain: Mechanism, urdf: Urdf, leds: Sequence[tuple[int, Floats]], eyes: Sequence[tuple[int, Floats]]
+        self, chain: Mechanism, urdf: Urdf, leds: Sequence[tuple[int, Floats]], centres: Sequence[tuple[int, Floats]]
     ) -> None:
         """Load the geometry.
 
         Args:
             chain: the arm.
             urdf: the description that the chain was read from.
-            leds: index of the joint that carries each LED, ``BASE`` for none, and its place (3,) there. [m]
-            eyes: the same of the cameras' centres.
+            leds: index of the joint that carries each LED, ``BASE`` for none, and its position (3,) there. [m]
+            centres: the same of the cameras' centres.
 
         Raises:
             RobotError: a mesh cannot be found or read.
@@ -60,47 +63,47 @@ class Clearance:
         for solid in _solids(chain, urdf):
             self._geometry.addGeometryObject(solid)
         solids = range(self._geometry.ngeoms)
-        self._leds = [(joint + 1, place) for joint, place in leds]
-        for i, (joint, place) in enumerate(self._leds):
+        self._leds = [(joint + 1, position) for joint, position in leds]
+        for i, (joint, position) in enumerate(self._leds):
             self._geometry.addGeometryObject(
-                pin.GeometryObject(f"LED {i}", joint, pin.SE3(np.eye(3), place), coal.Sphere(_BULB))
+                pin.GeometryObject(f"LED {i}", joint, pin.SE3(np.eye(3), position), coal.Sphere(_BULB))
             )
         table = coal.Halfspace(np.array([0.0, 0.0, 1.0]), _TABLE)
         self._geometry.addGeometryObject(pin.GeometryObject("table", 0, pin.SE3.Identity(), table))
         self._add_pairs(chain)
         self._placed = self._geometry.createData()
-        # A solid that holds an LED or a camera carries it: it cannot be told from here on which side that sits.
-        ends = [*self._leds, *((joint + 1, place) for joint, place in eyes)]
-        held = [{i for i in solids if self._joint(i) == joint and self._holds(i, place)} for joint, place in ends]
+        # A solid that holds an LED or a camera carries it: on which side of it that sits is unknown here.
+        ends = [*self._leds, *((joint + 1, position) for joint, position in centres)]
+        carriers = [{i for i in solids if self._joint(i) == joint and self._holds(i, p)} for joint, p in ends]
         self._screens = [
-            [[i for i in solids if i not in by_led | by_eye] for by_eye in held[len(leds) :]]
-            for by_led in held[: len(leds)]
+            [[i for i in solids if i not in of_led | of_camera] for of_camera in carriers[len(leds) :]]
+            for of_led in carriers[: len(leds)]
         ]
         self.empty = not solids
 
-    def free(self, q: Floats) -> bool:
-        """Whether the arm collides with nothing at ``q`` (n,)."""
+    def is_free(self, q: Floats) -> bool:
+        """Return whether the arm collides with nothing at joint values ``q`` (n,)."""
         return not pin.computeCollisions(self._model, self._data, self._geometry, self._placed, q, True)
 
-    def sees(self, q: Floats, eyes: Floats) -> bool:
-        """Whether the arm at ``q`` (n,) hides no LED from any of the ``eyes`` (C, 3), in the base link's frame."""
+    def is_seen(self, q: Floats, centres: Floats) -> bool:
+        """Return whether the arm at ``q`` (n,) hides no LED from a camera, ``centres`` (C, 3) in the base's frame."""
         pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._placed, q)
         return not any(
-            self._blocked(self._data.oMi[joint].act(place), eye, screens)
-            for (joint, place), by_eye in zip(self._leds, self._screens, strict=True)
-            for eye, screens in zip(eyes, by_eye, strict=True)
+            self._blocked(self._data.oMi[joint].act(position), centre, screens)
+            for (joint, position), by_camera in zip(self._leds, self._screens, strict=True)
+            for centre, screens in zip(centres, by_camera, strict=True)
         )
 
-    def _blocked(self, led: Floats, eye: Floats, screens: Sequence[int]) -> bool:
-        line = eye - led
-        turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), line).matrix()
-        place = coal.Transform3s(turn, (led + eye) / 2.0)
+    def _blocked(self, led: Floats, centre: Floats, screens: Sequence[int]) -> bool:
+        line = centre - led
+        turn = turn_z_to(line)
+        placement = pin.SE3(turn, (led + centre) / 2.0)
         ray = coal.Capsule(_RAY, float(np.linalg.norm(line)))
-        return any(_touch(self._shape(i), _transform(self._placed.oMg[i]), ray, place) for i in screens)
+        return any(_touch(self._shape(i), self._placed.oMg[i], ray, placement) for i in screens)
 
     def _holds(self, i: int, led: Floats) -> bool:
-        placement = _transform(self._geometry.geometryObjects[i].placement)
-        return _touch(self._shape(i), placement, coal.Sphere(_BULB), coal.Transform3s(np.eye(3), led))
+        placement = self._geometry.geometryObjects[i].placement
+        return _touch(self._shape(i), placement, coal.Sphere(_BULB), pin.SE3(np.eye(3), led))
 
     def _shape(self, i: int) -> Any:
         return self._geometry.geometryObjects[i].geometry
@@ -108,20 +111,15 @@ class Clearance:
     def _joint(self, i: int) -> int:
         return int(self._geometry.geometryObjects[i].parentJoint)
 
-    def _neighbours(self, i: int, j: int) -> bool:
-        a, b = self._joint(i), self._joint(j)
-        return bool(self._model.parents[max(a, b)] == min(a, b))
-
     def _add_pairs(self, chain: Mechanism) -> None:
         table = self._geometry.ngeoms - 1
-        # Neighbours touch by design. The table is on the base link's side, but nobody's neighbour.
-        pairs = [
-            pin.CollisionPair(i, j)
-            for i, j in combinations(range(self._geometry.ngeoms), 2)
-            if self._joint(i) != self._joint(j) and (j == table or not self._neighbours(i, j))
-        ]
-        for pair in pairs:
-            self._geometry.addCollisionPair(pair)
+        pairs = []
+        for i, j in combinations(range(self._geometry.ngeoms), 2):
+            a, b = sorted((self._joint(i), self._joint(j)))
+            # Neighbours touch by design. The table is on the base link's side, but nobody's neighbour.
+            if a != b and (j == table or self._model.parents[b] != a):
+                pairs.append(pin.CollisionPair(i, j))
+                self._geometry.addCollisionPair(pairs[-1])
         placed, always = self._geometry.createData(), np.ones(len(pairs), dtype=bool)
         for q in chain.random_values(_TRIALS, np.random.default_rng(0)):
             pin.computeCollisions(self._model, self._data, self._geometry, placed, q, False)
@@ -130,8 +128,21 @@ class Clearance:
             self._geometry.removeCollisionPair(pairs[k])
 
 
+def load_collision_checker(nominal: Scene, setup: Setup) -> tuple[CollisionChecker | None, tuple[str, ...]]:
+    """Return the collision geometry of the arm, or None and a warning that says why there is none."""
+    if setup.urdf is None:
+        return None, ("no URDF: the poses were not checked for collisions",)
+    try:
+        checker = CollisionChecker(setup.chain, setup.urdf, *nominal.points_on_joints())
+    except RobotError as error:
+        return None, (f"the poses were not checked for collisions: {error}",)
+    if checker.empty:
+        return None, (f"{setup.urdf_reference}: no collision geometry, the poses were not checked",)
+    return checker, ()
+
+
 def _solids(chain: Mechanism, urdf: Urdf) -> list[pin.GeometryObject]:
-    """Load the robot's collision geometry; joint i is the chain's i-th, 0 the base link."""
+    """Load the solids of the robot; joint i is the chain's i-th, 0 the base link."""
     try:
         text = urdf.data.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -139,7 +150,7 @@ def _solids(chain: Mechanism, urdf: Urdf) -> list[pin.GeometryObject]:
     folders = [*package_roots(), *([urdf.path.parent] if urdf.path else [])]
     whole = pin.buildModelFromXML(text)
     try:
-        drawn = pin.buildGeomFromUrdfString(
+        loaded = pin.buildGeomFromUrdfString(
             whole,
             text,
             pin.GeometryType.COLLISION,
@@ -162,7 +173,7 @@ def _solids(chain: Mechanism, urdf: Urdf) -> list[pin.GeometryObject]:
         joint = whole.getJointId(name)
         frames[joint], numbers[joint] = data.oMi[joint], i
     solids = []
-    for solid in drawn.geometryObjects:
+    for solid in loaded.geometryObjects:
         carrier = joint = solid.parentJoint
         while carrier and carrier not in numbers:
             carrier = whole.parents[carrier]
@@ -178,9 +189,6 @@ def _hull(shape: Any) -> Any:
     return shape.convex
 
 
-def _transform(placement: pin.SE3) -> Any:
-    return coal.Transform3s(placement.rotation, placement.translation)
-
-
-def _touch(a: Any, T_a: Any, b: Any, T_b: Any) -> bool:
+def _touch(a: Any, M_a: pin.SE3, b: Any, M_b: pin.SE3) -> bool:
+    T_a, T_b = (coal.Transform3s(M.rotation, M.translation) for M in (M_a, M_b))
     return bool(coal.collide(a, T_a, b, T_b, coal.CollisionRequest(), coal.CollisionResult()))

@@ -1,4 +1,4 @@
-"""How a robot that was built differs from its drawing: row offsets to draw a true robot from."""
+"""Geometric errors of real robots: random offsets of DH rows."""
 
 from __future__ import annotations
 
@@ -29,42 +29,42 @@ _ZERO_LENGTH = (0.2e-3, 0.8e-3)
 
 
 def draw_offsets(table: DHTable | TreeTable, rng: np.random.Generator) -> Floats:
-    """Draw how the rows of a robot that was really built differ from the drawn ones.
+    """Draw the offsets of a true robot's DH rows from the nominal ones.
 
     Zero offsets are uniform in magnitude, 1-5 mrad (a sliding joint's 0.2-0.8 mm), with either sign; the
     other parameters that a row has free are normal, with the spread measured on real robots.
 
-    Left as drawn is what no sighting of one LED of unknown place can tell: theta and d of the first row,
-    which only move the base, and the last row, which only moves the LED and the tip on the last link.
+    What one LED of unknown position cannot identify stays nominal: theta and d of the first row, which only move
+    the base, and the last row, which only moves the LED and the tip on the last link.
 
     Args:
-        table: the robot as drawn.
+        table: of the nominal robot.
         rng: the source of randomness; what is drawn for a row does not depend on the other rows.
 
     Returns:
         (n, 5) offsets, columns as ``PARAMETERS``; of a tree a row for every label. [rad, m]
     """
     if isinstance(table, DHTable):
-        return _draw_rows(table, rng, placed=False)
+        return _draw_rows(table, rng, offset_base=False)
     rows: list[Floats] = []
     for branch in table.branches:
         if branch.mount is not None:
             spread = {"theta": _ALPHA, "d": _D, "a": _A, "alpha": _ALPHA, "beta": 0.0}
             free = [spread[name] * (name in branch.mount.free) for name in PARAMETERS]
             rows.append((rng.standard_normal(len(PARAMETERS)) * free)[None])
-        rows.append(_draw_rows(branch.table, rng, placed=branch.mount is not None))
+        rows.append(_draw_rows(branch.table, rng, offset_base=branch.mount is not None))
     return np.concatenate(rows)
 
 
-def _draw_rows(table: DHTable, rng: np.random.Generator, *, placed: bool) -> Floats:
-    """Draw the rows of joints in a row; theta and d of the first one too where its base is ``placed``."""
+def _draw_rows(table: DHTable, rng: np.random.Generator, *, offset_base: bool) -> Floats:
+    """Draw the rows of one chain; with ``offset_base`` theta and d of the first one too."""
     shape = (len(table.rows), len(PARAMETERS))
     normal, magnitude, sign = rng.standard_normal(shape), rng.random(shape[0]), rng.integers(0, 2, shape[0])
     offsets = np.zeros(shape)
     for i, row in enumerate(table.rows[:-1]):
         for name in row.free:
             column = PARAMETERS.index(name)
-            if i == 0 and not placed and name in ("theta", "d"):
+            if i == 0 and not offset_base and name in ("theta", "d"):
                 continue
             if name == row.variable:
                 least, most = _ZERO_LENGTH if row.type == "prismatic" else _ZERO_ANGLE

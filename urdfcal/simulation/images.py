@@ -1,10 +1,11 @@
-"""The images behind a simulated session: what its cameras would have seen, lamps and reflections included."""
+"""The images behind a simulated session, lamps and reflections included."""
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -16,7 +17,6 @@ from urdfcal.io.folder import IMAGES
 from urdfcal.io.writing import write_table
 from urdfcal.session.trajectory import Trajectory
 from urdfcal.simulation.render import Light, Scenery, Sensor
-from urdfcal.simulation.simulate import true_scene
 from urdfcal.simulation.truth import write_simulated
 
 if TYPE_CHECKING:
@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 TRUTH = "truth_detections.csv"
 
+T = TypeVar("T")
+
 # Keeps the images' random numbers apart from the session's.
 _STREAM = 4
 # The distance at which an LED has the peak that is asked for. [m]
@@ -38,7 +40,7 @@ _NEAR = 1.5
 # Electrons of an unlit wall at a short exposure, brighter at one side, and darker in the corners behind a small lens.
 _WALL, _SLOPE, _VIGNETTING = 25.0, 0.01, 0.35
 # A table top mirrors a third of the light, in one pose of four; a twentieth of the poses is taken while the arm still
-# moves, and in a twentieth of the pictures the arm hides the LED. [shares]
+# moves, and in a twentieth of the images the arm hides the LED. [shares]
 _MIRRORED, _MIRRORS, _MOVING, _HIDDEN = 0.35, 0.25, 0.05, 0.05
 # How far an LED moves while the shutter is open if it moves. [px]
 _STREAK = (8.0, 30.0)
@@ -52,14 +54,14 @@ _HOT, _LEAK = 3.0e-5, (0.1, 3.0)
 
 @dataclass(frozen=True)
 class Exposure:
-    """How the pictures are taken.
+    """How images are taken.
 
     Attributes:
         sigma: of the LED's spot. [px]
         peak: electrons per pixel at its centre, from 1.5 m; it falls with the square of the distance.
         bits: of a pixel.
         electrons_per_count: of the sensor.
-        distractors: whether there are lamps, reflections, hot pixels, streaks, and pictures with the LED hidden.
+        distractors: whether there are lamps, reflections, hot pixels, streaks, and images with the LED hidden.
     """
 
     sigma: float = 1.5
@@ -70,17 +72,17 @@ class Exposure:
 
     def __post_init__(self) -> None:
         if not (0.3 <= self.sigma <= 10.0 and self.peak > 0.0):
-            raise SessionError(f"a spot of {self.sigma} px and {self.peak} electrons is no LED's", where="simulate")
+            raise SessionError(f"no LED has a spot of {self.sigma} px and {self.peak} electrons", where="simulate")
 
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """One picture to take.
+    """One image to take.
 
     Attributes:
         camera, pose, led: indices.
-        uv: (2,) where the LED truly is, NaN where it is not to be found. [px]
-        lights: all that is lit and moves.
+        uv: (2,) true pixel of the LED, NaN where it is not to be found. [px]
+        lights: all that is lit and not static.
         seed: of its noise.
     """
 
@@ -97,99 +99,71 @@ def write_simulated_images(
     simulated: Simulated,
     exposure: Exposure,
     progress: Callable[[int], object] | None = None,
+    *,
+    video_rate: float | None = None,
 ) -> int:
-    """Write a session whose sightings are still in its images, and the truth beside it.
+    """Write a session whose detections are still to be made from its images, and the truth beside it.
 
     Beside truth.urdf and truth.json stands truth_detections.csv: where the LEDs are in the images in which they can
     be found. Detection and calibration never read it.
 
     Args:
         folder: where to; made if need be, in a folder that exists.
-        simulated: session and truth; the session's own sightings are not used.
-        exposure: how the pictures are taken.
-        progress: called with the number of pictures written since the last call.
+        simulated: session and truth; the session's own detections are not used.
+        exposure: how the images are taken.
+        progress: called with the number of images written since the last call.
+        video_rate: frames per second, for players; writes one video a camera instead of image files.
 
     Returns:
-        The number of pictures.
+        The number of images.
 
     Raises:
-        SessionError: where the cameras stand is not known.
-        OutputError: the folder holds a session or a truth already, or cannot be written.
-    """
-    session, folder = simulated.session, Path(folder)
-    shoot = _Shoot.of(simulated, exposure)
-    write_simulated(folder, simulated, sightings=False)
-
-    with staged(folder) as stage:
-
-        def take(view: _View) -> None:
-            led = f".{session.led_names[view.led]}" if len(session.leds) > 1 else ""
-            name = f"{session.label(view.pose)}{led}.png"
-            write_image(stage / IMAGES / shoot.names[view.camera] / name, shoot.image(view))
-
-        for name in shoot.names:
-            (stage / IMAGES / name).mkdir(parents=True)
-        for _ in in_parallel(take, shoot.views):
-            if progress:
-                progress(1)
-        shoot.write_truth(stage / TRUTH, session)
-    return len(shoot.views)
-
-
-def write_simulated_videos(
-    folder: str | Path,
-    simulated: Simulated,
-    exposure: Exposure,
-    rate: float,
-    progress: Callable[[int], object] | None = None,
-) -> int:
-    """The same of an arm that moves, its pictures as one video a camera; all its LEDs would be lit.
-
-    Args:
-        folder: where to; made if need be, in a folder that exists.
-        simulated: session and truth; the session's own sightings are not used.
-        exposure: how the pictures are taken.
-        rate: frames per second, for players.
-        progress: called with the number of pictures written since the last call.
-
-    Returns:
-        The number of pictures.
-
-    Raises:
-        SessionError: there are several LEDs, the arm stands still, or where the cameras stand is not known.
+        SessionError: a camera is eye-in-hand, or a video is to show several LEDs, which would all be lit, or an arm at
+            rest.
         CameraError: this OpenCV encodes no videos.
         OutputError: the folder holds a session or a truth already, or cannot be written.
     """
     session, folder = simulated.session, Path(folder)
-    if not isinstance(session.motion, Trajectory) or len(session.leds) > 1:
-        raise SessionError("a video shows a moving arm with one LED", where="simulate", remedy="Write pictures.")
-    shoot = _Shoot.of(simulated, exposure)
-    write_simulated(folder, simulated, sightings=False)
+    if video_rate is not None and (not isinstance(session.motion, Trajectory) or len(session.leds) > 1):
+        raise SessionError("a video shows a moving arm with one LED", where="simulate", remedy="Write images.")
+    shooting = _Shooting.of(simulated, exposure)
+    write_simulated(folder, simulated, detections=False)
 
-    def taken(views: Sequence[_View]) -> Iterator[Image]:
-        for image in in_parallel(shoot.image, views):
-            yield image
+    def counted(results: Iterator[T]) -> Iterator[T]:
+        for result in results:
+            yield result
             if progress:
                 progress(1)
 
     with staged(folder) as stage:
-        (stage / IMAGES).mkdir()
-        for c, camera in enumerate(shoot.cameras):
-            views = [view for view in shoot.views if view.camera == c]
-            write_video(stage / IMAGES / f"{camera.name}.mp4", taken(views), camera.resolution, rate)
-        shoot.write_truth(stage / TRUTH, session)
-    return len(shoot.views)
+
+        def write(view: _View) -> None:
+            led = f".{session.led_names[view.led]}" if len(session.leds) > 1 else ""
+            name = f"{session.label(view.pose)}{led}.png"
+            write_image(stage / IMAGES / shooting.names[view.camera] / name, shooting.image(view))
+
+        for c, camera in enumerate(shooting.cameras):
+            views = [view for view in shooting.views if view.camera == c]
+            if video_rate is None:
+                (stage / IMAGES / camera.name).mkdir(parents=True)
+                deque(counted(in_parallel(write, views)), maxlen=0)
+            else:
+                (stage / IMAGES).mkdir(exist_ok=True)
+                images = counted(in_parallel(shooting.image, views))
+                write_video(stage / IMAGES / f"{camera.name}.mp4", images, camera.resolution, video_rate)
+        shooting.write_truth(stage / TRUTH, session)
+    return len(shooting.views)
 
 
 @dataclass(frozen=True, eq=False)
-class _Shoot:
-    """All pictures to take, and what is to be seen in them.
+class _Shooting:
+    """All images to take, and what is to be seen in them.
 
     Attributes:
         cameras: that take them.
         exposure: how.
-        sceneries: what stands still before each camera.
-        views: the pictures, by pose, camera and LED.
+        sceneries: what is static before each camera.
+        views: the images, by pose, camera and LED.
     """
 
     cameras: tuple[Camera, ...]
@@ -198,13 +172,13 @@ class _Shoot:
     views: Sequence[_View]
 
     @classmethod
-    def of(cls, simulated: Simulated, exposure: Exposure) -> _Shoot:
-        scene, motion = true_scene(simulated), simulated.session.motion
+    def of(cls, simulated: Simulated, exposure: Exposure) -> _Shooting:
+        scene, motion = simulated.scene, simulated.session.motion
         if len(simulated.session.attachments.eye_to_hand) < len(scene.cameras):
             raise SessionError(
-                "pictures of cameras that ride on the robot cannot be made",
+                "images of eye-in-hand cameras cannot be rendered",
                 where="simulate",
-                remedy="Leave --images out: sightings are computed for them as for any camera.",
+                remedy="Leave --images out: detections are simulated for them as for any camera.",
             )
         stage_seed, view_seed = np.random.SeedSequence((simulated.truth.seed, _STREAM)).spawn(2)
         sceneries = _sceneries(scene, exposure, np.random.default_rng(stage_seed))
@@ -223,7 +197,7 @@ class _Shoot:
         return sensor.expose(self.sceneries[view.camera].expected(view.lights), np.random.default_rng(view.seed))
 
     def write_truth(self, path: Path, session: Session) -> None:
-        """Write where the LEDs are in the pictures in which they can be found."""
+        """Write the pixels of the LEDs in the images in which they can be found."""
         there = [view for view in self.views if np.isfinite(view.uv[0])]
         labels = [
             [session.label(v.pose), self.names[v.camera], session.led_names[v.led], *v.uv.tolist()] for v in there
@@ -232,7 +206,7 @@ class _Shoot:
 
 
 def _sceneries(scene: Scene, exposure: Exposure, rng: np.random.Generator) -> list[Scenery]:
-    """What stands still before each camera: the same lamps for all, and hot pixels of its own."""
+    """Draw what is static before each camera: the same lamps for all, and hot pixels of its own."""
     lamps: list[tuple[Light, ...]] = [()] * len(scene.cameras)
     if exposure.distractors:
         lamps = _lamps(scene, exposure, rng)
@@ -248,7 +222,7 @@ def _sceneries(scene: Scene, exposure: Exposure, rng: np.random.Generator) -> li
 
 
 def _lamps(scene: Scene, exposure: Exposure, rng: np.random.Generator) -> list[tuple[Light, ...]]:
-    """Lamps some metres away, as each camera sees them."""
+    """Draw lamps some metres away, as each camera sees them."""
     first, count = scene.cameras[0], _LARGE_LAMPS + _SMALL_LAMPS
     points = first.unproject(rng.uniform(0.0, first.resolution, (count, 2)))
     points *= rng.uniform(*_LAMP_DISTANCE, (count, 1))
@@ -257,8 +231,8 @@ def _lamps(scene: Scene, exposure: Exposure, rng: np.random.Generator) -> list[t
     )
     peak = exposure.peak * rng.uniform(*_LAMP_PEAK, count)
     lights = []
-    for camera, T in zip(scene.cameras, scene.T_cam_frame, strict=True):
-        uv = camera.project(points @ T[:3, :3].T + T[:3, 3])
+    for camera, T_cam in zip(scene.cameras, scene.T_cam_frame, strict=True):
+        uv = camera.project(points @ T_cam[:3, :3].T + T_cam[:3, 3])
         lights.append(tuple(Light(uv[i], peak[i], sigma[i]) for i in range(count) if np.isfinite(uv[i, 0])))
     return lights
 
@@ -266,34 +240,32 @@ def _lamps(scene: Scene, exposure: Exposure, rng: np.random.Generator) -> list[t
 def _views(
     scene: Scene, q: Floats, exposure: Exposure, sceneries: Sequence[Scenery], seed: np.random.SeedSequence
 ) -> list[_View]:
-    """Every picture: each pose, each camera, each LED."""
+    """Draw every image: each pose, each camera, each LED."""
 
-    def drowned(camera: int, place: Floats) -> bool:
+    def outshone(camera: int, uv: Floats) -> bool:
         # Before a lamp that saturates the sensor by itself.
-        u, v = np.rint(place).astype(int)
+        u, v = np.rint(uv).astype(int)
         sensor = Sensor(scene.cameras[camera].resolution, exposure.bits, exposure.electrons_per_count)
         return bool(sceneries[camera].background[v, u] > sensor.full_well)
 
-    uv, distance, mirrored = scene.images(q), scene.distances(q), scene.images(q, mirrored=True)
+    direct, mirrored, distance = scene.pixels(q), scene.pixels(q, mirrored=True), scene.distances(q)
     views = []
     for pose, of_pose in enumerate(seed.spawn(len(q))):
         rng = np.random.default_rng(of_pose)
         moving, mirrors = (exposure.distractors and rng.random() < share for share in (_MOVING, _MIRRORS))
-        for camera, led in np.ndindex(uv.shape[1:3]):
+        for camera, led in np.ndindex(direct.shape[1:3]):
             hidden = exposure.distractors and rng.random() < _HIDDEN
             motion = rng.uniform(*_STREAK) * _direction(rng) if moving else np.zeros(2)
             peak = exposure.peak * (_NEAR / distance[pose, camera, led]) ** 2
-            place, mirror = uv[pose, camera, led], mirrored[pose, camera, led]
+            uv, mirror = direct[pose, camera, led], mirrored[pose, camera, led]
             lights = []
-            if np.isfinite(place[0]) and not hidden:
-                lights.append(Light(place, peak, exposure.sigma, motion))
+            if np.isfinite(uv[0]) and not hidden:
+                lights.append(Light(uv, peak, exposure.sigma, motion))
             if np.isfinite(mirror[0]) and mirrors:
                 lights.append(Light(mirror, _MIRRORED * peak, 1.2 * exposure.sigma, motion))
-            there = scene.cameras[camera].in_image(place) and not hidden and not moving
-            there = there and not drowned(camera, place)
-            views.append(
-                _View(camera, pose, led, place if there else np.full(2, np.nan), tuple(lights), of_pose.spawn(1)[0])
-            )
+            visible = scene.cameras[camera].in_image(uv) and not (hidden or moving or outshone(camera, uv))
+            true = uv if visible else np.full(2, np.nan)
+            views.append(_View(camera, pose, led, true, tuple(lights), of_pose.spawn(1)[0]))
     return views
 
 

@@ -1,21 +1,20 @@
-"""A simulated robot in motion: the poses of a simulated session one after the other, filmed on the way."""
+"""Simulation of a moving arm: through the poses of a simulated session, filmed on the way."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from urdfcal.arrays import Floats, frozen
 from urdfcal.errors import SessionError
-from urdfcal.estimation.measurements import Detections
-from urdfcal.session.model import Session, Setup
 from urdfcal.session.trajectory import JointLog, Trajectory
-from urdfcal.simulation.simulate import find_clearance, mistake, true_scene
+from urdfcal.simulation.collision import load_collision_checker
+from urdfcal.simulation.detections import simulate_detections
 
 if TYPE_CHECKING:
-    from urdfcal.simulation.collision import Clearance
+    from urdfcal.simulation.collision import CollisionChecker
     from urdfcal.simulation.truth import Simulated
 
 # Keeps the motion's random numbers apart from the session's.
@@ -26,12 +25,12 @@ _RAMP = 1.0
 _REST, _DARK = 0.5, 0.25
 # A path is checked for collisions this often. [rad or m]
 _STRIDE = 0.1
-# What cameras' clocks are off by if nobody says. [s]
+# What the time offsets of cameras are within if nobody says. [s]
 _OFFSET = 0.03
 
 
 @dataclass(frozen=True)
-class Motion:
+class MotionSettings:
     """How the arm is moved and recorded.
 
     Attributes:
@@ -54,39 +53,34 @@ class Motion:
             raise SessionError(f"time offsets {self.time_offsets} are not all numbers", where="simulate")
 
 
-def set_in_motion(simulated: Simulated, motion: Motion) -> Simulated:
+def set_in_motion(simulated: Simulated, settings: MotionSettings) -> Simulated:
     """Move the robot of a simulated session through its poses, and film it.
 
     From pose to pose joints move straight and smoothly, at full speed but for the ramps, resting for a moment at each;
-    the order is that of the shortest next way that is clear. Exposure takes no time, all rows of a picture are taken
-    at once, and the arm never hides an LED on the way.
+    the order is that of the shortest next path without collisions. Exposure takes no time, all rows of an image are
+    taken at once, and the arm never hides an LED on the way.
 
     Args:
-        simulated: a session of poses that stand still, and its truth.
-        motion: how it moves.
+        simulated: a session of an arm at rest, and its truth.
+        settings: how it moves.
 
     Raises:
-        SessionError: there is not one time offset a camera, or no way between the poses.
+        SessionError: there is not one time offset a camera, or no path between the poses.
     """
-    session, truth = simulated.session, simulated.truth
-    scene = true_scene(simulated)
-    offset_rng, phases, encoders, pixels, blunders = np.random.default_rng((truth.seed, _STREAM)).spawn(5)
-    count = len(scene.cameras)
-    if motion.time_offsets and len(motion.time_offsets) != count:
+    session, truth, scene = simulated.session, simulated.truth, simulated.scene
+    offset_rng, phase_rng, joint_rng, noise_rng, outlier_rng = np.random.default_rng((truth.seed, _STREAM)).spawn(5)
+    count, rate = len(scene.cameras), settings.frame_rate
+    if settings.time_offsets and len(settings.time_offsets) != count:
         raise SessionError(
-            f"{len(motion.time_offsets)} time offsets for {count} cameras", where="simulate", remedy="Name one each."
+            f"{len(settings.time_offsets)} time offsets for {count} cameras", where="simulate", remedy="Name one each."
         )
-    drawn = offset_rng.uniform(-_OFFSET, _OFFSET, count)
-    time_offsets = np.array(motion.time_offsets) if motion.time_offsets else drawn
+    time_offsets = np.array(settings.time_offsets or offset_rng.uniform(-_OFFSET, _OFFSET, count))
 
-    path = _Path.through(_tour(truth.q, find_clearance(scene, session)[0]), motion.speed)
-    log_time = np.arange(0.0, path.end + _REST, 1.0 / motion.joint_rate)
+    path = _Path.through(_tour(truth.q, load_collision_checker(scene, session)[0]), settings.speed)
+    log_time = np.arange(0.0, path.end + _REST, 1.0 / settings.joint_rate)
     readings = session.chain.readings(path.at(log_time))
-    readings = readings + session.noise.joint * encoders.standard_normal(readings.shape)
-    taken = [
-        np.arange(_DARK + p / motion.frame_rate, path.end + _DARK, 1.0 / motion.frame_rate)
-        for p in phases.random(count)
-    ]
+    readings = readings + session.noise.joint * joint_rng.standard_normal(readings.shape)
+    taken = [np.arange(_DARK + p / rate, path.end + _DARK, 1.0 / rate) for p in phase_rng.random(count)]
     camera = np.repeat(np.arange(count), [len(of) for of in taken])
     time = np.concatenate(taken)
     trajectory = Trajectory(
@@ -97,20 +91,23 @@ def set_in_motion(simulated: Simulated, motion: Motion) -> Simulated:
         time=time - time_offsets[camera],
     )
     q = path.at(time)
-    uv = scene.images(q)[np.arange(len(q)), camera]
-    uv = uv + truth.pixel * pixels.standard_normal(uv.shape)
-    inside = np.stack([scene.cameras[c].in_image(of) for c, of in zip(camera, uv, strict=True)])
-    pose, led = np.nonzero(inside)
-    seen = uv[inside]
-    outliers = mistake(scene, seen, camera[pose], truth.outlier_share, blunders)
-    moving = Session(
-        **{field.name: getattr(session, field.name) for field in fields(Setup)},
+    detections, outliers = simulate_detections(
+        scene,
+        q,
+        camera[:, None],
+        pixel=truth.pixel,
+        sigma=session.noise.pixel,
+        outliers=truth.outlier_share,
+        noise_rng=noise_rng,
+        outlier_rng=outlier_rng,
+    )
+    moving = replace(
+        session,
         poses=tuple(f"{scene.cameras[c].name}/{trajectory.label(k)}" for k, c in enumerate(camera.tolist())),
         q=trajectory.values(np.zeros(count)),
         time=trajectory.time,
         motion=trajectory,
-        measurements=(Detections(pose, camera[pose], led, seen, np.array(session.noise.pixel)),),
-        warnings=session.warnings,
+        measurements=(detections,),
     )
     moved = replace(truth, q=frozen(q), outliers=frozen(outliers, np.intp), time_offsets=frozen(time_offsets))
     return replace(simulated, session=moving, truth=moved)
@@ -118,56 +115,56 @@ def set_in_motion(simulated: Simulated, motion: Motion) -> Simulated:
 
 @dataclass(frozen=True, eq=False)
 class _Path:
-    """Legs between places, each from rest to rest: times (L + 1,) at the places (L + 1, n)."""
+    """Legs between poses, each from rest to rest: times (L + 1,) at the poses (L + 1, n)."""
 
     times: Floats
-    places: Floats
+    poses: Floats
 
     @classmethod
-    def through(cls, places: Floats, speed: float) -> _Path:
-        cruise = np.abs(np.diff(places, axis=0)).max(axis=1) / speed
+    def through(cls, poses: Floats, speed: float) -> _Path:
+        cruise = np.abs(np.diff(poses, axis=0)).max(axis=1) / speed
         # Of a leg too short for full speed the ramps are shorter, and no steeper.
         ramp = np.minimum(_RAMP, np.sqrt(_RAMP * cruise))
-        return cls(_REST + np.concatenate([[0.0], np.cumsum(ramp + np.maximum(cruise, ramp))]), places)
+        return cls(_REST + np.concatenate([[0.0], np.cumsum(ramp + np.maximum(cruise, ramp))]), poses)
 
     @property
     def end(self) -> float:
         return float(self.times[-1])
 
     def at(self, time: Floats) -> Floats:
-        """Joint values (N, n) at times (N,)."""
+        """Return the joint values (N, n) at times (N,)."""
         leg = np.clip(np.searchsorted(self.times, time, side="right") - 1, 0, len(self.times) - 2)
         duration = self.times[leg + 1] - self.times[leg]
         since, ramp = np.clip(time - self.times[leg], 0.0, duration), np.minimum(_RAMP, duration / 2.0)
         cruised = np.clip(since, ramp, duration - ramp) - ramp
         ramped = ramp * (0.5 + _ramped(since / ramp) - _ramped((duration - since) / ramp))
         way = (ramped + cruised) / (duration - ramp)
-        result: Floats = self.places[leg] + way[:, None] * (self.places[leg + 1] - self.places[leg])
+        result: Floats = self.poses[leg] + way[:, None] * (self.poses[leg + 1] - self.poses[leg])
         return result
 
 
 def _ramped(part: Floats) -> Floats:
-    """How far one has come at a part (N,) of a ramp: speed rises as 3 part^2 - 2 part^3, with no jump in its slope."""
+    """Integrate the speed up to a part (N,) of a ramp: it rises as 3 part^2 - 2 part^3, with no jump in its slope."""
     part = np.minimum(part, 1.0)
     result: Floats = part**3 * (1.0 - part / 2.0)
     return result
 
 
-def _tour(q: Floats, clearance: Clearance | None) -> Floats:
-    """The places of ``q`` (N, n) on a walk through as many as have a clear way to each other.
+def _tour(q: Floats, checker: CollisionChecker | None) -> Floats:
+    """Order the poses ``q`` (N, n) into a tour through as many as have a free path to each other.
 
-    The next is the nearest with a clear way; from where there is none, the arm goes back the way it came. It begins
-    where most are reached, and of these where the way is shortest.
+    The next is the nearest with a free path; from where there is none, the arm goes back the way it came. The tour
+    begins where most poses are reached, and of these where it is shortest.
     """
     distance = np.abs(q[:, None] - q).max(axis=2)
-    clear = np.eye(len(q), dtype=bool)
+    free = np.eye(len(q), dtype=bool)
     for a, b in zip(*np.triu_indices(len(q), 1), strict=True):
-        clear[a, b] = clear[b, a] = _clear(q[a], q[b], clearance)
-    walks = [_walk(np.where(clear, distance, np.inf), first) for first in range(len(q))]
+        free[a, b] = free[b, a] = _is_free(q[a], q[b], checker)
+    walks = [_walk(np.where(free, distance, np.inf), first) for first in range(len(q))]
     walk = max(walks, key=lambda walk: (len(set(walk)), -float(distance[walk[:-1], walk[1:]].sum())))
     if len(walk) < 2:
         raise SessionError(
-            "between no two poses there is a straight way in joint space that is clear of the arm itself and the table",
+            "between no two poses there is a straight path in joint space that is free of collisions",
             where="simulate",
             remedy="Use another seed, or more poses.",
         )
@@ -175,7 +172,7 @@ def _tour(q: Floats, clearance: Clearance | None) -> Floats:
 
 
 def _walk(distance: Floats, first: int) -> list[int]:
-    """Visit all that can be reached from ``first``; distances (N, N) are infinite where there is no way."""
+    """Visit all that can be reached from ``first``; distances (N, N) are infinite where there is no path."""
     left, way, walk, last = set(range(len(distance))) - {first}, [first], [first], 1
     while left and way:
         following = min(left, key=lambda k: float(distance[way[-1], k]))
@@ -190,8 +187,8 @@ def _walk(distance: Floats, first: int) -> list[int]:
     return walk[:last]
 
 
-def _clear(a: Floats, b: Floats, clearance: Clearance | None) -> bool:
-    if clearance is None:
+def _is_free(a: Floats, b: Floats, checker: CollisionChecker | None) -> bool:
+    if checker is None:
         return True
     steps = np.linspace(0.0, 1.0, 2 + int(np.abs(b - a).max() / _STRIDE))[1:]
-    return all(clearance.free(a + step * (b - a)) for step in steps)
+    return all(checker.is_free(a + step * (b - a)) for step in steps)

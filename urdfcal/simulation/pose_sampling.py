@@ -1,4 +1,4 @@
-"""Poses to measure: within limits, clear of obstacles, every LED in every image, spread over images and joints."""
+"""Sampling of the poses to measure: without collisions, every LED in every image, spread over images and joints."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from urdfcal.arrays import Floats, Ints
     from urdfcal.robot.mechanism import Joint, Mechanism
-    from urdfcal.simulation.collision import Clearance
+    from urdfcal.simulation.collision import CollisionChecker
     from urdfcal.simulation.scene import Scene
 
 MARGIN = 40.0
@@ -32,20 +32,20 @@ _BATCH = 4000
 _MOST_BATCHES = 50
 
 
-def choose_poses(
+def sample_poses(
     scene: Scene,
-    clearance: Clearance | None,
+    checker: CollisionChecker | None,
     count: int,
     rng: np.random.Generator,
     progress: Callable[[int], object] | None = None,
 ) -> Floats:
-    """Choose poses, one after the other, each where the poses before it left the largest gaps.
+    """Sample poses one after the other, each where the poses before it left the largest gaps.
 
     A gap is a cell of an image, or of a joint's range, that few poses fall into.
 
     Args:
-        scene: the arm and the cameras as planned.
-        clearance: tells which poses the arm can take; None when that is not known.
+        scene: the nominal arm and cameras.
+        checker: says which poses the arm can take; None when that is not known.
         count: how many poses.
         rng: the source of randomness.
         progress: called with the number of poses found since the last call.
@@ -57,14 +57,14 @@ def choose_poses(
         SessionError: there are not enough such poses, with what stands in the way.
     """
     found = _in_view(scene, count, rng)
-    cells, eyes = _cells(scene, found), scene.eyes(found.q)
+    cells, centres = _cells(scene, found), scene.camera_centres(found.q)
     filled = np.zeros(cells.max(initial=0) + 1)
     open_, score = np.ones(len(cells), dtype=bool), np.full(len(cells), 1.0)
     chosen: list[int] = []
     while len(chosen) < count and open_.any():
         best = int(np.argmax(np.where(open_, score, -1.0)))
         open_[best] = False
-        if clearance and not (clearance.free(found.q[best]) and clearance.sees(found.q[best], eyes[best])):
+        if checker and not (checker.is_free(found.q[best]) and checker.is_seen(found.q[best], centres[best])):
             continue
         chosen.append(best)
         filled[cells[best]] += 1.0
@@ -82,7 +82,7 @@ def choose_poses(
 
 
 class _Candidates(NamedTuple):
-    """Poses with every LED in view: q (M, n), where it appears (M, C, L, 2) px, and of how many draws they are."""
+    """Poses with every LED in view: q (M, n), its pixels (M, C, L, 2), and of how many draws they are."""
 
     q: Floats
     uv: Floats
@@ -94,18 +94,17 @@ def _in_view(scene: Scene, count: int, rng: np.random.Generator) -> _Candidates:
     actuated = [i for i, joint in enumerate(scene.chain.joints) if joint.mimic is None]
     q: list[Floats] = []
     uv: list[Floats] = []
-    wanted, drawn = _CANDIDATES * count, 0
-    while drawn < _MOST_BATCHES * _BATCH and sum(len(batch) for batch in q) < wanted:
+    needed, drawn = _CANDIDATES * count, 0
+    while drawn < _MOST_BATCHES * _BATCH and sum(len(batch) for batch in q) < needed:
         readings = rng.uniform(lower[actuated], upper[actuated], (_BATCH, len(actuated)))
         values = scene.chain.joint_values(readings)
-        images = scene.images(values)
-        inside = np.stack([camera.in_image(images[:, c], MARGIN) for c, camera in enumerate(scene.cameras)], axis=1)
+        pixels = scene.pixels(values)
         # A mimic joint may leave its own limits while its master keeps to them.
-        good = inside.all(axis=(1, 2)) & ((values >= lower) & (values <= upper)).all(axis=1)
+        good = scene.in_image(pixels, MARGIN).all(axis=(1, 2)) & ((values >= lower) & (values <= upper)).all(axis=1)
         q.append(values[good])
-        uv.append(images[good])
+        uv.append(pixels[good])
         drawn += _BATCH
-    return _Candidates(np.concatenate(q)[:wanted], np.concatenate(uv)[:wanted], drawn)
+    return _Candidates(np.concatenate(q)[:needed], np.concatenate(uv)[:needed], drawn)
 
 
 def _cells(scene: Scene, found: _Candidates) -> Ints:
@@ -126,14 +125,14 @@ def _bin(share: Floats, count: int) -> Ints:
 
 
 def _limits(chain: Mechanism) -> tuple[Floats, Floats]:
-    """The range of every joint that poses are drawn from, (n,) and (n,)."""
+    """Return the range of every joint that poses are drawn from, (n,) and (n,)."""
     lower, upper = np.array([_range(joint) for joint in chain.joints]).T
     margin = _LIMIT_MARGIN * (upper - lower)
     return lower + margin, upper - margin
 
 
 def _range(joint: Joint) -> tuple[float, float]:
-    """A joint's limits; of more than a turn (or endless travel) the turn (or the metre) nearest to zero."""
+    """Return a joint's limits; of more than a turn (or endless travel) the turn (or the metre) nearest to zero."""
     longest = 2.0 * np.pi
     if joint.prismatic:
         longest = joint.upper - joint.lower if np.isfinite(joint.upper - joint.lower) else 1.0

@@ -1,4 +1,4 @@
-"""What a camera would see: lights on a sensor, electron by electron, so that everything after it can be tested.
+"""Rendering of lights on a sensor, electron by electron.
 
 The chain is the usual one (EMVA 1288): expected electrons per pixel, a Poisson number of them, Gaussian read noise,
 division by the gain, an offset, rounding, clipping.
@@ -27,7 +27,7 @@ _STREAK_STEP = 0.5
 
 @dataclass(frozen=True)
 class Sensor:
-    """How electrons become numbers.
+    """A sensor that turns electrons into counts.
 
     Attributes:
         resolution: (width, height) in px.
@@ -57,12 +57,8 @@ class Sensor:
         """Electrons at which a pixel saturates."""
         return (self.white - self.black) * self.electrons_per_count
 
-    def variance(self, electrons: Floats) -> Floats:
-        """Variance (electrons²) of what is read of expected ``electrons``: shot, read and rounding noise."""
-        return electrons + self.read_noise**2 + self.electrons_per_count**2 / 12.0
-
     def expose(self, electrons: Floats, rng: np.random.Generator) -> NDArray[Any]:
-        """Take a picture: expected ``electrons`` (..., height, width) -> counts, uint8 or uint16."""
+        """Take an image: expected ``electrons`` (..., height, width) -> counts, uint8 or uint16."""
         collected = rng.poisson(electrons) + self.read_noise * rng.standard_normal(electrons.shape, dtype=np.float32)
         counts = np.rint(collected / self.electrons_per_count + self.black)
         return np.clip(counts, 0, self.white).astype(np.uint8 if self.bits <= 8 else np.uint16)
@@ -91,7 +87,7 @@ class Light:
 
 @dataclass(frozen=True, eq=False)
 class Scenery:
-    """What does not change between the pictures of a camera.
+    """What does not change between the images of a camera.
 
     Attributes:
         background: (height, width) expected electrons, vignetted.
@@ -102,8 +98,8 @@ class Scenery:
 
     background: Floats
     vignette: Floats
-    hot: Ints = field(default_factory=lambda: np.zeros((0, 2), dtype=np.intp))
-    leak: Floats = field(default_factory=lambda: np.zeros(0))
+    hot: Ints
+    leak: Floats
 
     @classmethod
     def flat(
@@ -116,14 +112,14 @@ class Scenery:
         hot: Ints | None = None,
         leak: Floats | None = None,
     ) -> Scenery:
-        """A background that rises evenly, darkens towards the corners and holds lamps.
+        """Make a background that rises evenly, darkens towards the corners and holds lamps.
 
         Args:
             resolution: (width, height) in px.
             level: electrons in the middle of the image.
             slope: electrons per px along u and v.
             vignetting: share of the light that is lost in the corners.
-            lights: that stand still.
+            lights: that are static.
             hot: (H, 2) pixels (column, row) that leak.
             leak: (H,) electrons that they leak.
         """
@@ -133,9 +129,8 @@ class Scenery:
         background: Floats = np.maximum(level + slope[0] * u + slope[1] * v, 0.0) * vignette
         for light in lights:
             add_light(background, light, vignette)
-        if hot is None or leak is None:
-            return cls(background, vignette)
-        return cls(background, vignette, hot, leak)
+        none = np.zeros((0, 2), dtype=np.intp)
+        return cls(background, vignette, none if hot is None else hot, np.zeros(0) if leak is None else leak)
 
     def expected(self, lights: Sequence[Light]) -> Floats:
         """Expected electrons (height, width) with ``lights`` on."""
@@ -161,7 +156,7 @@ def add_light(electrons: Floats, light: Light, vignette: Floats | None = None) -
 
 
 def _profile(centre: float, sigma: float, size: int) -> tuple[slice, Floats]:
-    """The pixels along one axis that a spot reaches, and the share of it that falls into each."""
+    """Return the pixels along one axis that a spot reaches, and the share of it that falls into each."""
     from scipy.special import ndtr
 
     reach = _REACH * sigma + 1.0
@@ -169,38 +164,3 @@ def _profile(centre: float, sigma: float, size: int) -> tuple[slice, Floats]:
     edges = (np.arange(first, max(first, last) + 1) - 0.5 - centre) / sigma
     share: Floats = np.diff(ndtr(edges))
     return slice(first, max(first, last)), share
-
-
-def centroid_bound(sensor: Sensor, light: Light, background: float = 0.0, half: int = 24) -> float:
-    """The Cramer-Rao bound of a spot's centre, all else (peak, size, background, its slope) unknown too.
-
-    Saturated pixels tell nothing.
-
-    Args:
-        sensor: that takes the picture.
-        light: at rest.
-        background: electrons around it.
-        half: the window reaches this many pixels to either side.
-
-    Returns:
-        The root of the mean of the two variances, of u and of v. [px]
-    """
-    pixels = np.arange(-half, half + 1)
-    fraction = light.uv - np.rint(light.uv)
-
-    def spot(values: Floats) -> Floats:
-        u, v, peak, s = values
-        electrons = np.zeros((pixels.size, pixels.size))
-        add_light(electrons, Light(np.array([u + half, v + half]), peak, s))
-        return electrons
-
-    values = np.array([*fraction, light.peak, light.sigma])
-    steps = np.array([1e-4, 1e-4, 1e-4 * light.peak, 1e-4])
-    J = [(spot(values + h) - spot(values - h)) / (2.0 * h.sum()) for h in np.diag(steps)]
-    ones = np.ones((pixels.size, pixels.size))
-    J += [ones, ones * pixels / half, ones * pixels[:, None] / half]
-    electrons = spot(values) + background
-    weight = (electrons < sensor.full_well) / sensor.variance(electrons)
-    A = np.array([j.ravel() for j in J])
-    covariance = np.linalg.inv((A * weight.ravel()) @ A.T)
-    return float(np.sqrt((covariance[0, 0] + covariance[1, 1]) / 2.0))

@@ -1,4 +1,4 @@
-"""A robot and its cameras, as planned or as they truly are: from joint values to images."""
+"""The geometry of a robot and its cameras, nominal or true: from joint values to pixels."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import Floats, inverse
+from urdfcal.arrays import Bools, Floats, inverse
 from urdfcal.robot.kinematics import link_poses
 from urdfcal.robot.mechanism import BASE, Tip
 
@@ -19,14 +19,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Everything that decides where an LED appears.
+    """A robot with its LEDs and the cameras that see them.
 
     Attributes:
-        chain: the arm.
+        chain: the robot.
         placements: (n, 4, 4) its joint placements, used instead of the chain's own. [m]
-        frames: what LEDs and cameras are fastened to.
+        attachments: what LEDs and cameras are attached to.
         leds: (L, 3) in the frames they are fixed in. [m]
-        T_world_base: (4, 4) where the arm stands. [m]
+        T_world_base: (4, 4) where the robot stands. [m]
         cameras: C of them.
         T_cam_frame: (C, 4, 4) in each camera the frame that it is fixed in. [m]
     """
@@ -39,13 +39,13 @@ class Scene:
     cameras: tuple[Camera, ...]
     T_cam_frame: Floats
 
-    def eyes(self, q: Floats) -> Floats:
-        """The cameras' centres (N, C, 3) in the base link's frame at joint values ``q`` (N, n), m."""
+    def camera_centres(self, q: Floats) -> Floats:
+        """Return the cameras' centres (N, C, 3) in the base link's frame at joint values ``q`` (N, n). [m]."""
         T_base_frame = self._frames(q)[self.attachments.camera]
         return np.asarray(np.swapaxes((T_base_frame @ inverse(self.T_cam_frame)[:, None])[..., :3, 3], 0, 1))
 
-    def fastened(self) -> tuple[list[tuple[int, Floats]], list[tuple[int, Floats]]]:
-        """The LEDs, and the cameras' centres: index of the joint that carries each, and its place (3,) there, m."""
+    def points_on_joints(self) -> tuple[list[tuple[int, Floats]], list[tuple[int, Floats]]]:
+        """Return for LEDs and for camera centres the joint that carries each, and its position (3,) there. [m]."""
         tips = [Tip("world", BASE, inverse(self.T_world_base)), *self.attachments.tips]
         centres = inverse(self.T_cam_frame)[:, :3, 3]
         leds, cameras = (
@@ -57,20 +57,24 @@ class Scene:
         )
         return leds, cameras
 
-    def images(self, q: Floats, *, mirrored: bool = False) -> Floats:
-        """Project the LEDs: joint values ``q`` (N, n) -> (N, C, L, 2) px, NaN where a camera cannot see.
+    def pixels(self, q: Floats, *, mirrored: bool = False) -> Floats:
+        """Project the LEDs at joint values ``q`` (N, n): (N, C, L, 2) px, NaN where a camera cannot see.
 
-        ``mirrored``, their reflections in the plane on which the arm stands.
+        ``mirrored``, their reflections in the plane on which the robot stands.
         """
         points = self._points(q, mirrored=mirrored)
         return np.stack([camera.project(points[:, c]) for c, camera in enumerate(self.cameras)], axis=1)
 
     def distances(self, q: Floats) -> Floats:
-        """From each camera to each LED: (N, C, L) m."""
+        """Return the distances (N, C, L) from each camera to each LED at joint values ``q`` (N, n). [m]."""
         return np.asarray(np.linalg.norm(self._points(q), axis=-1))
 
+    def in_image(self, uv: Floats, margin: float = 0.0) -> Bools:
+        """Return which pixels ``uv`` (N, C, L, 2) are in the images of their cameras, ``margin`` px from the border."""
+        return np.stack([camera.in_image(uv[:, c], margin) for c, camera in enumerate(self.cameras)], axis=1)
+
     def _points(self, q: Floats, *, mirrored: bool = False) -> Floats:
-        """(N, C, L, 3) the LEDs in the cameras' frames, m."""
+        """Return the LEDs (N, C, L, 3) in the cameras' frames. [m]."""
         T_base_frame = self._frames(q)
         leds = np.concatenate([self.leds, np.ones((len(self.leds), 1))], axis=1)
         p_base = (T_base_frame[self.attachments.led] @ leds[:, None, :, None])[..., 0]  # (L, N, 4)
@@ -81,13 +85,13 @@ class Scene:
         return np.asarray(points[..., :3, 0])
 
     def _frames(self, q: Floats) -> Floats:
-        """T_base_frame (F, N, 4, 4) of the world and of the links that carry LEDs or cameras, m."""
+        """Return T_base_frame (F, N, 4, 4) of the world and of the links that carry LEDs or cameras. [m]."""
         links = link_poses(self.chain, q, self.attachments.tips, self.placements)
         return np.array([np.broadcast_to(inverse(self.T_world_base), (len(q), 4, 4)), *links])
 
 
 def look_at(position: Floats, target: Floats) -> Floats:
-    """T_base_cam (4, 4) of a camera at ``position`` that looks at ``target``, upright as far as that goes.
+    """Return T_base_cam (4, 4) of a camera at ``position`` that looks at ``target``, upright as far as that goes.
 
     Its image's y axis points down along the base frame's z; for a camera that looks along z, along x.
     """

@@ -1,4 +1,4 @@
-"""A session measured on a robot that exists only here, so that its truth is known."""
+"""A session measured on a simulated robot, so that its truth is known."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
-from urdfcal.arrays import Floats, Ints, frozen, inverse
-from urdfcal.errors import RobotError, SessionError
-from urdfcal.estimation.measurements import Detections
+from urdfcal.arrays import Floats, frozen, inverse
+from urdfcal.errors import SessionError
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.robot.urdf.origins import origins_of, rewrite_origins
 from urdfcal.session.model import MIN_POSES, Session, Setup
-from urdfcal.simulation.collision import Clearance
+from urdfcal.simulation.collision import load_collision_checker
+from urdfcal.simulation.detections import simulate_detections
 from urdfcal.simulation.geometric_errors import draw_offsets
-from urdfcal.simulation.pose_sampling import choose_poses
+from urdfcal.simulation.pose_sampling import sample_poses
 from urdfcal.simulation.scene import Scene, look_at
 from urdfcal.simulation.truth import Simulated, Truth, write_simulated
 
@@ -29,10 +29,8 @@ __all__ = ["Simulated", "Truth", "simulate", "write_simulated"]
 
 # A tripod put up by tape measure and eye. [m, rad]
 _STAND_SIGMA = np.array([3e-3] * 3 + [3e-3] * 3)
-# Of an LED whose place is given without saying how well: by ruler. [m]
+# Of an LED whose position is given without saying how well: by ruler. [m]
 _LED_SIGMA = 5e-3
-# From a blob found with a reflection in it, to the wrong blob. [px]
-_OUTLIERS = (5.0, 200.0)
 
 
 def simulate(
@@ -45,19 +43,19 @@ def simulate(
     outliers: float = 0.0,
     progress: Callable[[int], object] | None = None,
 ) -> Simulated:
-    """Build a robot that differs from its drawing, put it before the cameras, and measure.
+    """Simulate a session of a robot that differs from the nominal one.
 
-    Poses are planned on the robot as drawn, as a user would. Robot, stand, LEDs, poses and the kinds of noise
+    Poses are planned on the nominal robot, as a user would. Robot, stand, LEDs, poses and the kinds of noise
     are drawn independently: another ``pixel`` or ``error_scale`` leaves all else as it was.
 
     Args:
         rig: the robot, its LEDs and its cameras.
         seed: of all that is random.
         poses: how many to measure.
-        pixel: noise of the sightings, one standard deviation, instead of the rig's; without noise (0) the
+        pixel: noise of the detections, one standard deviation, instead of the rig's; without noise (0) the
             session goes on to declare the rig's. [px]
-        error_scale: factor on how far the robot is from its drawing.
-        outliers: share of the sightings moved by 5 to 200 px.
+        error_scale: factor on how far the robot is from the nominal one.
+        outliers: share of the detections moved by 5 to 200 px.
         progress: called with the number of poses found since the last call.
 
     Raises:
@@ -66,32 +64,41 @@ def simulate(
         RobotError: the corrected URDF cannot be written.
     """
     _check_arguments(seed, poses, pixel, error_scale, outliers)
-    planned = _planned(rig)
-    robot, stand, bulbs, posing, encoders, pixels, blunders = np.random.default_rng(seed).spawn(7)
+    nominal = _nominal_scene(rig)
+    robot_rng, stand_rng, led_rng, pose_rng, joint_rng, noise_rng, outlier_rng = np.random.default_rng(seed).spawn(7)
 
     table = rows_of(rig.chain)
-    offsets = error_scale * draw_offsets(table, robot)
+    offsets = error_scale * draw_offsets(table, robot_rng)
     sigma = [_LED_SIGMA if led.sigma is None else led.sigma for led in rig.leds]
+    motion = stand_rng.normal(0.0, _STAND_SIGMA)
     true = replace(
-        planned,
+        nominal,
         placements=table.placements(offsets),
-        T_world_base=_stood(rig, planned.T_world_base, stand.normal(0.0, _STAND_SIGMA)),
-        leds=planned.leds + bulbs.standard_normal(planned.leds.shape) * np.array(sigma)[:, None],
-        T_cam_frame=_fastened(rig, planned.T_cam_frame, bulbs),
+        T_world_base=nominal.T_world_base @ _exp(motion) if len(rig.attachments.eye_to_hand) else nominal.T_world_base,
+        leds=nominal.leds + led_rng.standard_normal(nominal.leds.shape) * np.array(sigma)[:, None],
+        T_cam_frame=_true_mounts(rig, nominal.T_cam_frame, led_rng),
     )
 
-    clearance, warnings = find_clearance(planned, rig)
-    q = choose_poses(planned, clearance, poses, posing, progress)
+    checker, warnings = load_collision_checker(nominal, rig)
+    q = sample_poses(nominal, checker, poses, pose_rng, progress)
     noise = rig.noise if not pixel else replace(rig.noise, pixel=pixel)
     pixel = rig.noise.pixel if pixel is None else pixel
-    pose, camera, led, uv = _watch(true, q, pixel, pixels)
-    outlying = mistake(true, uv, camera, outliers, blunders)
+    detections, outlying = simulate_detections(
+        true,
+        q,
+        np.tile(np.arange(len(true.cameras)), (poses, 1)),
+        pixel=pixel,
+        sigma=noise.pixel,
+        outliers=outliers,
+        noise_rng=noise_rng,
+        outlier_rng=outlier_rng,
+    )
     session = Session(
         **{field.name: getattr(rig, field.name) for field in fields(Setup)}
         | {"noise": noise, "sha256": {}, "folder": None},
         poses=tuple(f"{k:0{len(str(poses))}d}" for k in range(1, poses + 1)),
-        q=_read(rig, q, encoders),
-        measurements=(Detections(pose, camera, led, uv, np.array(noise.pixel)),),
+        q=_readings(rig, q, joint_rng),
+        measurements=(detections,),
         warnings=warnings,
     )
     truth = Truth(
@@ -106,7 +113,7 @@ def simulate(
         T_cam_frame=frozen(true.T_cam_frame),
         q=frozen(q),
         outliers=frozen(outlying, np.intp),
-        urdf=_true_urdf(rig, true.placements),
+        urdf=b"" if rig.urdf is None else rewrite_origins(rig.urdf, origins_of(rig.urdf, rig.chain, true.placements)),
     )
     return Simulated(session, truth)
 
@@ -125,128 +132,52 @@ def _check_arguments(seed: int, poses: int, pixel: float | None, error_scale: fl
         raise SessionError(f"outliers is {outliers}, not a share from 0 to 1", where=where, remedy="5 % are 0.05.")
 
 
-def _planned(rig: RigDescription) -> Scene:
-    """The scene as drawn and as the stand was meant."""
+def _nominal_scene(rig: RigDescription) -> Scene:
+    """Build the scene of the nominal robot, its cameras and LEDs where they were meant to be."""
     if not rig.rig.cameras:
         raise SessionError("the rig has no cameras", where="cameras")
-    placed = [T for T in rig.attachments.T_cam_frame if T is not None]
-    if len(placed) < len(rig.rig.cameras):
-        unknown = next(name for name, T in zip(rig.rig.names, rig.attachments.T_cam_frame, strict=True) if T is None)
+    T_cam_frame = dict(zip(rig.rig.names, rig.attachments.T_cam_frame, strict=True))
+    if unknown := [name for name, T in T_cam_frame.items() if T is None]:
         raise SessionError(
-            f"where {unknown!r} stands is not given",
+            f"the pose of {unknown[0]!r} is not given",
             where="cameras",
-            remedy="Simulating needs T_cn_cnm1 of every camera but the first, or its place on its link.",
+            remedy="Simulating needs T_cn_cnm1 of every camera but the first, or its pose on its link.",
         )
-    positions = [led.position for led in rig.leds if led.position is not None]
-    if len(positions) < len(rig.leds):
-        unknown = next(led.name for led in rig.leds if led.position is None)
+    if unknown := [led.name for led in rig.leds if led.position is None]:
         raise SessionError(
-            "an LED has no position", where=f"leds, {unknown}", remedy="Simulating needs it, if only roughly."
+            "an LED has no position", where=f"leds, {unknown[0]}", remedy="Simulating needs it, if only roughly."
         )
     return Scene(
         chain=rig.chain,
         placements=rig.chain.placements,
         attachments=rig.attachments,
-        leds=np.array(positions),
-        T_world_base=_planned_stand(rig),
+        leds=np.array([led.position for led in rig.leds]),
+        # Without a stand all cameras are eye-in-hand, and the base is the world.
+        T_world_base=np.eye(4) if rig.stand is None else inverse(look_at(rig.stand.position, rig.stand.look_at)),
         cameras=rig.rig.cameras,
-        T_cam_frame=np.array(placed),
+        T_cam_frame=np.array(list(T_cam_frame.values())),
     )
 
 
-def _planned_stand(rig: RigDescription) -> Floats:
-    """T_world_base (4, 4); where all cameras ride on the robot, its base is the world."""
-    if not len(rig.attachments.eye_to_hand):
-        return np.eye(4)
-    if rig.stand is None:
-        raise SessionError("where the first camera stands is not given", where="stand")
-    return inverse(look_at(rig.stand.position, rig.stand.look_at))
-
-
-def _stood(rig: RigDescription, T_world_base: Floats, motion: Floats) -> Floats:
-    """Where the robot truly stands before cameras that were put up by hand."""
-    return T_world_base @ _nudge(motion) if len(rig.attachments.eye_to_hand) else T_world_base
-
-
-def _fastened(rig: RigDescription, T_cam_frame: Floats, rng: np.random.Generator) -> Floats:
-    """How riding cameras are truly fastened to their links; the others in a frame go with the first."""
-    frames, names = rig.attachments, rig.rig.names
+def _true_mounts(rig: RigDescription, T_cam_frame: Floats, rng: np.random.Generator) -> Floats:
+    """Draw how eye-in-hand cameras are truly mounted on their links; others in a frame move with the reference one."""
+    attachments, names = rig.attachments, rig.rig.names
     sigma = {mount.camera: _STAND_SIGMA if mount.sigma is None else mount.sigma for mount in rig.mounts}
     true = np.array(T_cam_frame)
-    for c in np.flatnonzero((frames.camera != 0) & (frames.reference == np.arange(len(names)))):
-        moved = _nudge(rng.normal(0.0, sigma[names[c]])) @ T_cam_frame[c]
-        for k in np.flatnonzero(frames.reference == c):
+    for c in np.flatnonzero((attachments.camera != 0) & (attachments.reference == np.arange(len(names)))):
+        moved = _exp(rng.normal(0.0, sigma[names[c]])) @ T_cam_frame[c]
+        for k in np.flatnonzero(attachments.reference == c):
             true[k] = T_cam_frame[k] @ inverse(T_cam_frame[c]) @ moved
     return true
 
 
-def true_scene(simulated: Simulated) -> Scene:
-    """The robot as it truly is and its cameras.
-
-    Raises:
-        SessionError: there are no cameras.
-    """
-    session, truth = simulated.session, simulated.truth
-    if not session.rig.cameras:
-        raise SessionError("there are no cameras", where="simulate")
-    return Scene(
-        session.chain,
-        truth.placements,
-        session.attachments,
-        truth.leds,
-        truth.T_world_base,
-        session.rig.cameras,
-        truth.T_cam_frame,
-    )
-
-
-def find_clearance(planned: Scene, rig: Setup) -> tuple[Clearance | None, tuple[str, ...]]:
-    """The arm's collision geometry, and what to warn of when it is not to be had."""
-    if rig.urdf is None:
-        return None, ("no URDF: the poses were not checked for collisions",)
-    try:
-        clearance = Clearance(rig.chain, rig.urdf, *planned.fastened())
-    except RobotError as error:
-        return None, (f"the poses were not checked for collisions: {error}",)
-    if clearance.empty:
-        return None, (f"{rig.urdf_reference}: no collision geometry, the poses were not checked",)
-    return clearance, ()
-
-
-def _nudge(motion: Floats) -> Floats:
+def _exp(motion: Floats) -> Floats:
+    """Return the transform (4, 4) of a small motion (6,) x y z rx ry rz."""
     T: Floats = pin.exp6(pin.Motion(motion)).homogeneous
     return T
 
 
-def _read(rig: RigDescription, q: Floats, rng: np.random.Generator) -> Floats:
-    """What the encoders say of true joint values: mimic joints have none."""
+def _readings(rig: RigDescription, q: Floats, rng: np.random.Generator) -> Floats:
+    """Return what encoders read of true joint values (N, n): mimic joints have none and follow."""
     own = [i for i, joint in enumerate(rig.chain.joints) if joint.mimic is None]
     return rig.chain.joint_values(q[:, own] + rig.noise.joint * rng.standard_normal((len(q), len(own))))
-
-
-def _watch(scene: Scene, q: Floats, sigma: float, rng: np.random.Generator) -> tuple[Ints, Ints, Ints, Floats]:
-    """Pose, camera, LED and pixel of every sighting; what falls out of an image is missing."""
-    uv = scene.images(q)
-    uv = uv + sigma * rng.standard_normal(uv.shape)
-    inside = np.stack([camera.in_image(uv[:, c]) for c, camera in enumerate(scene.cameras)], axis=1)
-    pose, camera, led = np.nonzero(inside)
-    return pose, camera, led, uv[inside]
-
-
-def mistake(scene: Scene, uv: Floats, camera: Ints, share: float, rng: np.random.Generator) -> Ints:
-    """Move a share of the sightings ``uv`` (S, 2) in place, within their images, and say which."""
-    rows = np.sort(rng.choice(len(uv), round(share * len(uv)), replace=False))
-    for row in rows:
-        seen = uv[row].copy()
-        while True:
-            angle, distance = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(*_OUTLIERS)
-            uv[row] = seen + distance * np.array([np.cos(angle), np.sin(angle)])
-            if scene.cameras[camera[row]].in_image(uv[row]):
-                break
-    return rows
-
-
-def _true_urdf(rig: RigDescription, placements: Floats) -> bytes:
-    if rig.urdf is None:
-        return b""
-    return rewrite_origins(rig.urdf, origins_of(rig.urdf, rig.chain, placements))

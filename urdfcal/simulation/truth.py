@@ -15,6 +15,7 @@ from urdfcal.files import write_bytes, write_text
 from urdfcal.io.writing import write_session
 from urdfcal.robot.dh import PARAMETERS
 from urdfcal.robot.tree_dh import rows_of
+from urdfcal.simulation.scene import Scene
 
 if TYPE_CHECKING:
     from urdfcal.arrays import Floats, Ints
@@ -25,21 +26,21 @@ _URDF, _JSON = "truth.urdf", "truth.json"
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """What calibration is to find out, and is never told.
+    """The true values behind a simulated session, which calibration never reads.
 
     Attributes:
         seed: of all that is random.
-        pixel: noise of the sightings, one standard deviation. [px]
+        pixel: noise of the detections, one standard deviation. [px]
         error_scale: factor on the offsets.
-        outlier_share: of the sightings, asked for.
+        outlier_share: of the detections, as asked for.
         offsets: (n, 5) of the DH rows, columns as ``PARAMETERS``. [rad, m]
         placements: (n, 4, 4) of the joints. [m]
         T_world_base: (4, 4) where the arm stands; the world is the first camera's frame. [m]
-        leds: (L, 3) in the frames of what they are fastened to. [m]
-        T_cam_frame: (C, 4, 4) in each camera the frame that it is fixed in: the world, or the link it rides on. [m]
+        leds: (L, 3) in the frames that they are fixed in. [m]
+        T_cam_frame: (C, 4, 4) in each camera the frame that it is fixed in: the world, or its link. [m]
         q: (N, n) joint values. [rad or m]
-        outliers: (K,) rows of the session's detections that are none of the LED.
-        urdf: the true robot's description: the drawn one with other ``<origin>`` values.
+        outliers: (K,) rows of the session's detections that are outliers.
+        urdf: the true robot's description: the nominal one with other ``<origin>`` values.
         time_offsets: (C,) of the cameras' clocks, t_robot = t_camera + offset; empty where the arm stood still. [s]
     """
 
@@ -70,14 +71,28 @@ class Simulated:
     session: Session
     truth: Truth
 
+    @property
+    def scene(self) -> Scene:
+        """The true robot and its cameras."""
+        session, truth = self.session, self.truth
+        return Scene(
+            session.chain,
+            truth.placements,
+            session.attachments,
+            truth.leds,
+            truth.T_world_base,
+            session.rig.cameras,
+            truth.T_cam_frame,
+        )
 
-def write_simulated(folder: str | Path, simulated: Simulated, *, sightings: bool = True) -> None:
+
+def write_simulated(folder: str | Path, simulated: Simulated, *, detections: bool = True) -> None:
     """Write a session, and beside it what no calibration reads: truth.urdf and truth.json.
 
     Args:
         folder: where to; made if need be, in a folder that exists.
         simulated: what to write.
-        sightings: whether to write them too; without, the session waits for images.
+        detections: whether to write them too; without, the session waits for images.
 
     Raises:
         OutputError: the folder holds a session or a truth already, or cannot be written.
@@ -87,18 +102,17 @@ def write_simulated(folder: str | Path, simulated: Simulated, *, sightings: bool
         if (folder / name).exists():
             raise OutputError(f"there is a {name} already", where=str(folder), remedy="Name a new folder.")
     if Path(session.urdf_reference).name == _URDF:
-        raise OutputError(f"the drawn robot's file is itself called {_URDF}", where=str(folder), remedy="Rename it.")
-    write_session(folder, session if sightings else session.unmeasured())
+        raise OutputError(f"the nominal robot's file is itself called {_URDF}", where=str(folder), remedy="Rename it.")
+    write_session(folder, session if detections else session.unmeasured())
     write_bytes(folder / _URDF, simulated.truth.urdf)
     write_text(folder / _JSON, json.dumps(_truth_to_dict(simulated), indent=1) + "\n")
 
 
 def _truth_to_dict(simulated: Simulated) -> dict[str, Any]:
     session, truth = simulated.session, simulated.truth
-    table = rows_of(session.chain)
-    seen = session.find(Detections)
-    names = session.rig.names
-    clocks = dict(zip(names, truth.time_offsets.tolist(), strict=False))
+    table, cameras, leds = rows_of(session.chain), session.rig.names, session.led_names
+    offsets = dict(zip(cameras, truth.time_offsets.tolist(), strict=False))
+    detections = session.find(Detections)
     return {
         "seed": truth.seed,
         "poses": len(session.poses),
@@ -117,16 +131,16 @@ def _truth_to_dict(simulated: Simulated) -> dict[str, Any]:
             for name, value, offset in zip(PARAMETERS, row, row_offsets, strict=True)
         ],
         "T_world_base": truth.T_world_base.tolist(),
-        "leds": dict(zip(session.led_names, truth.leds.tolist(), strict=True)),
-        "T_cam_frame": dict(zip(session.rig.names if session.rig else (), truth.T_cam_frame.tolist(), strict=True)),
-        **({"time_offsets": clocks} if clocks else {}),
+        "leds": dict(zip(leds, truth.leds.tolist(), strict=True)),
+        "T_cam_frame": dict(zip(cameras, truth.T_cam_frame.tolist(), strict=True)),
+        **({"time_offsets": offsets} if offsets else {}),
         "outliers": [
             {
-                "pose": session.label(int(seen.pose[row])),
-                "camera": session.rig.names[seen.camera[row]],
-                "led": session.led_names[seen.led[row]],
+                "pose": session.label(int(detections.pose[row])),
+                "camera": cameras[detections.camera[row]],
+                "led": leds[detections.led[row]],
             }
             for row in truth.outliers
-            if seen is not None
+            if detections is not None
         ],
     }

@@ -19,6 +19,7 @@ from tests.cameras.board.boards import (
     true_corners,
     turned,
 )
+from tests.cameras.board.rendering import BoardRenderer
 from urdfcal.cameras.board.board import Board
 from urdfcal.cameras.board.bundle import Bundle, adjust
 from urdfcal.cameras.board.calibration import calibrate_cameras
@@ -29,7 +30,6 @@ from urdfcal.cameras.camera import Camera
 from urdfcal.cameras.rig import Rig
 from urdfcal.errors import CameraError
 from urdfcal.images.files import write_image
-from urdfcal.simulation.board_images import BoardRenderer
 
 if TYPE_CHECKING:
     from pathlib import Path

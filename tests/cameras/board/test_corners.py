@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from tests.cameras.board.boards import CHARUCO, CHESSBOARD, PAIR, SIZE, held, placed, true_corners
+from tests.cameras.board.rendering import BoardRenderer
 from urdfcal.cameras.board.board import Board
 from urdfcal.cameras.board.corners import refine
 from urdfcal.cameras.board.detection import detect_board
 from urdfcal.cameras.camera import Camera
 from urdfcal.cameras.rig import Rig
-from urdfcal.simulation.board_images import BoardRenderer
 
 LEFT = Rig(PAIR.cameras[:1], (np.eye(4),))
 LENS = BoardRenderer(PAIR.cameras[0])

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from tests.centroid_bound import centroid_bound
 from urdfcal.detection.spots import gaussian
 from urdfcal.detection.spots.centroid import HALF, Crops, Fits, fit_spots
 from urdfcal.detection.spots.detector import Picture, Spots, find_spots
 from urdfcal.errors import CameraError
 from urdfcal.images.files import write_image
-from urdfcal.simulation.render import Light, Scenery, Sensor, centroid_bound
+from urdfcal.simulation.render import Light, Scenery, Sensor
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

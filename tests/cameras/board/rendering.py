@@ -1,4 +1,4 @@
-"""Pictures of a calibration board as a camera would take them, for tests and simulations."""
+"""Images of a calibration board as a camera would take them."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class BoardRenderer:
         smear: tuple[float, float] = (0.0, 0.0),
         rng: np.random.Generator | None = None,
     ) -> NDArray[np.uint8]:
-        """Take a picture.
+        """Take an image.
 
         Args:
             board: what is seen, printed with a white margin one square wide.
@@ -121,7 +121,7 @@ class BoardRenderer:
     def _sampled(
         self, lines: tuple[Floats, Floats], shades: Floats, T_cam_board: Floats, rows: slice, columns: slice
     ) -> NDArray[np.float32]:
-        """The picture's part before any blur, at the samples."""
+        """The part of the image before any blur, at the samples."""
         fine = [slice(self.oversampling * s.start, self.oversampling * s.stop) for s in (rows, columns)]
         rays = self._rays[fine[0], fine[1]]
         # A point (x, y, 0) of the board is seen along H (x, y, 1); the last component is then 1 / depth.
@@ -153,7 +153,7 @@ def _drawing(board: Board) -> tuple[tuple[Floats, Floats], Floats]:
     The shades have one more row and column than there are lines: the wall around the paper.
     """
     across, down = (count + 1 for count in board.shape)
-    marks, modules, pictures = np.zeros(0), 0, {}
+    marks, modules, markers = np.zeros(0), 0, {}
     if board.kind == "charuco":
         import cv2
 
@@ -163,7 +163,7 @@ def _drawing(board: Board) -> tuple[tuple[Floats, Floats], Floats]:
         side = float(board.marker or 0.0) / board.square
         marks = 0.5 * (1.0 - side) + side * np.arange(modules + 1) / modules
         cells = [(i, j) for j in range(down) for i in range(across) if (i + j) % 2]
-        pictures = {
+        markers = {
             cell: cv2.aruco.generateImageMarker(dictionary, int(number), modules) > 0
             for cell, number in zip(cells, np.ravel(printed.getIds()), strict=True)
         }
@@ -179,8 +179,8 @@ def _drawing(board: Board) -> tuple[tuple[Floats, Floats], Floats]:
             block = shades[1 + j * step : 1 + (j + 1) * step, 1 + i * step : 1 + (i + 1) * step]
             if (i + j) % 2 == 0:
                 block[:] = _BLACK
-            elif (i, j) in pictures:
-                block[1:-1, 1:-1] = np.where(pictures[i, j], _WHITE, _BLACK)
+            elif (i, j) in markers:
+                block[1:-1, 1:-1] = np.where(markers[i, j], _WHITE, _BLACK)
     # The first inner corner is the origin, one square from the edge of the first square.
     lines = tuple(board.square * (ruled(count) - 1.0) for count in (across, down))
     return (lines[0], lines[1]), np.pad(shades, 1, constant_values=_WALL)

@@ -1,0 +1,117 @@
+"""``urdfcal simulate`` and ``urdfcal demo``: which options go together, and what is said."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from urdfcal.cli import run
+from urdfcal.errors import SessionError
+from urdfcal.io import folder as folders
+from urdfcal.io.folder import read_session
+from urdfcal.robot.urdf.urdf import Urdf
+from urdfcal.session.trajectory import Trajectory
+from urdfcal.simulation import simulate as simulation
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from urdfcal.session.model import RigDescription
+
+SHORT = ["simulate", "elbow3r", "-o", "s", "--poses", "3", "--seed", "1"]
+
+
+@pytest.fixture(autouse=True)
+def _inside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--distractors"], "--distractors goes with --images"),
+        (["--images", "--pixel", "0.1"], "--pixel and --outliers do not go with --images"),
+        (["--images", "--outliers", "0.1"], "--pixel and --outliers do not go with --images"),
+        (["--video", "--trajectory", "--pixel", "0"], "--pixel and --outliers do not go with --images"),
+        (["--video"], "--video goes with --trajectory"),
+        (["--video", "--images", "--trajectory"], "--images and --video: choose one"),
+        (["--time-offset", "0.1"], "--time-offset goes with --trajectory"),
+        (["--trajectory", "--time-offset", "0.1"], "1 time offsets for 2 cameras"),
+        (["--poses", "2"], "--poses"),
+        (["--outliers", "1.1"], "--outliers"),
+        (["--speed", "0", "--trajectory"], "--speed"),
+        (["--peak", "0", "--images"], "--peak"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_options_that_do_not_go_together_are_refused(
+    arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run([*SHORT, *arguments]) == 2
+    captured = capsys.readouterr()
+    assert message in captured.err
+    assert captured.out == ""
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_session_and_its_truth_are_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run([*SHORT, "--pixel", "0.2", "--outliers", "0.5", "--error-scale", "2"]) == 0
+    captured = capsys.readouterr()
+    assert captured.out == "s: 3 poses of elbow3r, seed 1; the truth is in truth.urdf\n"
+    assert captured.err == ""
+    truth = json.loads((tmp_path / "s" / "truth.json").read_text())
+    assert (truth["noise"]["pixel"], truth["outlier_share"], truth["error_scale"]) == (0.2, 0.5, 2.0)
+    assert len(truth["outliers"]) == 3
+    assert read_session(tmp_path / "s").noise.pixel == 0.2
+
+
+def test_an_arm_may_move(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ["--trajectory", "--speed", "2", "--frame-rate", "5", "--joint-rate", "50"]
+    assert run([*SHORT, *options, "--time-offset", "0.01", "--time-offset", "-0.02"]) == 0
+    session = read_session(tmp_path / "s")
+    assert isinstance(session.motion, Trajectory)
+    assert f"s: the arm moves; {len(session.poses)} frames\n" in capsys.readouterr().out
+    assert json.loads((tmp_path / "s" / "truth.json").read_text())["time_offsets"] == {"cam0": 0.01, "cam1": -0.02}
+
+
+def test_images_are_written_instead_of_detections(tmp_path: Path) -> None:
+    assert run([*SHORT, "--images", "--distractors", "--peak", "2000"]) == 0
+    assert not (tmp_path / "s" / "detections.csv").exists()
+    assert len(list((tmp_path / "s" / "images").rglob("*.png"))) == 6
+
+
+def test_videos_are_written_instead_of_detections(tmp_path: Path) -> None:
+    assert run([*SHORT, "--video", "--trajectory", "--speed", "4", "--frame-rate", "1"]) == 0
+    assert {path.name for path in (tmp_path / "s" / "images").iterdir()} == {"cam0.mp4", "cam1.mp4"}
+
+
+def test_what_could_not_be_checked_is_a_warning(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    read = folders.read_rig
+
+    def without_solids(path: Path) -> RigDescription:
+        rig = read(path)
+        return replace(rig, urdf=Urdf.parse(rig.urdf.data.replace(b"collision", b"visual")))
+
+    monkeypatch.setattr(folders, "read_rig", without_solids)
+    assert run(SHORT) == 0
+    assert "- elbow3r.urdf: no collision geometry, the poses were not checked" in capsys.readouterr().err
+
+
+def test_a_demo_never_writes_into_a_folder_that_is_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def stop(*_: Any, **__: Any) -> None:
+        raise SessionError("far enough")
+
+    monkeypatch.setattr(simulation, "simulate", stop)
+    for _ in range(3):
+        assert run(["demo", "elbow3r"]) == 2
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["urdfcal-demo", "urdfcal-demo-2", "urdfcal-demo-3"]
+    capsys.readouterr()
+    assert run(["demo", "elbow3r", "-o", "urdfcal-demo"]) == 2
+    assert "urdfcal-demo: cannot make this folder: File exists. Name a new one with -o." in capsys.readouterr().err

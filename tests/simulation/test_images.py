@@ -1,0 +1,135 @@
+"""The images behind a simulated session: lights where the truth says, and what is written beside them."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+import pytest
+
+from urdfcal.cameras.rig import Rig
+from urdfcal.errors import OutputError, SessionError
+from urdfcal.images.files import read_image
+from urdfcal.io.folder import read_rig
+from urdfcal.io.shipped_rigs import find_rig
+from urdfcal.session.knowledge import Led
+from urdfcal.simulation.images import TRUTH, Exposure, write_simulated_images
+from urdfcal.simulation.motion import MotionSettings, set_in_motion
+from urdfcal.simulation.simulate import simulate
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from urdfcal.session.model import RigDescription
+    from urdfcal.simulation.truth import Simulated
+
+
+@pytest.fixture(scope="module")
+def small() -> RigDescription:
+    """A rig at a quarter of its resolution: a sixteenth of the time."""
+    rig = read_rig(find_rig("elbow3r"))
+    cameras = [replace(one, resolution=(320, 256), intrinsics=one.intrinsics / 4.0) for one in rig.rig.cameras]
+    return replace(rig, rig=Rig(tuple(cameras), rig.rig.T_cam_world))
+
+
+@pytest.fixture(scope="module")
+def still(small: RigDescription) -> Simulated:
+    return simulate(small, poses=4, seed=3)
+
+
+def truth_of(folder: Path) -> dict[tuple[str, str, str], np.ndarray]:
+    with (folder / TRUTH).open(newline="") as file:
+        return {(r["pose"], r["camera"], r["led"]): np.array([r["u"], r["v"]], float) for r in csv.DictReader(file)}
+
+
+def test_every_led_is_in_its_image_where_the_truth_says(still: Simulated, tmp_path: Path) -> None:
+    counts: list[int] = []
+    assert write_simulated_images(tmp_path / "s", still, Exposure(), counts.append) == sum(counts) == 8
+    session, truth = still.session, truth_of(tmp_path / "s")
+    uv = still.scene.pixels(still.truth.q)
+    assert len(truth) == len(list((tmp_path / "s" / "images").rglob("*.png"))) == 8
+    for p, pose in enumerate(session.poses):
+        for c, camera in enumerate(session.rig.names):
+            np.testing.assert_array_equal(truth[pose, camera, "led"], uv[p, c, 0])
+            image = read_image(tmp_path / "s" / "images" / camera / f"{pose}.png").astype(float)
+            v, u = np.unravel_index(np.argmax(image), image.shape)
+            assert np.hypot(u - uv[p, c, 0, 0], v - uv[p, c, 0, 1]) < 2.0
+    assert not (tmp_path / "s" / "detections.csv").exists()
+    assert json.loads((tmp_path / "s" / "truth.json").read_text())["poses"] == 4
+
+
+def test_the_same_seed_gives_the_same_images(still: Simulated, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        write_simulated_images(tmp_path / name, still, Exposure(distractors=True))
+    files = [path.relative_to(tmp_path / "a") for path in (tmp_path / "a").rglob("*") if path.is_file()]
+    assert len(files) > 8
+    assert all((tmp_path / "a" / one).read_bytes() == (tmp_path / "b" / one).read_bytes() for one in files)
+
+
+def test_with_distractors_some_leds_are_not_to_be_found(small: RigDescription, tmp_path: Path) -> None:
+    simulated = simulate(small, poses=40, seed=1)
+    count = write_simulated_images(tmp_path / "s", simulated, Exposure(distractors=True))
+    # A tenth of the LEDs is hidden or moves, by the shares drawn; lamps that outshine the sensor add to that.
+    assert 0.7 * count < len(truth_of(tmp_path / "s")) < count
+
+
+def test_an_led_before_a_lamp_that_saturates_the_sensor_is_not_to_be_found(still: Simulated, tmp_path: Path) -> None:
+    # To a sensor that saturates at next to nothing the wall is such a lamp.
+    write_simulated_images(tmp_path / "s", still, Exposure(electrons_per_count=1e-3))
+    assert truth_of(tmp_path / "s") == {}
+
+
+def test_of_several_leds_one_is_lit_at_a_time(small: RigDescription, tmp_path: Path) -> None:
+    leds = (*small.leds, Led("second", np.array([0.0, -0.05, -0.06])))
+    simulated = simulate(replace(small, leds=leds), poses=3, seed=3)
+    assert write_simulated_images(tmp_path / "s", simulated, Exposure()) == 12
+    names = {path.name for path in (tmp_path / "s" / "images" / "cam0").iterdir()}
+    assert names == {f"{pose}.{led}.png" for pose in simulated.session.poses for led in ("led", "second")}
+
+
+def test_a_moving_arm_is_filmed_frame_by_frame_or_as_videos(still: Simulated, tmp_path: Path) -> None:
+    moving = set_in_motion(still, MotionSettings(speed=2.0, frame_rate=2.0))
+    count = len(moving.session.poses)
+    counts: list[int] = []
+    assert write_simulated_images(tmp_path / "a", moving, Exposure()) == count
+    assert write_simulated_images(tmp_path / "b", moving, Exposure(), counts.append, video_rate=2.0) == count
+    assert sum(counts) == count
+    videos = {
+        path.stem: cv2.VideoCapture(str(path)).get(cv2.CAP_PROP_FRAME_COUNT)
+        for path in (tmp_path / "b" / "images").iterdir()
+    }
+    assert videos == {camera.name: len(list((tmp_path / "a" / "images" / camera.name).iterdir()))
+                      for camera in moving.session.rig.cameras}  # fmt: skip
+    assert (tmp_path / "a" / TRUTH).read_bytes() == (tmp_path / "b" / TRUTH).read_bytes()
+
+
+def test_only_a_moving_arm_with_one_led_makes_a_video(small: RigDescription, still: Simulated, tmp_path: Path) -> None:
+    leds = (*small.leds, Led("second", np.array([0.0, -0.05, -0.06])))
+    two = set_in_motion(simulate(replace(small, leds=leds), poses=3, seed=3), MotionSettings(frame_rate=1.0))
+    for simulated in (still, two):
+        with pytest.raises(SessionError, match="a video shows a moving arm with one LED"):
+            write_simulated_images(tmp_path / "s", simulated, Exposure(), video_rate=30.0)
+    assert not (tmp_path / "s").exists()
+
+
+def test_images_of_cameras_on_the_robot_are_refused(tmp_path: Path) -> None:
+    simulated = simulate(read_rig(find_rig("ur5_handeye")), poses=3, seed=0)
+    with pytest.raises(SessionError, match=r"images of eye-in-hand cameras cannot be rendered.*Leave --images out"):
+        write_simulated_images(tmp_path / "s", simulated, Exposure())
+    assert not (tmp_path / "s").exists()
+
+
+def test_images_never_join_an_older_session(still: Simulated, tmp_path: Path) -> None:
+    write_simulated_images(tmp_path / "s", still, Exposure())
+    with pytest.raises(OutputError, match=r"there is a truth\.urdf already"):
+        write_simulated_images(tmp_path / "s", still, Exposure())
+
+
+@pytest.mark.parametrize("wrong", [{"sigma": 0.2}, {"sigma": 11.0}, {"peak": 0.0}], ids=str)
+def test_an_exposure_that_shows_no_led_is_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(SessionError, match="no LED has a spot of"):
+        Exposure(**wrong)
