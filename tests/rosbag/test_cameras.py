@@ -160,7 +160,8 @@ def without(topic: str) -> Recording:
         (lambda: pair(model="", d=D), "distortion model '' is not supported"),
         (lambda: pair(focal=float("nan")), r"\(k\): it has values that are not finite"),
         (lambda: pair(focal=1.0), "left"),
-        (lambda: pair(binning=2), "binned or cut out"),
+        (lambda: pair(binning=(2, 1)), "binned or cut out"),
+        (lambda: pair(binning=(1, 2)), "binned or cut out"),
         (lambda: pair(roi=(0, 0, 32, 48)), "binned or cut out"),
     ],
 )
@@ -179,4 +180,4 @@ def test_an_uncalibrated_camera_is_distinguished_from_a_broken_one() -> None:
 
 
 def test_the_whole_image_may_be_said_as_a_region() -> None:
-    assert read(pair(roi=(0, 0, 64, 48), binning=1))[0].cameras[0].resolution == (64, 48)
+    assert read(pair(roi=(0, 0, 64, 48), binning=(1, 1)))[0].cameras[0].resolution == (64, 48)

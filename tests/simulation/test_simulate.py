@@ -9,10 +9,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import yaml
+from pinocchio import coal
 
 from urdfcal.arrays import inverse
 from urdfcal.cameras.rig import Rig
-from urdfcal.errors import OutputError, SessionError
+from urdfcal.errors import OutputError, RobotError, SessionError
 from urdfcal.estimation.measurements import Detections
 from urdfcal.io.folder import read_rig, read_session
 from urdfcal.io.shipped_rigs import find_rig, shipped_rigs
@@ -280,8 +281,16 @@ def test_a_missing_mesh_is_a_warning_and_not_the_end(rig):
     data = rig.urdf.data.replace(b'<cylinder radius="0.04" length="0.02"/>', b'<mesh filename="gone.stl"/>')
     simulated = simulate(replace(rig, urdf=Urdf.parse(data)), seed=12, poses=5)
     (warning,) = simulated.session.warnings
-    assert "not checked for collisions" in warning
+    assert warning.startswith(
+        "the poses were not checked for collisions: URDF: its collision geometry cannot be loaded"
+    )
     assert "gone.stl" in warning
+
+
+def test_without_a_urdf_poses_are_not_checked(rig):
+    simulated = simulate(replace(rig, urdf=None), seed=12, poses=3)
+    assert simulated.session.warnings == ("no URDF: the poses were not checked for collisions",)
+    assert simulated.truth.urdf == b""
 
 
 def test_several_leds_are_all_in_view(rig):
@@ -313,10 +322,49 @@ WALL = """<?xml version="1.0"?>
 """
 
 
-def checker_of(text, cameras=1):
+PALM = '<link name="palm"><collision><geometry><box size="0.05 0.05 0.2"/></geometry></collision></link>'
+
+
+def checker_of(text, cameras=1, led=(0.0, 0.06, 0.1)):
     urdf = Urdf.parse(text.encode())
     chain = Chain.from_urdf(urdf, "hand", "base")
-    return CollisionChecker(chain, urdf, [(1, np.array([0.0, 0.06, 0.1]))], [(BASE, np.full(3, 9.0))] * cameras)
+    return CollisionChecker(chain, urdf, [(1, np.array(led))], [(BASE, np.full(3, 9.0))] * cameras)
+
+
+def test_the_first_link_is_checked_against_the_table_too():
+    without_palm = checker_of(WALL.replace(PALM, '<link name="palm"/>'))
+    assert without_palm.is_free(np.array([-2.2, 2.2]))
+    assert not without_palm.is_free(np.array([-3.0, 3.0]))  # the LED is above the table, the arm reaches into it
+
+
+def test_an_led_is_carried_by_solids_of_its_own_joint_only():
+    # In the hand's frame the LED is where the arm has its solid in its own frame.
+    folded = checker_of(WALL.replace(PALM, '<link name="palm"/>'), led=(0.0, 0.0, 0.25))
+    assert folded.is_seen(np.array([0.0, 2.9]), np.array([[1.0, 0.0, 0.5]]))
+    assert not folded.is_seen(np.array([0.0, 2.9]), np.array([[-1.0, 0.0, 0.5]]))
+
+
+STL = """solid box
+facet normal 0 0 1 outer loop vertex 0 0 0 vertex 0.1 0 0 vertex 0 0.1 0 endloop endfacet
+facet normal 0 0 1 outer loop vertex 0 0 0 vertex 0.1 0 0 vertex 0 0 0.1 endloop endfacet
+facet normal 0 0 1 outer loop vertex 0 0 0 vertex 0 0.1 0 vertex 0 0 0.1 endloop endfacet
+facet normal 0 0 1 outer loop vertex 0.1 0 0 vertex 0 0.1 0 vertex 0 0 0.1 endloop endfacet
+endsolid box
+"""
+
+
+def test_meshes_beside_the_urdf_are_found_and_replaced_by_their_hulls(tmp_path):
+    (tmp_path / "box.stl").write_text(STL)
+    mesh = '<mesh filename="package://box.stl"/>'
+    (tmp_path / "arm.urdf").write_text(WALL.replace('<box size="0.05 0.05 0.2"/>', mesh))
+    urdf = Urdf.read(tmp_path / "arm.urdf")
+    checker = CollisionChecker(
+        Chain.from_urdf(urdf, "hand", "base"), urdf, [(1, np.zeros(3))], [(BASE, np.full(3, 9.0))]
+    )
+    assert not any(isinstance(one.geometry, coal.BVHModelBase) for one in checker._geometry.geometryObjects)
+    (tmp_path / "box.stl").unlink()
+    with pytest.raises(RobotError, match=r"arm\.urdf: its collision geometry cannot be loaded: .*box\.stl"):
+        CollisionChecker(Chain.from_urdf(urdf, "hand", "base"), urdf, [], [])
 
 
 def test_an_arm_keeps_clear_of_what_stands_beside_it_and_of_the_table():
