@@ -90,9 +90,11 @@ def test_a_folder_is_of_ros_2_whatever_its_name(tmp_path: Path) -> None:
 
 def test_an_error_that_does_not_explain_itself_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "empty.mcap").touch()
-    with pytest.raises(SessionError, match="the bag cannot be read: [^:]*seems to be empty") as error:
-        with open_bag(tmp_path / "empty.mcap"):
-            pass
+    with (
+        pytest.raises(SessionError, match=r"the bag cannot be read: [^:]*seems to be empty") as error,
+        open_bag(tmp_path / "empty.mcap"),
+    ):
+        pass
     assert "Error" not in error.value.what
 
     def damaged(*_: object) -> None:
