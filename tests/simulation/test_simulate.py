@@ -21,6 +21,7 @@ from urdfcal.robot.chain import Chain
 from urdfcal.robot.dh import PARAMETERS, DHTable
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.robot.mechanism import BASE
+from urdfcal.robot.tree_dh import rows_of
 from urdfcal.robot.urdf.urdf import Urdf, find_urdf, package_roots
 from urdfcal.session.knowledge import Led
 from urdfcal.session.model import Stand
@@ -217,6 +218,35 @@ def test_only_what_an_led_can_tell_is_disturbed(rigs, name):
     for row, values in zip(table.rows[1:-1], offsets[1:-1], strict=True):
         zero = abs(values[PARAMETERS.index(row.variable)])
         assert 0.2e-3 <= zero <= 0.8e-3 if row.type == "prismatic" else 1e-3 <= zero <= 5e-3
+
+
+def test_errors_spread_as_documented(rigs):
+    """Root mean squares over five Universal Robots, in m and rad, of rows that are parallel and of others."""
+    table = DHTable.from_chain(rigs["ur5"].chain)
+    rng = np.random.default_rng(2)
+    rms = np.sqrt(np.mean(np.square([draw_offsets(table, rng) for _ in range(4000)]), axis=0))
+    expected = {("d", 3): 0.76e-3, ("a", 1): 0.17e-3, ("a", 3): 0.17e-3, ("alpha", 3): 0.74e-3, ("alpha", 1): 4.5e-3,
+                ("beta", 1): 1.5e-3, ("theta", 2): np.sqrt((5**3 - 1) / 12) * 1e-3}  # fmt: skip
+    for (name, row), value in expected.items():
+        assert rms[row, PARAMETERS.index(name)] == pytest.approx(value, rel=0.05), (name, row)
+
+
+@pytest.mark.parametrize("name", ["tiago", "tiago_dual"])
+def test_the_rows_of_a_tree_are_drawn_branch_by_branch(name):
+    table = rows_of(read_rig(find_rig(name)).chain)
+    offsets = draw_offsets(table, np.random.default_rng(0))
+    assert offsets.shape == (len(table.labels), len(PARAMETERS))
+    rows = iter(offsets)
+    for branch in table.branches:
+        if branch.mount is not None:
+            free = [parameter in branch.mount.free and parameter != "beta" for parameter in PARAMETERS]
+            assert ((next(rows) != 0.0) == free).all()
+        of_branch = np.array([next(rows) for _ in branch.table.rows])
+        free = [
+            p in branch.table.rows[0].free and (branch.mount is not None or p not in ("theta", "d")) for p in PARAMETERS
+        ]
+        assert ((of_branch[0] != 0.0) == free).all()
+        assert not of_branch[-1].any()
 
 
 @pytest.mark.skipif(not FACTORY.exists(), reason="needs ../shared/data/ur_factory_deltas.json")
@@ -475,6 +505,7 @@ def test_a_stand_that_looks_away_says_how_far_it_got(rig):
         {"poses": 2},
         {"pixel": -0.1},
         {"pixel": np.nan},
+        {"pixel": np.inf},
         {"error_scale": -1.0},
         {"error_scale": np.inf},
         {"outliers": 1.5},
@@ -486,6 +517,11 @@ def test_arguments_that_make_no_sense_are_named(rig, wrong):
     (name,) = wrong
     with pytest.raises(SessionError, match=f"^simulate: {name} is"):
         simulate(rig, **{"seed": 1, **wrong})
+
+
+def test_arguments_at_the_ends_of_their_ranges_are_allowed(rig):
+    simulated = simulate(rig, seed=0, poses=3, pixel=0.0, error_scale=0.0, outliers=1.0)
+    assert len(simulated.truth.outliers) == len(simulated.session.find(Detections))
 
 
 def test_a_rig_that_leaves_open_what_must_be_simulated_is_refused(rig):
