@@ -121,7 +121,7 @@ class Recording:
         d: Iterable[float] = (-0.1, 0.02, 0.001, -0.002, 0.0),
         baseline: float = 0.0,
         frame: str = "",
-        binning: int = 0,
+        binning: tuple[int, int] = (0, 0),
         roi: tuple[int, int, int, int] = (0, 0, 0, 0),
     ) -> None:
         if K is None:
@@ -138,8 +138,8 @@ class Recording:
             k=K.ravel(),
             r=np.eye(3).ravel(),
             p=P.ravel(),
-            binning_x=binning,
-            binning_y=binning,
+            binning_x=binning[0],
+            binning_y=binning[1],
             roi=self.make(f"{_S}RegionOfInterest", do_rectify=False, **region),
         )
         self.add(topic, content, stamp)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from rosbags import rosbag2
 
 from tests.io.making import ACTUATED
 from tests.rosbag.bags import KINDS, START, Recording, pixels, recording
@@ -79,6 +80,32 @@ def test_what_is_no_bag_is_refused(tmp_path: Path, name: str, message: str) -> N
     (tmp_path / "folder").mkdir()
     with pytest.raises(SessionError, match=message), open_bag(tmp_path / name):
         pass
+
+
+def test_a_folder_is_of_ros_2_whatever_its_name(tmp_path: Path) -> None:
+    folder = recording("mcap", 0.1).write(tmp_path / "bag").rename(tmp_path / "day.bag")
+    with open_bag(folder) as bag:
+        assert sum(1 for _ in bag.messages(["/joint_states"])) == 12
+
+
+def test_an_error_that_does_not_explain_itself_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "empty.mcap").touch()
+    with (
+        pytest.raises(SessionError, match=r"the bag cannot be read: [^:]*seems to be empty") as error,
+        open_bag(tmp_path / "empty.mcap"),
+    ):
+        pass
+    assert "Error" not in error.value.what
+
+    def damaged(*_: object) -> None:
+        raise KeyError("offset")
+
+    monkeypatch.setattr(rosbag2.Reader, "messages", damaged)
+    with (
+        open_bag(recording("mcap", 0.1).write(tmp_path / "bag")) as bag,
+        pytest.raises(SessionError, match="the bag cannot be read: KeyError 'offset'"),
+    ):
+        list(bag.messages(["/joint_states"]))
 
 
 def test_another_message_of_the_same_name_is_refused(tmp_path: Path) -> None:

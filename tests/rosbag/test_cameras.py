@@ -63,8 +63,10 @@ def test_ros_names_of_distortion_models(model: str, d: tuple[float, ...], expect
 
 def test_a_stereo_pair_stands_as_its_projection_says() -> None:
     bag = Recording("sqlite3")
-    bag.info(TOPICS[0][1], START)
-    bag.info(TOPICS[1][1], START, baseline=BASELINE)
+    bag.info(TOPICS[0][1], START, frame="left_optical")
+    bag.info(TOPICS[1][1], START, baseline=BASELINE, frame="right_optical")
+    # Rectification is what the images were made with; transforms may be a designer's.
+    bag.static(START, [("left_optical", "right_optical", (0.1, 0, 0), (0, 0, 0, 1))])
     rig, notes = read(bag)
     np.testing.assert_allclose(rig.T_cam_world[1][:3, 3], [-BASELINE, 0.0, 0.0], atol=1e-15)
     np.testing.assert_array_equal(rig.T_cam_world[1][:3, :3], np.eye(3))
@@ -103,8 +105,10 @@ def test_of_a_transform_that_is_given_twice_the_last_one_counts() -> None:
         (("left_optical", "right_optical"), [("bench", "left_optical", (1, 0, 0), (0, 0, 0, 1))]),
         (("left_optical", "right_optical"), [("left_optical", "right_optical", (0, 0, 0), (0, 0, 0, 1))]),
         (("left_link", "right_link"), [("left_link", "right_link", (1, 0, 0), (0, 0, 0, 1))]),
+        (("left_optical", "right_link"), [("left_optical", "right_link", (1, 0, 0), (0, 0, 0, 1))]),
+        (("left_link", "right_optical"), [("left_link", "right_optical", (1, 0, 0), (0, 0, 0, 1))]),
     ],
-    ids=["not connected", "a placeholder", "x is forward"],
+    ids=["not connected", "a placeholder", "x is forward", "x is forward in one", "x is forward in the other"],
 )
 def test_what_the_transforms_do_not_determine_is_estimated(frames: tuple[str, str], transforms: Any) -> None:
     bag = Recording("sqlite3")
@@ -160,7 +164,8 @@ def without(topic: str) -> Recording:
         (lambda: pair(model="", d=D), "distortion model '' is not supported"),
         (lambda: pair(focal=float("nan")), r"\(k\): it has values that are not finite"),
         (lambda: pair(focal=1.0), "left"),
-        (lambda: pair(binning=2), "binned or cut out"),
+        (lambda: pair(binning=(2, 1)), "binned or cut out"),
+        (lambda: pair(binning=(1, 2)), "binned or cut out"),
         (lambda: pair(roi=(0, 0, 32, 48)), "binned or cut out"),
     ],
 )
@@ -179,4 +184,4 @@ def test_an_uncalibrated_camera_is_distinguished_from_a_broken_one() -> None:
 
 
 def test_the_whole_image_may_be_said_as_a_region() -> None:
-    assert read(pair(roi=(0, 0, 64, 48), binning=1))[0].cameras[0].resolution == (64, 48)
+    assert read(pair(roi=(0, 0, 64, 48), binning=(1, 1)))[0].cameras[0].resolution == (64, 48)

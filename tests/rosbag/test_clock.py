@@ -50,6 +50,7 @@ def test_a_clock_that_was_set_back_is_refused() -> None:
     stamps = [DAY, DAY + S, DAY + 2 * S, DAY + S - 1, DAY + S]
     with pytest.raises(SessionError, match=r"/t: the stamp of message 4 is 1\.000 s before an earlier one's"):
         timeline("/t", stamps, stamps)
+    assert len(timeline("/t", [*stamps[:3], DAY + S], stamps[:4]).time) == 3  # 1 s late is late and no more
     with pytest.raises(SessionError, match="there are no messages"):
         timeline("/t", [], [])
 
@@ -57,6 +58,13 @@ def test_a_clock_that_was_set_back_is_refused() -> None:
 def test_clocks_that_agree_are_left_alone() -> None:
     robot, camera = made(DAY, DAY + 10 * S), made(DAY + 9 * S, DAY + 30 * S, delay=50 * MS)
     assert align_clock(robot, camera) is camera
+
+
+def test_clocks_agree_if_their_times_touch() -> None:
+    robot = made(DAY, DAY + 10 * S)
+    for first, last in ((DAY + 10 * S, DAY + 20 * S), (DAY - 10 * S, DAY)):
+        camera = made(first, last, delay=50 * MS)
+        assert align_clock(robot, camera) is camera
 
 
 def test_a_camera_that_counts_from_when_it_was_switched_on_gets_the_robots_clock() -> None:

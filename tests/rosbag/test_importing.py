@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import shutil
 import threading
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -269,7 +270,11 @@ def test_a_folder_with_anything_in_it_is_left_alone(tmp_path: Path, known: Impor
     with pytest.raises(OutputError, match="there is something already"):
         bring(recording("mcap", 0.2), tmp_path / "s", known)
     assert [path.name for path in (tmp_path / "s").iterdir()] == ["notes.txt"]
-    (tmp_path / "s" / "notes.txt").unlink()
+    with pytest.raises(OutputError, match="there is something already"):
+        bring(recording("ros1", 0.2), tmp_path / "s" / "notes.txt", known)
+    assert (tmp_path / "s" / "notes.txt").read_text() == "mine"
+    shutil.rmtree(tmp_path / "s")
+    (tmp_path / "s").mkdir()
     bring(recording("sqlite3", 0.2), tmp_path / "s", known)
     assert {path.name for path in (tmp_path / "s").iterdir()} == {
         "session.yaml", "cameras.yaml", "joints.csv", "frames.csv", "images", "arm.urdf",

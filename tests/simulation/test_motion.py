@@ -9,8 +9,9 @@ import pytest
 
 from urdfcal.errors import SessionError
 from urdfcal.estimation.measurements import Detections
+from urdfcal.simulation import motion as simulated_motion
 from urdfcal.simulation.collision import load_collision_checker
-from urdfcal.simulation.motion import MotionSettings, _Path, set_in_motion
+from urdfcal.simulation.motion import MotionSettings, _is_free, _Path, _tour, set_in_motion
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -66,8 +67,61 @@ def test_the_same_seed_moves_the_same_way(simulated: Callable) -> None:
 
 
 def test_motions_that_are_none_are_refused(simulated: Callable) -> None:
-    for arguments in ({"speed": 0.0}, {"frame_rate": -1.0}, {"joint_rate": np.nan}, {"time_offsets": (np.inf,)}):
-        with pytest.raises(SessionError):
-            MotionSettings(**arguments)
+    for name in ("speed", "frame_rate", "joint_rate"):
+        for value in (0.0, -1.0, np.nan, np.inf):
+            with pytest.raises(SessionError, match=f"{name} is {value}, not a positive number"):
+                MotionSettings(**{name: value})
+    with pytest.raises(SessionError, match=r"time offsets .* are not all numbers"):
+        MotionSettings(time_offsets=(0.1, np.inf))
     with pytest.raises(SessionError, match="1 time offsets for 2 cameras"):
         set_in_motion(simulated("elbow3r", poses=5), MotionSettings(time_offsets=(0.1,)))
+
+
+class Walls:
+    """A checker of one joint that cannot be within 0.1 of some values."""
+
+    def __init__(self, *values: float) -> None:
+        self.values = np.array(values)
+
+    def is_free(self, q: np.ndarray) -> bool:
+        return bool((np.abs(self.values - q[0]) > 0.1).all())
+
+
+def test_a_path_is_free_if_all_of_it_is() -> None:
+    a, b = np.array([0.0]), np.array([1.0])
+    assert _is_free(a, b, Walls())
+    assert not _is_free(a, b, Walls(0.5))
+    assert not _is_free(a, b, Walls(1.0))
+    assert _is_free(a, b, None)
+
+
+def test_a_tour_visits_what_it_can_reach_by_the_shortest_way() -> None:
+    q = np.array([[0.0], [3.0], [1.0], [2.0], [9.0]])
+    assert _tour(q, Walls(5.0)).ravel().tolist() in ([0.0, 1.0, 2.0, 3.0], [3.0, 2.0, 1.0, 0.0])
+    assert len(_tour(q, None)) == 5
+
+
+def test_a_tour_goes_back_the_way_it_came_where_there_is_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Three poses that have a free path to the middle one only.
+    q = np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 2.0], [-2.0, 0.0]])
+    monkeypatch.setattr(simulated_motion, "_is_free", lambda a, b, _: not (a.any() and b.any()))
+    tour = _tour(q, None)
+    assert {tuple(one) for one in tour} == {tuple(one) for one in q}
+    assert not (tour[:-1].any(axis=1) & tour[1:].any(axis=1)).any()
+    assert len(tour) == 5  # a leaf, the middle, a leaf, the middle, a leaf
+
+
+def test_poses_without_a_path_are_refused(simulated: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(simulated_motion, "_is_free", lambda *_: False)
+    with pytest.raises(SessionError, match=r"between no two poses there is a straight path.*another seed"):
+        set_in_motion(simulated("elbow3r", poses=5), MotionSettings())
+
+
+def test_a_part_of_the_detections_of_a_moving_arm_are_outliers(simulated: Callable) -> None:
+    still = simulated("elbow3r", poses=4, outliers=0.1)
+    moving = set_in_motion(still, MotionSettings(frame_rate=3.0))
+    d, rows = moving.session.find(Detections), moving.truth.outliers
+    assert len(rows) == round(0.1 * len(d))
+    error = np.linalg.norm(d.uv - moving.scene.pixels(moving.truth.q)[d.pose, d.camera, d.led], axis=1)
+    assert error[rows].min() > 4.0
+    assert np.delete(error, rows).max() < 1.0

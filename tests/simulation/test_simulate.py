@@ -9,10 +9,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import yaml
+from pinocchio import coal
 
 from urdfcal.arrays import inverse
 from urdfcal.cameras.rig import Rig
-from urdfcal.errors import OutputError, SessionError
+from urdfcal.errors import OutputError, RobotError, SessionError
 from urdfcal.estimation.measurements import Detections
 from urdfcal.io.folder import read_rig, read_session
 from urdfcal.io.shipped_rigs import find_rig, shipped_rigs
@@ -20,6 +21,7 @@ from urdfcal.robot.chain import Chain
 from urdfcal.robot.dh import PARAMETERS, DHTable
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.robot.mechanism import BASE
+from urdfcal.robot.tree_dh import rows_of
 from urdfcal.robot.urdf.urdf import Urdf, find_urdf, package_roots
 from urdfcal.session.knowledge import Led
 from urdfcal.session.model import Stand
@@ -218,6 +220,35 @@ def test_only_what_an_led_can_tell_is_disturbed(rigs, name):
         assert 0.2e-3 <= zero <= 0.8e-3 if row.type == "prismatic" else 1e-3 <= zero <= 5e-3
 
 
+def test_errors_spread_as_documented(rigs):
+    """Root mean squares over five Universal Robots, in m and rad, of rows that are parallel and of others."""
+    table = DHTable.from_chain(rigs["ur5"].chain)
+    rng = np.random.default_rng(2)
+    rms = np.sqrt(np.mean(np.square([draw_offsets(table, rng) for _ in range(4000)]), axis=0))
+    expected = {("d", 3): 0.76e-3, ("a", 1): 0.17e-3, ("a", 3): 0.17e-3, ("alpha", 3): 0.74e-3, ("alpha", 1): 4.5e-3,
+                ("beta", 1): 1.5e-3, ("theta", 2): np.sqrt((5**3 - 1) / 12) * 1e-3}  # fmt: skip
+    for (name, row), value in expected.items():
+        assert rms[row, PARAMETERS.index(name)] == pytest.approx(value, rel=0.05), (name, row)
+
+
+@pytest.mark.parametrize("name", ["tiago", "tiago_dual"])
+def test_the_rows_of_a_tree_are_drawn_branch_by_branch(name):
+    table = rows_of(read_rig(find_rig(name)).chain)
+    offsets = draw_offsets(table, np.random.default_rng(0))
+    assert offsets.shape == (len(table.labels), len(PARAMETERS))
+    rows = iter(offsets)
+    for branch in table.branches:
+        if branch.mount is not None:
+            free = [parameter in branch.mount.free and parameter != "beta" for parameter in PARAMETERS]
+            assert ((next(rows) != 0.0) == free).all()
+        of_branch = np.array([next(rows) for _ in branch.table.rows])
+        free = [
+            p in branch.table.rows[0].free and (branch.mount is not None or p not in ("theta", "d")) for p in PARAMETERS
+        ]
+        assert ((of_branch[0] != 0.0) == free).all()
+        assert not of_branch[-1].any()
+
+
 @pytest.mark.skipif(not FACTORY.exists(), reason="needs ../shared/data/ur_factory_deltas.json")
 def test_errors_spread_as_those_of_real_robots(rigs):
     table = DHTable.from_chain(rigs["ur5"].chain)
@@ -280,8 +311,14 @@ def test_a_missing_mesh_is_a_warning_and_not_the_end(rig):
     data = rig.urdf.data.replace(b'<cylinder radius="0.04" length="0.02"/>', b'<mesh filename="gone.stl"/>')
     simulated = simulate(replace(rig, urdf=Urdf.parse(data)), seed=12, poses=5)
     (warning,) = simulated.session.warnings
-    assert "not checked for collisions" in warning
+    assert warning.startswith("the poses were not checked for collisions: URDF: its collision geometry cannot")
     assert "gone.stl" in warning
+
+
+def test_without_a_urdf_poses_are_not_checked(rig):
+    simulated = simulate(replace(rig, urdf=None), seed=12, poses=3)
+    assert simulated.session.warnings == ("no URDF: the poses were not checked for collisions",)
+    assert simulated.truth.urdf == b""
 
 
 def test_several_leds_are_all_in_view(rig):
@@ -313,10 +350,47 @@ WALL = """<?xml version="1.0"?>
 """
 
 
-def checker_of(text, cameras=1):
+PALM = '<link name="palm"><collision><geometry><box size="0.05 0.05 0.2"/></geometry></collision></link>'
+
+
+def checker_of(text, cameras=1, led=(0.0, 0.06, 0.1)):
     urdf = Urdf.parse(text.encode())
     chain = Chain.from_urdf(urdf, "hand", "base")
-    return CollisionChecker(chain, urdf, [(1, np.array([0.0, 0.06, 0.1]))], [(BASE, np.full(3, 9.0))] * cameras)
+    return CollisionChecker(chain, urdf, [(1, np.array(led))], [(BASE, np.full(3, 9.0))] * cameras)
+
+
+def test_the_first_link_is_checked_against_the_table_too():
+    without_palm = checker_of(WALL.replace(PALM, '<link name="palm"/>'))
+    assert without_palm.is_free(np.array([-2.2, 2.2]))
+    assert not without_palm.is_free(np.array([-3.0, 3.0]))  # the LED is above the table, the arm reaches into it
+
+
+def test_an_led_is_carried_by_solids_of_its_own_joint_only():
+    # In the hand's frame the LED is where the arm has its solid in its own frame.
+    folded = checker_of(WALL.replace(PALM, '<link name="palm"/>'), led=(0.0, 0.0, 0.25))
+    assert folded.is_seen(np.array([0.0, 2.9]), np.array([[0.3, 1.0, 0.5]]))
+    assert not folded.is_seen(np.array([0.0, 2.9]), np.array([[-1.0, 0.0, 0.5]]))
+
+
+STL = """solid box
+facet normal 0 0 1 outer loop vertex 0 0 0 vertex 0.1 0 0 vertex 0 0.1 0 endloop endfacet
+facet normal 0 0 1 outer loop vertex 0 0 0 vertex 0.1 0 0 vertex 0 0 0.1 endloop endfacet
+facet normal 0 0 1 outer loop vertex 0 0 0 vertex 0 0.1 0 vertex 0 0 0.1 endloop endfacet
+facet normal 0 0 1 outer loop vertex 0.1 0 0 vertex 0 0.1 0 vertex 0 0 0.1 endloop endfacet
+endsolid box
+"""
+
+
+def test_meshes_beside_the_urdf_are_found_and_replaced_by_their_hulls(tmp_path):
+    (tmp_path / "box.stl").write_text(STL)
+    mesh = '<mesh filename="package://box.stl"/>'
+    (tmp_path / "arm.urdf").write_text(WALL.replace('<box size="0.05 0.05 0.2"/>', mesh))
+    urdf = Urdf.read(tmp_path / "arm.urdf")
+    checker = CollisionChecker(Chain.from_urdf(urdf, "hand", "base"), urdf, [(1, np.zeros(3))], [])
+    assert not any(isinstance(one.geometry, coal.BVHModelBase) for one in checker._geometry.geometryObjects)
+    (tmp_path / "box.stl").unlink()
+    with pytest.raises(RobotError, match=r"arm\.urdf: its collision geometry cannot be loaded: .*box\.stl"):
+        CollisionChecker(Chain.from_urdf(urdf, "hand", "base"), urdf, [], [])
 
 
 def test_an_arm_keeps_clear_of_what_stands_beside_it_and_of_the_table():
@@ -431,6 +505,7 @@ def test_a_stand_that_looks_away_says_how_far_it_got(rig):
         {"poses": 2},
         {"pixel": -0.1},
         {"pixel": np.nan},
+        {"pixel": np.inf},
         {"error_scale": -1.0},
         {"error_scale": np.inf},
         {"outliers": 1.5},
@@ -442,6 +517,11 @@ def test_arguments_that_make_no_sense_are_named(rig, wrong):
     (name,) = wrong
     with pytest.raises(SessionError, match=f"^simulate: {name} is"):
         simulate(rig, **{"seed": 1, **wrong})
+
+
+def test_arguments_at_the_ends_of_their_ranges_are_allowed(rig):
+    simulated = simulate(rig, seed=0, poses=3, pixel=0.0, error_scale=0.0, outliers=1.0)
+    assert len(simulated.truth.outliers) == len(simulated.session.find(Detections))
 
 
 def test_a_rig_that_leaves_open_what_must_be_simulated_is_refused(rig):

@@ -151,10 +151,10 @@ def open_bag(path: Path) -> Iterator[Bag]:
     try:
         with _errors_explained(path):
             topics = tuple(
-                Topic(name, of.msgtype or " or ".join(sorted({one.msgtype for one in of.connections})), of.msgcount)
+                Topic(name, " or ".join(sorted({one.msgtype for one in of.connections})), of.msgcount)
                 for name, of in sorted(reader.topics.items())
             )
-            duration = reader.duration / _NANO if reader.message_count else 0.0
+            duration = reader.duration / _NANO
         yield Bag(path, topics, duration, reader, types)
     finally:
         reader.close()

@@ -66,13 +66,10 @@ def read_joint_states(topic: str, messages: Iterable[Message], joints: Sequence[
         if not len(positions):
             empty += 1
             continue
-        if len(positions) != len(names) or len(set(names)) < len(names):
-            what = (
-                f"message {number} has {len(names)} names and {len(positions)} positions"
-                if len(positions) != len(names)
-                else f"message {number} names a joint twice: {listed(names)}"
-            )
-            raise SessionError(what, where=topic)
+        if len(positions) != len(names):
+            raise SessionError(f"message {number} has {len(names)} names and {len(positions)} positions", where=topic)
+        if len(set(names)) < len(names):
+            raise SessionError(f"message {number} names a joint twice: {listed(names)}", where=topic)
         value = dict(zip(names, positions.tolist(), strict=True))
         if not needed <= value.keys():
             parts[frozenset(needed & value.keys())] += 1

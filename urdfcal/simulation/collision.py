@@ -175,7 +175,7 @@ def _solids(chain: Mechanism, urdf: Urdf) -> list[pin.GeometryObject]:
     solids = []
     for solid in loaded.geometryObjects:
         carrier = joint = solid.parentJoint
-        while carrier and carrier not in numbers:
+        while carrier not in numbers:
             carrier = whole.parents[carrier]
         placement = frames[carrier].actInv(data.oMi[joint] * solid.placement)
         solids.append(pin.GeometryObject(solid.name, numbers[carrier], placement, _hull(solid.geometry)))
