@@ -31,8 +31,7 @@ if TYPE_CHECKING:
     from urdfcal.cameras.rig import Rig
     from urdfcal.detection.image_index import Shot
     from urdfcal.detection.spots.detector import Spots
-    from urdfcal.images.files import Colour
-    from urdfcal.images.sequence import Pictures, Shown
+    from urdfcal.images.files import Colour, Pictures, Shown
     from urdfcal.session.model import Positions
 
 REJECTED = "detections_rejected.csv"

@@ -10,7 +10,7 @@ import numpy as np
 
 from urdfcal.errors import CameraError
 from urdfcal.files import replacing
-from urdfcal.images.sequence import sized
+from urdfcal.images.files import sized
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

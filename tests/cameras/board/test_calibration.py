@@ -22,7 +22,7 @@ from tests.cameras.board.boards import (
 from urdfcal.cameras.board.board import Board
 from urdfcal.cameras.board.bundle import Bundle, adjust
 from urdfcal.cameras.board.calibration import calibrate_cameras
-from urdfcal.cameras.board.detection import detect_board
+from urdfcal.cameras.board.corners import detect_board
 from urdfcal.cameras.board.start import board_poses
 from urdfcal.cameras.board.views import BoardViews, find_pictures, read_views
 from urdfcal.cameras.camera import Camera

@@ -5,8 +5,7 @@ import pytest
 
 from tests.cameras.board.boards import CHARUCO, CHESSBOARD, PAIR, SIZE, held, placed, true_corners
 from urdfcal.cameras.board.board import Board
-from urdfcal.cameras.board.corners import refine
-from urdfcal.cameras.board.detection import detect_board
+from urdfcal.cameras.board.corners import detect_board, refine
 from urdfcal.cameras.camera import Camera
 from urdfcal.cameras.rig import Rig
 from urdfcal.simulation.board_images import BoardRenderer

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.arrays import Floats, frozen
-from urdfcal.cameras.board.detection import detect_board
+from urdfcal.cameras.board.corners import detect_board
 from urdfcal.errors import CameraError
 from urdfcal.images.files import SUFFIXES, in_parallel, read_image
 

@@ -15,8 +15,7 @@ import numpy as np
 from urdfcal.detection.spots.candidates import HOT, LARGE
 from urdfcal.detection.spots.centroid import Crops, Fits, fit_spots
 from urdfcal.detection.spots.preprocessing import Look, look, read_backdrop
-from urdfcal.images.files import in_parallel
-from urdfcal.images.sequence import Picture
+from urdfcal.images.files import Picture, in_parallel
 
 __all__ = ["Picture", "Spots", "find_spots"]
 
@@ -24,8 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from urdfcal.arrays import Bools, Ints
-    from urdfcal.images.files import Colour
-    from urdfcal.images.sequence import Pictures
+    from urdfcal.images.files import Colour, Pictures
 
 # Pictures whose crops are fitted together: with a dozen lights each, their crops take as much as six pictures.
 _TOGETHER = 64
