@@ -1,4 +1,4 @@
-"""Cameras calibrated from rendered board pictures, against the truth.
+"""Cameras calibrated from rendered board images, against the truth.
 
 python -m tests.benchmarks.boards [SEEDS] [chessboard|charuco]
 """

@@ -98,31 +98,31 @@ def saturation(image: Image) -> float:
     return float(_CLIPPED * full)
 
 
-class Shown(Protocol):
-    """One picture; reading it may take time, and is done where it is needed."""
+class SequenceImage(Protocol):
+    """One image; reading it may take time, and is done where it is needed."""
 
     def lit(self, resolution: tuple[int, int]) -> Image:
-        """The picture, which must be of the size ``resolution`` (width, height) in px."""
+        """The image, which must be of the size ``resolution`` (width, height) in px."""
 
     def unlit(self, resolution: tuple[int, int]) -> Image | None:
         """One from the same place with the LED off, to be subtracted, if there is one."""
 
 
-class Pictures(Protocol):
+class ImageSequence(Protocol):
     """Many of them, in order: a list of files, or a video, of which only a few are in memory at a time."""
 
     def __len__(self) -> int:
         """How many."""
 
-    def __iter__(self) -> Iterator[Shown]:
+    def __iter__(self) -> Iterator[SequenceImage]:
         """From the first to the last."""
 
-    def __getitem__(self, index: int, /) -> Shown:
+    def __getitem__(self, index: int, /) -> SequenceImage:
         """One of them."""
 
 
 @dataclass(frozen=True)
-class Picture:
+class ImageFile:
     """An image file with the LED on.
 
     Attributes:

@@ -31,7 +31,7 @@ _BLUR, _SHARPEST, _SOFTEST = 0.9, 0.25, 6.0
 
 @dataclass(frozen=True, eq=False)
 class Corners:
-    """What one picture shows of a board.
+    """What one image shows of a board.
 
     Attributes:
         uv: (N, 2) px, all inner corners in the board's order; NaN where one was not found.
@@ -69,8 +69,8 @@ def detect_board(image: NDArray[Any], board: Board) -> Corners | None:
 def refine(image: NDArray[Any], board: Board, uv: Floats) -> Corners:
     """Find the corners near ``uv``.
 
-    Around a corner at c the picture is ``m + h erf(n1·(x - c) / (√2 s1)) erf(n2·(x - c) / (√2 s2))``, with an
-    angle and a blur for either edge. True picture and model look the same turned by half around c, whatever the
+    Around a corner at c the image is ``m + h erf(n1·(x - c) / (√2 s1)) erf(n2·(x - c) / (√2 s2))``, with an
+    angle and a blur for either edge. True image and model look the same turned by half around c, whatever the
     blur, the camera's tone curve and the light's level, which leaves no bias to first order.
 
     Args:
@@ -102,7 +102,7 @@ def refine(image: NDArray[Any], board: Board, uv: Floats) -> Corners:
 
 
 def _squares(board: Board, uv: Floats) -> Floats:
-    """(N, 2, 2) how far one square to the right and one down reach in the picture, px; NaN if too little is seen.
+    """(N, 2, 2) how far one square to the right and one down reach in the image, px; NaN if too little is seen.
 
     From the corner's neighbours rather than a homography, which a fisheye does not obey.
     """
@@ -177,7 +177,7 @@ def _fit(windows: Floats, weights: Floats, offsets: Floats, start: Floats, direc
 
 
 def _model(p: Floats, offsets: Floats, *, only_shape: bool = False) -> tuple[Floats, Floats]:
-    """The picture (n, K) of corners ``p`` (n, 8) and its derivative (n, K, 8)."""
+    """The image (n, K) of corners ``p`` (n, 8) and its derivative (n, K, 8)."""
     from scipy.special import erf
 
     d = offsets - p[:, None, :2]
