@@ -1,4 +1,4 @@
-"""How fast a large session is read: 100,000 sightings, against the raw bytes and numpy.loadtxt.
+"""How fast a large session is read: 100,000 detections, against the raw bytes and numpy.loadtxt.
 
 Run by hand, from the project's folder: ``python -m tests.benchmarks.reading``. The table says how long each
 step takes, the best of several runs; reading and checking the session should stay well under a second.
@@ -15,14 +15,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tests.io.making import write_valid
+from urdfcal.estimation.measurements import Detections
 from urdfcal.io.folder import read_session
-from urdfcal.io.tables import read_detections
+from urdfcal.io.tables import read_measurements
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 POSES = 25_000
-"""Two cameras see two LEDs in each: 100,000 sightings."""
+"""Two cameras see two LEDs in each: 100,000 detections."""
 REPEATS = 5
 
 
@@ -41,11 +42,11 @@ def main() -> None:
         session = write_valid(Path(folder), POSES)
         path = session / "detections.csv"
         poses = [str(i) for i in range(POSES)]
-        table = ("left", "right"), ("red", "blue"), 0.1
+        known = {"pose": poses, "camera": ("left", "right"), "led": ("red", "blue")}
         steps: dict[str, Callable[[], Any]] = {
             "raw bytes": path.read_bytes,
             "numpy.loadtxt, u and v only": lambda: np.loadtxt(path, delimiter=",", skiprows=1, usecols=(3, 4)),
-            "read_detections": lambda: read_detections(path, poses, *table),
+            "read_measurements": lambda: read_measurements(path, Detections, known, 0.1),
             "read_session": lambda: read_session(session),
         }
         seconds = {name: best(run) for name, run in steps.items()}

@@ -101,7 +101,7 @@ def test_a_video_that_lost_pictures_is_refused_and_nothing_is_written(
     (session / "frames.csv").write_text("\n".join(rows) + "\n")
     before = sorted(path.name for path in session.iterdir())
     assert run(["detect", str(session)]) == 2
-    assert f"has {count} pictures, and the table of frames {count - 1}" in capsys.readouterr().err
+    assert f"has {count} images, and the table of frames {count - 1}" in capsys.readouterr().err
     assert sorted(path.name for path in session.iterdir()) == before
     (session / "images" / "cam0").mkdir()
     assert run(["detect", str(session)]) == 2

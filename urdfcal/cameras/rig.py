@@ -9,15 +9,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import Floats, Ints, frozen
+from urdfcal.arrays import Bools, Floats, Ints, frozen
 from urdfcal.errors import CameraError
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
     from urdfcal.cameras.camera import Camera
-
-    Bools = NDArray[np.bool_]
 
 # Rays must cross at an angle of this many of its own standard deviations; its inverse is the relative error
 # of the distance. Of 20,000 draws each, the covariance's 95 % ellipsoid holds 94.2 % at 10 (distance biased
@@ -124,7 +122,7 @@ class CameraSigma:
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """Cameras and where they stand. The world frame is the first camera's.
+    """Cameras and where they stand; the world frame is the first camera's.
 
     Attributes:
         cameras: with different names; none where something else measures.

@@ -36,7 +36,7 @@ _R = TypeVar("_R")
 
 
 def read_image(path: Path) -> Image:
-    """Read an image file as it is: (h, w) or, red first, (h, w, 3); 8 or 16 bit. No rotation by EXIF.
+    """Read an image file as it is, without rotation by EXIF: (h, w) or, red first, (h, w, 3); 8 or 16 bit.
 
     Raises:
         CameraError: it cannot be read, or its pixels are of another kind.

@@ -9,8 +9,7 @@ import pytest
 
 from tests.io import making
 from tests.io.broken import cells, put, renamed_cameras, swap
-from tests.io.making import write_cameras, write_points, write_valid
-from tests.io.test_frame_tables import FRAMES, write_moving
+from tests.io.making import write_cameras, write_valid
 from urdfcal.errors import SessionError
 from urdfcal.estimation.measurements import Detections, Points
 from urdfcal.io.folder import read_positions, read_session
@@ -19,21 +18,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 YAML, JOINTS, PIXELS, POINTS = "session.yaml", "joints.csv", "detections.csv", "points.csv"
-
-
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    return write_valid(tmp_path / "session")
-
-
-@pytest.fixture
-def tracked(tmp_path: Path) -> Path:
-    return write_points(tmp_path / "tracked")
-
-
-@pytest.fixture
-def moving(tmp_path: Path) -> Path:
-    return write_moving(tmp_path / "moving")
 
 
 class TestCamerasOnLinks:
@@ -165,121 +149,6 @@ class TestPoints:
             read_session(tracked)
 
 
-class TestFrozenRecordings:
-    @staticmethod
-    def repeat(moving: Path, frames: int) -> None:
-        """Let so many frames of the left camera show what the one before shows."""
-        lines = (moving / PIXELS).read_text().split()
-        for k in range(1, 1 + 2 * frames, 2):
-            for led in (0, 1):
-                seen = lines[1 + 2 * (k - 1) + led].split(",")[-2:]
-                lines[1 + 2 * k + led] = ",".join([*lines[1 + 2 * k + led].split(",")[:-2], *seen])
-        (moving / PIXELS).write_text("\n".join(lines) + "\n")
-
-    def test_videos_repeat_a_picture_now_and_then(self, moving: Path) -> None:
-        self.repeat(moving, 1)  # of 40: 2.5 %
-        assert not [text for text in read_session(moving).warnings if "joints have moved" in text]
-
-    def test_many_are_named(self, moving: Path) -> None:
-        self.repeat(moving, 4)
-        (warning,) = [text for text in read_session(moving).warnings if "joints have moved" in text]
-        assert f"4 of {2 * FRAMES} frames" in warning
-
-    def test_in_a_session_of_poses_one_is_enough(self, folder: Path) -> None:
-        lines = (folder / PIXELS).read_text().split()
-        lines[13:17] = [line.replace("2,", "3,", 1) for line in lines[9:13]]
-        (folder / PIXELS).write_text("\n".join(lines) + "\n")
-        with pytest.raises(SessionError, match="pose '3' shows exactly what pose '2' shows"):
-            read_session(folder)
-
-    def test_the_same_pixel_may_be_another_led(self, folder: Path) -> None:
-        cells(PIXELS, lambda i, row: row if i % 4 == int(row["pose"]) % 2 else None)(folder)
-        for row in (4, 5):
-            put(PIXELS, row, u="700.25", v="600.125")(folder)
-        assert not [text for text in read_session(folder).warnings if "shows" in text]
-        put(PIXELS, 6, u="700.25", v="600.125")(folder)  # by the LED of row 4
-        with pytest.raises(SessionError, match="pose '6' shows exactly what pose '4' shows"):
-            read_session(folder)
-
-    def test_a_single_measured_point_does_not_repeat_by_chance(self, tracked: Path) -> None:
-        """Not even where its coordinates are round; two whole pixels may."""
-        cells(POINTS, lambda _, row: row if row["led"] == "red" else None)(tracked)
-        for row in (4, 5):
-            put(POINTS, row, x="0.5", y="0.0", z="0.5")(tracked)
-        with pytest.raises(SessionError, match="pose '5' shows exactly what pose '4' shows"):
-            read_session(tracked)
-
-    def test_an_arm_that_moves_may_wait(self, moving: Path) -> None:
-        rows = (moving / JOINTS).read_text().split()
-        for k in range(101, 120):
-            rows[k] = ",".join([rows[k].split(",")[0], *rows[100].split(",")[1:]])
-        (moving / JOINTS).write_text("\n".join(rows) + "\n")
-        assert not [text for text in read_session(moving).warnings if "exactly" in text]
-
-
-class TestPixelsOutsideTheirImage:
-    def test_one_is_an_error_of_typing_whatever_the_rays_do(self, folder: Path) -> None:
-        put(PIXELS, 6, u="1290")(folder)
-        with pytest.raises(
-            SessionError, match=r"outside the 1280 x 1024 image of camera 'right'(?!, as do).*eave it out"
-        ):
-            read_session(folder)
-        write_cameras(folder / "cameras.yaml", placed=False)
-        with pytest.raises(
-            SessionError, match=r"outside the 1280 x 1024 image of camera 'right'(?!, as do).*eave it out"
-        ):
-            read_session(folder)
-
-    def test_more_are_counted(self, folder: Path) -> None:
-        write_cameras(folder / "cameras.yaml", placed=False)
-        put(PIXELS, 6, u="1290")(folder)
-        put(PIXELS, 10, u="1290")(folder)
-        with pytest.raises(SessionError, match=r"as do 1 more of 32"):
-            read_session(folder)
-
-    def test_many_are_of_another_resolution(self, folder: Path) -> None:
-        write_cameras(folder / "cameras.yaml", placed=False)
-        cells(PIXELS, lambda _, row: {**row, "u": str(2.0 * float(row["u"])), "v": str(1.9 * float(row["v"]))})(folder)
-        seen = np.array([row.split(",")[1:] for row in (folder / PIXELS).read_text().split()[1:]])
-        own = seen[seen[:, 0] == "left"][:, 2:].astype(float).max(axis=0)
-        with pytest.raises(SessionError, match=rf"camera 'left'.*resolution.*reach to \({own[0]:g}, {own[1]:g}\)"):
-            read_session(folder)
-
-    def test_exactly_five_percent_are_of_another_resolution(self, folder: Path) -> None:
-        write_cameras(folder / "cameras.yaml", placed=False)
-        cells(PIXELS, lambda i, row: row if i < 20 else None)(folder)
-        put(PIXELS, 6, u="1290")(folder)
-        with pytest.raises(SessionError, match="resolution"):
-            read_session(folder)
-
-    def test_on_its_side_and_the_rays_miss(self, folder: Path) -> None:
-        """The image's shape says that u and v are exchanged; the cameras' poses are wrong besides."""
-        T = making.T_RIGHT_LEFT.copy()
-        T[1, 3] += 0.01
-        swap("cameras.yaml", str(making.T_RIGHT_LEFT.tolist()), str(T.tolist()))(folder)
-        for _ in range(2):
-            swap("cameras.yaml", "[1280, 1024]", "[700, 1100]")(folder)
-        cells(PIXELS, lambda _, row: row if float(row["v"]) < 690 else None)(folder)
-        with pytest.raises(SessionError, match=r"All would fit with u and v exchanged: are they\?"):
-            read_session(folder)
-
-    def test_the_camera_file_is_named_where_cameras_have_more_keys(self, folder: Path) -> None:
-        write_cameras(folder / "cameras.yaml", placed=False)
-        swap(YAML, "cameras: cameras.yaml", "cameras: {file: cameras.yaml, right: {link: tip}}")(folder)
-        cells(PIXELS, lambda _, row: {**row, "u": str(2.0 * float(row["u"])), "v": str(1.9 * float(row["v"]))})(folder)
-        with pytest.raises(SessionError, match=r"at the resolution of cameras\.yaml\?"):
-            read_session(folder)
-
-    def test_each_camera_has_its_own_image(self, folder: Path) -> None:
-        text = (folder / "cameras.yaml").read_text()
-        (folder / "cameras.yaml").write_text(text.replace("[1280, 1024]", "[1400, 1100]", 1))
-        put(PIXELS, 4, u="1300.5")(folder)  # the left camera's
-        read_session(folder)
-        put(PIXELS, 6, u="1300.5")(folder)
-        with pytest.raises(SessionError, match="1280 x 1024 image of camera 'right'"):
-            read_session(folder)
-
-
 class TestRays:
     def test_how_few_of_them_meet_is_said(self, folder: Path) -> None:
         """Cameras that look away from each other: their rays meet behind them."""
@@ -359,13 +228,3 @@ class TestRaysOfParallelCameras:
         cells(PIXELS, mixed)(parallel)
         (warning,) = read_session(parallel).warnings
         assert "38% of the rays meet: are the cameras where the camera file says?" in warning
-
-
-def test_an_arm_on_its_way_may_be_out_of_view_half_of_the_time(moving: Path) -> None:
-    def unseen(kept: int) -> list[str]:
-        write_moving(moving)
-        cells(PIXELS, lambda i, row: row if i < 2 * kept else None)(moving)
-        return [text for text in read_session(moving).warnings if "do not count" in text]
-
-    assert unseen(FRAMES) == []
-    assert "21 of 40" in unseen(FRAMES - 1)[0]

@@ -17,16 +17,6 @@ if TYPE_CHECKING:
 YAML, JOINTS, PIXELS, POINTS = "session.yaml", "joints.csv", "detections.csv", "points.csv"
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    return write_valid(tmp_path / "session")
-
-
-@pytest.fixture
-def tracked(tmp_path: Path) -> Path:
-    return write_points(tmp_path / "tracked")
-
-
 @pytest.mark.parametrize("seed", range(10))
 @pytest.mark.parametrize("poses", [3, 40])
 def test_honest_sessions_raise_no_alarm(tmp_path: Path, seed: int, poses: int) -> None:
@@ -91,82 +81,11 @@ def test_the_same_readings_under_two_labels_are_named(folder: Path) -> None:
     assert warning.endswith("joints.csv:8:1: pose '6' has exactly the joint readings of pose '3'")
 
 
-def test_the_same_pose_may_show_the_same_twice(folder: Path) -> None:
-    rows = (folder / JOINTS).read_text().split()
-    rows[4] = rows[3].replace("2,", "3,", 1)
-    (folder / JOINTS).write_text("\n".join(rows))
-    rows = (folder / PIXELS).read_text().split()
-    rows[13:17] = [row.replace("2,", "3,", 1) for row in rows[9:13]]
-    (folder / PIXELS).write_text("\n".join(rows))
-    assert len(read_session(folder).warnings) == 1
-
-
-def test_whole_pixels_may_repeat_by_chance_and_fractions_may_not(folder: Path) -> None:
-    def one_sighting(pixel: str) -> None:
-        write_valid(folder)
-        cells(PIXELS, lambda i, row: row if int(row["pose"]) > 1 or i % 4 == 0 else None)(folder)
-        put(PIXELS, 0, u=pixel, v="600")(folder)
-        put(PIXELS, 1, u=pixel, v="600")(folder)
-
-    one_sighting("700.5")
-    assert read_session(folder).warnings == ()
-    one_sighting("700.25")
-    with pytest.raises(SessionError, match="pose '1' shows exactly what pose '0' shows"):
-        read_session(folder)
-
-
-def test_a_frozen_tracker_is_found(tracked: Path) -> None:
-    rows = (tracked / POINTS).read_text().split()
-    rows[11:13] = [row.replace("4,", "5,", 1) for row in rows[9:11]]
-    (tracked / POINTS).write_text("\n".join(rows))
-    with pytest.raises(SessionError, match=r"points.csv:12:1: pose '5' shows exactly what pose '4' shows \(line 10\)"):
-        read_session(tracked)
-
-
-def test_poses_leds_and_cameras_never_seen_are_named(folder: Path) -> None:
-    cells(PIXELS, lambda _, row: row if row["led"] == "red" and row["camera"] == "left" else None)(folder)
-    cells(PIXELS, lambda _, row: row if row["pose"] not in "36" else None)(folder)
-    poses, leds, cameras = read_session(folder).warnings
-    assert poses.endswith("joints.csv: 2 of 8 poses have no measurement and do not count: 3, 6")
-    assert leds.endswith("session.yaml:5:1, key 'leds': never seen: blue")
-    assert cameras.endswith("session.yaml:8:1, key 'cameras': these cameras see nothing: right")
-
-
 def test_cameras_beside_points_are_not_used(tracked: Path) -> None:
     write_cameras(tracked / "cameras.yaml")
     swap(YAML, "joints:", "cameras: cameras.yaml\njoints:")(tracked)
     (warning,) = read_session(tracked).warnings
     assert "there are no detections: the cameras are not used" in warning
-
-
-class TestImagesOfTheWrongShape:
-    """The image is turned on its side: width and height, or u and v, are exchanged. Which, only the rays can tell."""
-
-    @pytest.fixture
-    def turned(self, folder: Path) -> Path:
-        for name in ("cameras.yaml",):
-            swap(name, "[1280, 1024]", "[700, 1100]")(folder)
-            swap(name, "[1280, 1024]", "[700, 1100]")(folder)
-        cells(PIXELS, lambda _, row: row if float(row["v"]) < 690 else None)(folder)
-        return folder
-
-    def test_the_rays_meet_so_the_resolution_is_wrong(self, turned: Path) -> None:
-        with pytest.raises(SessionError, match=r"the rays meet, so the pixels are right.*\[1100, 700\]"):
-            read_session(turned)
-
-    def test_they_meet_once_u_and_v_are_exchanged(self, turned: Path) -> None:
-        swap("cameras.yaml", "[700, 1100]", "[1100, 700]")(turned)
-        swap("cameras.yaml", "[700, 1100]", "[1100, 700]")(turned)
-        cells(PIXELS, lambda _, row: {**row, "u": row["v"], "v": row["u"]})(turned)
-        with pytest.raises(SessionError, match="u and v look exchanged"):
-            read_session(turned)
-
-    def test_without_the_cameras_places_it_cannot_be_told_and_is_said(self, turned: Path) -> None:
-        text = (turned / "cameras.yaml").read_text()
-        (turned / "cameras.yaml").write_text(text[: text.index("  T_cn_cnm1")])
-        warning, *_ = read_session(turned).warnings
-        assert "lies outside the 700 x 1100 image of camera 'left'" in warning
-        assert "either they are exchanged, or in cameras.yaml width and height are" in warning
 
 
 def test_cameras_a_little_off_are_a_warning(folder: Path) -> None:

@@ -63,7 +63,7 @@ class CameraInfo:
     error: Callable[[str, str, str], CameraError]
 
     def camera(self) -> Camera:
-        """The camera. One without distortion gets the model none, radtan without k3 four coefficients.
+        """Return the camera; one without distortion gets the model none, radtan without k3 four coefficients.
 
         Raises:
             CameraError: it is of a kind that urdfcal does not know.
