@@ -342,12 +342,12 @@ def peak_memory(kind: str, seed: int) -> float:
 def report_peak_memory(kind: str, seed: int) -> None:
     with threadpool_limits(1, user_api="blas"):
         simulated = simulate(read_rig(find_rig("ur5")), poses=POSES, seed=seed)
-        ours(Problem.of(tiled(simulated, COPIES[-1], seed), kind, time.perf_counter))
+        ours(Task.of(tiled(simulated, COPIES[-1], seed), kind, time.perf_counter))
     unit = 2**20 if sys.platform == "darwin" else 2**10
     print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit)
 
 
-def contenders(problems: dict[str, Problem], folder: Path) -> dict[str, tuple[str, Callable[[], Best], float]]:
+def contenders(problems: dict[str, Task], folder: Path) -> dict[str, tuple[str, Callable[[], Best], float]]:
     """Name -> kind of sightings, a run, and how many times faster than it ours must be."""
     result: dict[str, tuple[str, Callable[[], Best], float]] = {}
     for kind, problem in problems.items():
@@ -367,7 +367,7 @@ def contenders(problems: dict[str, Problem], folder: Path) -> dict[str, tuple[st
 
 
 def side_by_side(simulated: Simulated, rounds: int, seed: int, clock: Callable[[], float]) -> None:
-    problems = {kind: Problem.of(simulated.session, kind, clock) for kind in KINDS}
+    problems = {kind: Task.of(simulated.session, kind, clock) for kind in KINDS}
     with tempfile.TemporaryDirectory() as folder:
         runs = contenders(problems, Path(folder))
         best = {name: Best() for name in runs}
@@ -390,7 +390,7 @@ def growth(simulated: Simulated, rounds: int, seed: int, clock: Callable[[], flo
     print("\n                                ours [ms]           itera-         limit           kept  us a pose")
     print("         poses   start identify    solve    total   tions   [ms]  over it   [ms]   over   & iter.    tip mm")
     for kind in KINDS:
-        problems = [Problem.of(tiled(simulated, copies, seed), kind, clock) for copies in COPIES]
+        problems = [Task.of(tiled(simulated, copies, seed), kind, clock) for copies in COPIES]
         best, least = [Best() for _ in problems], np.full((len(problems), 2), np.inf)
         for _ in range(rounds):
             for k, problem in enumerate(problems):
@@ -398,7 +398,7 @@ def growth(simulated: Simulated, rounds: int, seed: int, clock: Callable[[], flo
                 least[k] = np.minimum(least[k], limit(problem, best[k].shape))
         costs = []
         for problem, b, one in zip(problems, best, least, strict=True):
-            N = len(problem.block.q)
+            N = len(problem.block.readings.q)
             costs.append(1e6 * b.parts["solve"] / N / b.iterations)
             parts = " ".join(f"{1e3 * part:8.1f}" for part in (*b.parts.values(), b.seconds))
             floors = "  ".join(f"{1e3 * t:7.1f} {b.seconds / t:5.1f}" for t in b.iterations * one)

@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from urdfcal.errors import SessionError
+from urdfcal.estimation.joint_models import JOINT_MODELS
+from urdfcal.estimation.measurements import MEASUREMENTS
 from urdfcal.io.schema import RigFile, SessionFile
 from urdfcal.io.yaml_document import Document
 from urdfcal.session.knowledge import Estimate, Noise, Tolerances
@@ -12,6 +14,7 @@ from urdfcal.session.knowledge import Estimate, Noise, Tolerances
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from urdfcal.estimation.measurements import Measurement
     from urdfcal.io.schema import SetupFile
 
 LEAST = "robot: {urdf: a.urdf, tip_link: tip}\nleds:\n  led:\njoints: j.csv\npoints: p.csv\n"
@@ -51,6 +54,26 @@ def test_auto_leaves_all_to_the_calibration(tmp_path: Path) -> None:
         read(tmp_path, LEAST + "estimate: all\n")
 
 
+def test_joint_models_are_asked_for_by_name(tmp_path: Path) -> None:
+    assert read(tmp_path, LEAST).setup()["joint_models"] == {}
+    text = LEAST + "joint_models: {zero_offset: on, time_offset: false}\n"
+    assert read(tmp_path, text).setup()["joint_models"] == {"zero_offset": True, "time_offset": False}
+
+
+@pytest.mark.parametrize("name", [model.name for model in JOINT_MODELS])
+def test_every_joint_model_has_a_key(tmp_path: Path, name: str) -> None:
+    text = LEAST + f"joint_models: {{{name}: true}}\n"
+    assert read(tmp_path, text).setup()["joint_models"] == {name: True}
+
+
+@pytest.mark.parametrize("kind", MEASUREMENTS)
+def test_every_kind_of_measurement_has_a_key_for_its_noise(tmp_path: Path, kind: type[Measurement]) -> None:
+    assert read(tmp_path, LEAST).setup()["noise"].of(kind) == kind.usual
+    noise = read(tmp_path, LEAST + f"noise: {{{kind.noise}: 0.25}}\n").setup()["noise"]
+    assert noise.of(kind) == 0.25
+    assert all(noise.of(other) == other.usual for other in MEASUREMENTS if other is not kind)
+
+
 @pytest.mark.parametrize("name", ["1", "on", "no", "1e3", "0x10", "~", "2001-01-01"])
 def test_names_are_text_as_written(tmp_path: Path, name: str) -> None:
     assert [led.name for led in read(tmp_path, LEAST.replace("led:", f"{name}:")).setup()["leds"]] == [name]
@@ -80,6 +103,13 @@ def test_anchors_are_followed(tmp_path: Path) -> None:
         ("# nothing\n", "the file is empty"),
         (LEAST + "stand: {position: [0, 0, 0], look_at: [0, 0, 1]}\n", "unknown key 'stand'"),
         (LEAST.replace("led:", "' led':"), "' led' begins or ends with a blank"),
+        (
+            LEAST + "joint_models: {time_ofset: true}\n",
+            "session.yaml:6:16, key 'joint_models.time_ofset': 'time_ofset' is not 'zero_offset' or 'time_offset'",
+        ),
+        (LEAST + "joint_models: {time_offset: 1}\n", "session.yaml:6:16, key 'joint_models.time_offset': "),
+        (LEAST + "joint_models: {time_offset: maybe}\n", "session.yaml:6:16, key 'joint_models.time_offset': "),
+        (LEAST + "joint_models: [time_offset]\n", "key 'joint_models': ['time_offset'] stands where a mapping"),
         (LEAST.replace("tip}", "7}"), "key 'robot.tip_link': 7 stands where text belongs"),
     ],
 )

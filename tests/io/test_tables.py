@@ -1,23 +1,28 @@
 from __future__ import annotations
 
 import csv
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.io.making import URDF
+from tests.io.kinds import Contacts, Depths
+from tests.io.making import URDF, write_valid
 from urdfcal.errors import SessionError
 from urdfcal.estimation.measurements import Detections, Points
 from urdfcal.io.csv_table import Table
+from urdfcal.io.folder import read_session
 from urdfcal.io.tables import read_joints, read_measurements
+from urdfcal.io.writing import write_measurements
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.urdf.urdf import Urdf
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from urdfcal.io.tables import MeasurementTable
 
 ARM = Urdf.parse(URDF.encode())
 CHAIN = Chain.from_urdf(ARM, "tip", "base")
@@ -99,6 +104,67 @@ def test_leds_that_are_not_declared_are_taken_as_they_come(path: Path) -> None:
     assert table.names["led"] == ("second", "first")
     assert table.index["led"].tolist() == [0, 1, 0]
     assert table.index["pose"].tolist() == [0, 0, 1]
+
+
+class TestOpenVocabularies:
+    """Names that only a table knows, such as of the places that an LED touches."""
+
+    KNOWN: ClassVar = {"pose": ("a", "b", "c"), "led": ("x", "y")}
+
+    def read(self, path: Path, rows: str) -> MeasurementTable:
+        path.write_text(f"pose,led,place\n{rows}")
+        return read_measurements(path, Contacts, self.KNOWN, 0.1)
+
+    def test_they_are_the_tables_own(self, path: Path) -> None:
+        table = self.read(path, "b,x,pin\na,y, hole\na,x,pin\n")
+        measured = table.measurements
+        assert type(measured) is Contacts
+        assert measured.names == {"place": ("pin", "hole")}
+        assert [measured.names["place"][k] for k in measured.place] == ["pin", "hole", "pin"]
+        assert measured.pose.tolist() == [0, 0, 1]
+        assert measured.led.tolist() == [0, 1, 0]
+        assert measured.sigma.tolist() == [0.1] * 3
+        assert table.values.tolist() == [[0.0] * 3] * 3
+
+    def test_what_is_named_elsewhere_is_not_repeated(self, path: Path) -> None:
+        path.write_text("pose,led,x,y,z\nb,second,1,2,3\na,first,4,5,6\n")
+        assert read_measurements(path, Points, {"pose": "ab"}, 0.1).measurements.names == {}
+
+    def test_they_are_names_that_can_be_written(self, path: Path) -> None:
+        with pytest.raises(SessionError, match=r"table.csv:3:5: place: the cell is empty"):
+            self.read(path, "b,x,pin\na,y,\n")
+
+    def test_the_same_twice_is_refused(self, path: Path) -> None:
+        with pytest.raises(SessionError, match=r"csv:4:1: pose 'a', led 'x', place 'pin' is already in line 2"):
+            self.read(path, "a,x,pin\na,x,hole\na,x,pin\n")
+
+    def test_what_is_known_is_still_known(self, path: Path) -> None:
+        with pytest.raises(SessionError, match=r"csv:2:3: there is no led 'z'. The LEDs are: x, y\."):
+            self.read(path, "a,z,pin\n")
+
+    def test_they_are_written_by_name(self, path: Path, tmp_path: Path) -> None:
+        """Read back in the order of the table, they may be numbered otherwise: what they name is the same."""
+        session = read_session(write_valid(tmp_path / "session"))
+        known = {"pose": session.poses, "led": session.led_names}
+        poses, places = np.array([0, 1, 1, 5]), ("never", "pin, left", "hole")
+        rows = np.array([2, 1, 2, 1]), np.array([0.1, 0.2, 0.3, 0.4])[:, None]
+        written = Depths(poses, np.zeros(4, int), *rows, 1e-4, names={"place": places})
+        write_measurements(path, session, written)
+        read = read_measurements(path, Depths, known, 1e-4).measurements
+        assert path.read_text().startswith("pose,led,place,depth\n0,red,hole,0.1\n")
+        assert read.names == {"place": ("hole", "pin, left")}
+        expected = {(0, "hole", 0.1), (1, "pin, left", 0.2), (1, "hole", 0.3), (5, "pin, left", 0.4)}
+        for table in (written, read):
+            named = [table.names["place"][k] for k in table.place]
+            assert set(zip(table.pose.tolist(), named, table.depth[:, 0].tolist(), strict=True)) == expected
+
+    def test_what_has_no_numbers_is_written_without(self, path: Path, tmp_path: Path) -> None:
+        session = read_session(write_valid(tmp_path / "session"))
+        zeros = np.zeros(1, int)
+        write_measurements(path, session, Contacts(zeros, zeros, zeros, Contacts.usual, names={"place": ("pin",)}))
+        assert path.read_text() == "pose,led,place\n0,red,pin\n"
+        write_measurements(path, session, Contacts(zeros, zeros, zeros, 0.5, names={"place": ("pin",)}))
+        assert path.read_text() == "pose,led,place,sigma\n0,red,pin,0.5\n"
 
 
 @given(

@@ -101,6 +101,15 @@ def test_pixels_and_points_together(tmp_path: Path, session: Session) -> None:
     )
 
 
+@pytest.mark.parametrize("models", [{}, {"zero_offset": True}, {"time_offset": False, "zero_offset": True}])
+def test_joint_models_are_written_where_something_is_said_of_them(
+    tmp_path: Path, session: Session, models: dict[str, bool]
+) -> None:
+    write_session(tmp_path / "out", replace(session, joint_models=models))
+    assert ("joint_models" in (tmp_path / "out" / "session.yaml").read_text()) == bool(models)
+    assert read_session(tmp_path / "out").joint_models == models
+
+
 def test_cameras_of_unknown_place(tmp_path: Path, session: Session) -> None:
     assert session.rig is not None
     rig = Rig(session.rig.cameras, (np.eye(4), None))

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from tests.io import making
 from tests.io.broken import cells, put, swap
+from tests.io.kinds import Contacts, Depths
 from tests.io.making import write_cameras, write_points, write_valid
 from tests.io.test_frame_tables import FRAMES, write_moving
 from urdfcal.errors import SessionError
@@ -17,48 +17,14 @@ from urdfcal.io.checks.content import frozen_recording
 from urdfcal.io.checks.plausibility import Inputs, Taken
 from urdfcal.io.folder import read_session
 from urdfcal.io.tables import read_joints, read_measurements
-from urdfcal.session.measurement import Measurements
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from urdfcal.arrays import Floats, Ints
     from urdfcal.io.tables import MeasurementTable
+    from urdfcal.session.measurement import Measurements
 
 YAML, JOINTS, PIXELS, POINTS = "session.yaml", "joints.csv", "detections.csv", "points.csv"
-
-
-@dataclass(frozen=True, eq=False)
-class Contacts(Measurements):
-    """LEDs that touch a place: a kind without numbers."""
-
-    kind: ClassVar[str] = "contacts"
-    keys: ClassVar[tuple[str, ...]] = ("pose", "led", "place")
-    dimension: ClassVar[int] = 1
-    noise: ClassVar[str] = "contact"
-    usual: ClassVar[float] = 1e-4
-
-    led: Ints
-    place: Ints
-    sigma: Floats
-
-
-@dataclass(frozen=True, eq=False)
-class Depths(Measurements):
-    """LEDs at a depth below a place: a kind with one number."""
-
-    kind: ClassVar[str] = "depths"
-    keys: ClassVar[tuple[str, ...]] = ("pose", "led", "place")
-    dimension: ClassVar[int] = 1
-    columns: ClassVar[tuple[str, ...]] = ("depth",)
-    array: ClassVar[str] = "depth"
-    noise: ClassVar[str] = "depth"
-    usual: ClassVar[float] = 1e-4
-
-    led: Ints
-    place: Ints
-    depth: Floats
-    sigma: Floats
 
 
 @pytest.fixture
