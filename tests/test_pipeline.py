@@ -11,6 +11,7 @@ import pytest
 from urdfcal.errors import CalibrationError, OutputError, SessionError
 from urdfcal.estimation.evaluation import compare, explain
 from urdfcal.estimation.measurements import Points
+from urdfcal.estimation.multistart import Minimum
 from urdfcal.io.folder import read_points, read_session
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.chain import Chain
@@ -192,3 +193,31 @@ def test_detections_and_a_trackers_points_together_are_refused(simulated: Callab
     points = Points(np.arange(30), np.zeros(30, int), np.random.default_rng(0).normal(size=(30, 3)), np.full(30, 1e-4))
     with pytest.raises(SessionError, match="detections and points are both named"):
         calibrate(replace(session, measurements=(*session.measurements, points)))
+
+
+def test_another_minimum_that_is_kept_is_the_result(simulated: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    session = replace(simulated("elbow3r").session, estimate=Estimate("dh", "fixed", "fixed"))
+    alone = calibrate(session)
+    other = replace(alone.fit, converged=False)
+    minima = (Minimum(other, True, "nearest to nominal"), Minimum(alone.fit, False, "farther from nominal"))
+    monkeypatch.setattr("urdfcal.pipeline.multistart", lambda *_: minima)
+    with pytest.raises(CalibrationError, match="did not settle"):  # what is assessed is what is kept
+        calibrate(session, starts=1)
+    among = calibrate(session, starts=1, force=True)
+    assert among.fit is among.comparison.chosen.fit is other
+    assert among.solutions == minima
+    assert [entry.kept for entry in among.document.solutions] == [True, False]
+    monkeypatch.setattr("urdfcal.pipeline.multistart", lambda *_: (Minimum(None, False, "no start"),))
+    assert calibrate(session, starts=1).assessment.level == "good"
+
+
+def test_a_single_camera_triangulates_nothing(simulated: Callable) -> None:
+    session = simulated("ur5_handeye", poses=15).session
+    with pytest.raises(CalibrationError, match="no point can be triangulated from these detections"):
+        calibrate(session, method="points")
+
+
+def test_a_good_calibration_has_nothing_said_against_it(simulated: Callable) -> None:
+    calibration = calibrate(replace(simulated("ur5").session, estimate=Estimate("dh", "fixed", "fixed")))
+    assert calibration.failures == calibration.warnings == ()
+    assert calibration.document.verdict.level == "good"

@@ -31,6 +31,7 @@ from tests.cameras.board.boards import CHARUCO, held
 from tests.cameras.board.rendering import BoardRenderer
 from urdfcal.cli.cameras import command as cameras_command
 from urdfcal.cli.detect import run as detect
+from urdfcal.estimation.blocks.cameras import lens_key
 from urdfcal.estimation.evaluation import compare
 from urdfcal.estimation.measurements import Detections
 from urdfcal.images.files import in_parallel, write_image
@@ -84,13 +85,13 @@ def tip_error(calibration: FittedCalibration, simulated: Simulated, seed: int) -
 def lens_error(calibration: FittedCalibration, truth: Rig) -> float:
     """The largest error of a lens' parameter in its standard deviations."""
     fit = calibration.fit
-    sigma = np.full(fit.parameters.size, np.inf)
-    sigma[fit.parameters.active] = np.sqrt(np.diag(fit.covariance))
+    sigma = fit.parameters.sigmas(fit.covariance)
     errors = [
-        (fit.state.cameras[c].parameters - truth.cameras[c].parameters) / sigma[fit.parameters.lens(position)]
-        for position, c in enumerate(fit.parameters.lenses)
+        (fit.state[key].parameters - camera.parameters) / sigma[fit.parameters.columns(key)]
+        for camera in truth.cameras
+        if fit.parameters.has_active(key := lens_key(camera.name))
     ]
-    return float(np.abs(np.concatenate(errors)).max())
+    return float(np.nanmax(np.abs(np.concatenate(errors))))
 
 
 def run(folder: Path, seed: int, views: int, poses: int) -> dict[str, float]:

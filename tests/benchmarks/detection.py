@@ -1,12 +1,12 @@
-"""How well LEDs are found in images: accuracy against the Cramer-Rao bound, wrong and missed sightings, speed.
+"""How well LEDs are found in images: accuracy against the Cramer-Rao bound, wrong and missed detections, speed.
 
-    python tests/benchmarks/detection.py [accuracy] [bias] [sightings] [speed] [whole] [--count 400] [--poses 250]
+    python tests/benchmarks/detection.py [accuracy] [bias] [detections] [speed] [whole] [--count 400] [--poses 250]
 
 - accuracy: rms error of rendered spots over width, peak, depth of the pixels and saturation, with the bound (all of
   peak, width, background and its slope unknown), and what share of them was not found at all;
 - bias: mean error over the pixel grid, 9 x 9 places;
-- sightings: a simulated UR5 before two cameras, with lamps, reflections, hot pixels, streaks and a hidden LED; a
-  sighting is wrong if it is off by more than 0.5 px and 6 sigma, or the LED was not to be seen;
+- detections: a simulated UR5 before two cameras, with lamps, reflections, hot pixels, streaks and a hidden LED; a
+  detection is wrong if it is off by more than 0.5 px and 6 sigma, or the LED was not to be seen;
 - speed: 200 images, against a loop that reads each with OpenCV, thresholds it and labels connected components; by the
   clock, and in the processor's time, which other programs disturb less;
 - whole: tip error of a calibration from images, against one from ideal centroids with the same sigmas.
@@ -96,7 +96,7 @@ def bias(count: int) -> None:
             print(f"{sigma:5.1f}  {saturated or '':>9}  {np.abs(error.mean(axis=1)).max():.4f}  {spread:.4f}")
 
 
-def sightings(folder: Path, poses: int, rigs: list[str]) -> None:
+def detections(folder: Path, poses: int, rigs: list[str]) -> None:
     for rig in rigs:
         session = folder / rig
         simulated = simulate(read_rig(find_rig(rig)), poses=poses, seed=1)
@@ -121,7 +121,7 @@ def sightings(folder: Path, poses: int, rigs: list[str]) -> None:
                 errors.append((uv - truth[key]) / sigma)
         missed = len(truth) - len(right)
         print(
-            f"{rig}: {detected.album.count} images, LED to be found in {len(truth)}: {len(found)} sightings, "
+            f"{rig}: {detected.index.count} images, LED to be found in {len(truth)}: {len(found)} detections, "
             f"{wrong} wrong, {missed} missed ({missed / len(truth):.2%}), "
             f"error/claimed {np.sqrt(np.mean(np.square(errors))):.2f}"
         )
@@ -190,7 +190,7 @@ def speed(folder: Path, distractors: bool) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("what", nargs="*", default=["accuracy", "bias", "sightings", "speed", "whole"])
+    parser.add_argument("what", nargs="*", default=["accuracy", "bias", "detections", "speed", "whole"])
     parser.add_argument("--count", type=int, default=400)
     parser.add_argument("--poses", type=int, default=250)
     parser.add_argument("--seeds", type=int, default=10)
@@ -203,8 +203,8 @@ def main() -> None:
                 accuracy(arguments.count)
             elif what == "bias":
                 bias(arguments.count)
-            elif what == "sightings":
-                sightings(Path(folder), arguments.poses, arguments.rigs)
+            elif what == "detections":
+                detections(Path(folder), arguments.poses, arguments.rigs)
             elif what == "whole":
                 whole(Path(folder), 50, arguments.seeds)
             elif what == "speed":

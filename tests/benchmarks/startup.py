@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 POSES = 50
 LIBRARIES = (
-    "pinocchio", "scipy.optimize", "cv2", "rerun", "yourdfpy", "matplotlib.figure", "pydantic", "jinja2", "yaml",
+    "pinocchio", "scipy.optimize", "cv2", "rerun", "yourdfpy", "pydantic", "jinja2", "yaml",
     "click", "rich",
 )  # fmt: skip
 CALIBRATE, HELP = 1.7, 3.0

@@ -41,7 +41,7 @@ def points_before(count: int, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).uniform([-0.25, -0.25, 1.2], [0.25, 0.25, 1.8], (count, 3))
 
 
-def sightings(rig: Rig, points: np.ndarray) -> np.ndarray:
+def detections(rig: Rig, points: np.ndarray) -> np.ndarray:
     return np.stack(
         [
             camera.project(points @ T[:3, :3].T + T[:3, 3])
@@ -67,7 +67,7 @@ def assert_nan_unless_ok(found: Triangulation) -> None:
 @pytest.mark.parametrize("rig", [STEREO, TRIPLE], ids=["stereo", "three"])
 def test_noise_free_sightings_give_the_true_points(rig: Rig) -> None:
     points = points_before(500)
-    found = rig.triangulate(sightings(rig, points), 0.1)
+    found = rig.triangulate(detections(rig, points), 0.1)
     assert found.ok.all()
     np.testing.assert_allclose(found.points, points, rtol=0, atol=1e-12)
     assert found.rms.max() < 1e-9
@@ -79,7 +79,7 @@ def test_covariances_are_true(rig: Rig) -> None:
     points = points_before(draws, seed=1)
     rng = np.random.default_rng(2)
     sigma = rng.uniform(0.05, 0.5, (draws, len(rig.cameras)))
-    uv = sightings(rig, points)
+    uv = detections(rig, points)
     found = rig.triangulate(uv + sigma[:, :, None] * rng.normal(size=uv.shape), sigma)
     assert found.ok.all()
     chi2 = squared_errors(found, points)
@@ -91,7 +91,7 @@ def test_covariances_are_true(rig: Rig) -> None:
 
 
 def test_depth_is_worse_than_width() -> None:
-    found = STEREO.triangulate(sightings(STEREO, np.array([[0.05, 0.0, 1.5]])), 0.1)
+    found = STEREO.triangulate(detections(STEREO, np.array([[0.05, 0.0, 1.5]])), 0.1)
     x, y, z = np.sqrt(np.diag(found.covariances[0]))
     assert z > 3.0 * max(x, y)
 
@@ -99,11 +99,11 @@ def test_depth_is_worse_than_width() -> None:
 def test_the_solution_is_the_minimum_of_the_weighted_pixel_errors() -> None:
     rng = np.random.default_rng(3)
     sigma = rng.uniform(0.2, 2.0, (50, 3))
-    uv = sightings(TRIPLE, points_before(50)) + rng.normal(size=(50, 3, 2))
+    uv = detections(TRIPLE, points_before(50)) + rng.normal(size=(50, 3, 2))
     found = TRIPLE.triangulate(uv, sigma)
 
     def cost(points: np.ndarray) -> np.ndarray:
-        return np.sum(((uv - sightings(TRIPLE, points)) / sigma[:, :, None]) ** 2, axis=(1, 2))
+        return np.sum(((uv - detections(TRIPLE, points)) / sigma[:, :, None]) ** 2, axis=(1, 2))
 
     np.testing.assert_allclose(found.rms, np.sqrt(cost(found.points) / 6.0), rtol=1e-12)
     h = 1e-5
@@ -116,7 +116,7 @@ def test_the_solution_is_the_minimum_of_the_weighted_pixel_errors() -> None:
 def test_world_is_the_first_cameras_frame() -> None:
     """The same points, described from the other camera."""
     points = points_before(50)
-    noisy = sightings(STEREO, points) + np.random.default_rng(4).normal(0.0, 0.3, (50, 2, 2))
+    noisy = detections(STEREO, points) + np.random.default_rng(4).normal(0.0, 0.3, (50, 2, 2))
     from_left = STEREO.triangulate(noisy, 0.3)
     from_right = Rig((RIGHT, LEFT), (np.eye(4), np.linalg.inv(T_RIGHT))).triangulate(noisy[:, ::-1], 0.3)
     R, t = T_RIGHT[:3, :3], T_RIGHT[:3, 3]
@@ -126,10 +126,10 @@ def test_world_is_the_first_cameras_frame() -> None:
 
 def test_missing_views_count_and_two_are_enough() -> None:
     points = points_before(8)
-    uv = sightings(TRIPLE, points)
+    uv = detections(TRIPLE, points)
     views = np.array([[bool(i & bit) for bit in (1, 2, 4)] for i in range(8)])
     uv[~views] = np.nan
-    sigma = np.where(views, 0.1, 0.0)  # of a sighting that is not there, sigma means nothing
+    sigma = np.where(views, 0.1, 0.0)  # of a detection that is not there, sigma means nothing
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         found = TRIPLE.triangulate(uv, sigma)
@@ -137,7 +137,7 @@ def test_missing_views_count_and_two_are_enough() -> None:
     assert found.status.tolist() == [Status.OK if e else Status.TOO_FEW_VIEWS for e in enough]
     np.testing.assert_allclose(found.points[enough], points[enough], rtol=0, atol=1e-12)
     assert_nan_unless_ok(found)
-    stereo = STEREO.triangulate(sightings(STEREO, points), 0.1)
+    stereo = STEREO.triangulate(detections(STEREO, points), 0.1)
     np.testing.assert_allclose(found.covariances[3], stereo.covariances[3], rtol=1e-9)
     gain = np.linalg.eigvalsh(stereo.covariances[7] - found.covariances[7])
     assert gain[0] > -1e-18  # a third view, two numbers, takes nothing away
@@ -145,14 +145,14 @@ def test_missing_views_count_and_two_are_enough() -> None:
 
 
 def test_half_a_sighting_is_no_sighting() -> None:
-    uv = sightings(STEREO, points_before(1))
+    uv = detections(STEREO, points_before(1))
     uv[0, 1, 0] = np.nan
     assert STEREO.triangulate(uv, 0.1).status[0] == Status.TOO_FEW_VIEWS
 
 
 def test_a_camera_of_unknown_place_takes_no_part() -> None:
     points = points_before(20)
-    uv = sightings(TRIPLE, points)
+    uv = detections(TRIPLE, points)
     uv[:, 2] += 300.0
     rig = Rig((LEFT, RIGHT, TOP), (np.eye(4), T_RIGHT, None))
     found = rig.triangulate(uv, 0.1)
@@ -185,7 +185,7 @@ def test_the_limit_of_parallel_rays_is_where_the_covariance_stops_being_true() -
     noise = np.sqrt(2.0) * sigma / 1400.0
     for ratio, told in ((7.0, Status.PARALLEL_RAYS), (14.0, Status.OK)):
         point = np.tile([0.0, 0.0, baseline / (ratio * noise)], (draws, 1))
-        found = rig.triangulate(sightings(rig, point) + rng.normal(0.0, sigma, (draws, 2, 2)), sigma)
+        found = rig.triangulate(detections(rig, point) + rng.normal(0.0, sigma, (draws, 2, 2)), sigma)
         assert (found.status == told).mean() > 0.99
         assert_nan_unless_ok(found)
     ok = found.ok
@@ -195,7 +195,7 @@ def test_the_limit_of_parallel_rays_is_where_the_covariance_stops_being_true() -
 def test_a_pixel_no_ray_meets_is_told() -> None:
     folding = Camera("folding", SIZE, [620.0, 618.0, 630.0, 520.0], "radtan", [-0.3, 0.0, 0.0, 0.0])
     rig = Rig((folding, RIGHT), (np.eye(4), T_RIGHT))
-    uv = sightings(rig, points_before(2))
+    uv = detections(rig, points_before(2))
     uv[0, 0] = [630.0 + 0.71 * 620.0, 520.0]  # the lens reaches 0.703
     found = rig.triangulate(uv, 0.1)
     assert found.status.tolist() == [Status.OUTSIDE_LENS, Status.OK]
@@ -216,7 +216,7 @@ def test_nonsense_sightings_end_in_a_status_without_a_warning() -> None:
 
 def test_exchanged_cameras_show_in_the_residuals() -> None:
     rng = np.random.default_rng(8)
-    uv = sightings(STEREO, points_before(200)) + rng.normal(0.0, 0.1, (200, 2, 2))
+    uv = detections(STEREO, points_before(200)) + rng.normal(0.0, 0.1, (200, 2, 2))
     right, wrong = STEREO.triangulate(uv, 0.1), STEREO.triangulate(uv[:, ::-1], 0.1)
     assert np.median(right.rms) < 1.0
     assert np.median(np.where(wrong.ok, wrong.rms, np.inf)) > 10.0
@@ -225,7 +225,7 @@ def test_exchanged_cameras_show_in_the_residuals() -> None:
 @pytest.mark.parametrize("sigma", [1e-12, 1e-6, 1.0, 3.0])
 def test_the_scale_of_sigma_changes_nothing_but_the_covariance(sigma: float) -> None:
     points = points_before(200)
-    uv = sightings(STEREO, points)
+    uv = detections(STEREO, points)
     found = STEREO.triangulate(uv, sigma)
     assert found.ok.all()
     np.testing.assert_allclose(found.points, points, rtol=0, atol=1e-12)
@@ -237,14 +237,14 @@ def test_no_points_and_read_only_results() -> None:
     empty = STEREO.triangulate(np.zeros((0, 2, 2)), 0.1)
     assert empty.points.shape == (0, 3)
     assert empty.covariances.shape == (0, 3, 3)
-    found = STEREO.triangulate(sightings(STEREO, points_before(2)), 0.1)
+    found = STEREO.triangulate(detections(STEREO, points_before(2)), 0.1)
     for array in (found.points, found.covariances, found.rms, found.status):
         assert not array.flags.writeable
     assert found.status.dtype == np.intp
 
 
 def test_a_hundred_thousand_stereo_points_take_about_a_second() -> None:
-    uv = sightings(STEREO, points_before(100_000))
+    uv = detections(STEREO, points_before(100_000))
     uv += np.random.default_rng(9).normal(0.0, 0.1, uv.shape)
     start = time.process_time()
     found = STEREO.triangulate(uv, 0.1)
@@ -283,8 +283,8 @@ def test_what_is_no_rig_is_refused(cameras: tuple, transforms: tuple, message: s
         (np.zeros((3, 3, 2)), 0.1, r"pixels of 2 cameras have the shape \(3, 3, 2\)"),
         (np.zeros((2, 2)), 0.1, "not \\(M, C, 2\\)"),
         (np.zeros((3, 2, 2)), np.ones((2, 2)), r"sigma has the shape \(2, 2\)"),
-        (np.zeros((3, 2, 2)), 0.0, "camera 'left': sigma 0 px of sighting 0 must be positive"),
-        (np.zeros((3, 2, 2)), [[1.0, 1.0], [1.0, np.nan], [1.0, 1.0]], "camera 'right': sigma nan px of sighting 1"),
+        (np.zeros((3, 2, 2)), 0.0, "camera 'left': sigma 0 px of detection 0 must be positive"),
+        (np.zeros((3, 2, 2)), [[1.0, 1.0], [1.0, np.nan], [1.0, 1.0]], "camera 'right': sigma nan px of detection 1"),
     ],
 )
 def test_sightings_that_do_not_fit_are_refused(uv: np.ndarray, sigma: object, message: str) -> None:

@@ -26,7 +26,7 @@ def cameras(*arguments: object) -> None:
 
 
 @pytest.fixture(scope="module")
-def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("board")
     rng = np.random.default_rng(3)
     poses = held(PAIR, CHARUCO, 8, rng, far=0.55)
@@ -41,9 +41,9 @@ def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_folder_of_pictures_becomes_a_camera_file(
-    pictures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    images: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    cameras(pictures, "-o", tmp_path / "a.yaml", *CHARUCO_OPTIONS.split())
+    cameras(images, "-o", tmp_path / "a.yaml", *CHARUCO_OPTIONS.split())
     text = capsys.readouterr().out
     rig = read_kalibr(tmp_path / "a.yaml")
     assert rig.names == ("left", "right")
@@ -54,18 +54,18 @@ def test_a_folder_of_pictures_becomes_a_camera_file(
     assert f"{rig.cameras[0].intrinsics[0]:.3f}" in text
 
 
-def test_the_board_may_be_described_in_the_folder_and_the_command_be_named(pictures: Path, tmp_path: Path) -> None:
-    (pictures / "board.yaml").write_text(CHARUCO_FILE)
-    cameras("-o", tmp_path / "b.yaml", pictures)
-    cameras("calibrate", pictures, "-o", tmp_path / "c.yaml")
+def test_the_board_may_be_described_in_the_folder_and_the_command_be_named(images: Path, tmp_path: Path) -> None:
+    (images / "board.yaml").write_text(CHARUCO_FILE)
+    cameras("-o", tmp_path / "b.yaml", images)
+    cameras("calibrate", images, "-o", tmp_path / "c.yaml")
     assert (tmp_path / "b.yaml").read_bytes() == (tmp_path / "c.yaml").read_bytes()
-    (pictures / "board.yaml").unlink()
+    (images / "board.yaml").unlink()
 
 
-def test_without_a_board_nothing_is_done(pictures: Path, tmp_path: Path) -> None:
+def test_without_a_board_nothing_is_done(images: Path, tmp_path: Path) -> None:
     output = tmp_path / "cameras.yaml"
     with pytest.raises(CameraError, match=r"there is no board.yaml that describes the board. Write one"):
-        cameras(pictures, "-o", output)
+        cameras(images, "-o", output)
     for options, message in (
         ("--square 0.03", "go with --board"),
         ("--board charuco 10x7", "needs --square"),
@@ -73,11 +73,11 @@ def test_without_a_board_nothing_is_done(pictures: Path, tmp_path: Path) -> None
         ("--board dots 9x6 --square 0.03", "dots"),
     ):
         with pytest.raises(click.UsageError, match=message):
-            cameras(pictures, "-o", output, *options.split())
+            cameras(images, "-o", output, *options.split())
     with pytest.raises(CameraError, match="there is no such folder"):
         cameras(tmp_path / "nowhere", "-o", output, *CHARUCO_OPTIONS.split())
-    with pytest.raises(CameraError, match=r"camera 'left': only 0 of its pictures can be used \(0: no board"):
-        cameras(pictures, "-o", output, "--board", "chessboard", "12x9", "--square", "0.03")
+    with pytest.raises(CameraError, match=r"camera 'left': only 0 of its images can be used \(0: no board"):
+        cameras(images, "-o", output, "--board", "chessboard", "12x9", "--square", "0.03")
     assert not list(tmp_path.iterdir())
 
 

@@ -10,8 +10,8 @@ import pytest
 from tests.io.making import looking
 from urdfcal.cameras.camera import Camera
 from urdfcal.cameras.rig import Rig
-from urdfcal.detection.association import Candidate as Light
-from urdfcal.detection.association import agree as associate
+from urdfcal.detection.association import LightCandidate as Light
+from urdfcal.detection.association import associate
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""From images to sightings: names of files, the choice between lights, and the whole way."""
+"""From images to detections: names of files, the choice between lights, and the whole way."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ import pytest
 
 from urdfcal.cameras.rig import Rig
 from urdfcal.cli import run
-from urdfcal.detection.association import Candidate, agree
-from urdfcal.detection.detect import REJECTED, Detected, detect, open_album, write_debug_images, write_detected
-from urdfcal.detection.image_index import read_album
-from urdfcal.detection.prediction import Lights, foresee
+from urdfcal.detection.association import LightCandidate, associate
+from urdfcal.detection.detect import REJECTED, Detected, detect, open_images, write_debug_images, write_detected
+from urdfcal.detection.image_index import read_index
+from urdfcal.detection.prediction import Lights, predict
 from urdfcal.errors import OutputError, SessionError
 from urdfcal.estimation.measurements import Detections
 from urdfcal.images.files import read_image, write_image
@@ -110,7 +110,7 @@ def test_written_tables_make_it_a_session_and_foreign_ones_are_kept(
 def test_debug_images_show_every_picture(detected: Detected, tmp_path: Path) -> None:
     write_debug_images(tmp_path / "debug", detected)
     drawings = sorted((tmp_path / "debug").glob("*/*.png"))
-    assert len(drawings) == detected.album.count
+    assert len(drawings) == detected.index.count
     assert read_image(drawings[0]).ndim == 3
 
 
@@ -121,7 +121,7 @@ def test_calibrate_detects_by_itself_and_says_so(
     assert run(["calibrate", str(tmp_path / "s"), "-o", str(tmp_path / "out")]) == 0
     said = capfd.readouterr().out
     assert "looking for the LEDs first" in said
-    assert f"{2 * POSES} sightings in {2 * POSES} images" in said
+    assert f"{2 * POSES} detections in {2 * POSES} images" in said
     assert not lacks_detections(tmp_path / "s")
     assert len(read_session(tmp_path / "s").find(Detections)) == 2 * POSES
 
@@ -140,19 +140,19 @@ def test_file_names_say_pose_led_and_dark(positions: Positions, tmp_path: Path) 
     put(tmp_path / "cam0", "01.a.png", "01.b.png", "01.off.png", "02.b.tif", "stray.png")
     put(tmp_path / "cam1")
     put(tmp_path / "cam2")
-    album = read_album(tmp_path, with_leds(positions, "a", "b"))
+    album = read_index(tmp_path, with_leds(positions, "a", "b"))
     shots = album.shots[0]
     assert [(shot.pose, shot.led) for shot in shots] == [(0, 0), (0, 1), (1, 1)]
-    assert [picture.dark is not None for picture in album.pictures[0]] == [True, True, False]
+    assert [image.dark is not None for image in album.images[0]] == [True, True, False]
     assert [word for word in ("stray.png", "cam1", "cam2") if not any(word in text for text in album.warnings)] == []
 
 
 @pytest.mark.parametrize(
     ("leds", "names", "message"),
     [
-        (("led",), [], "no picture of any pose"),
-        (("led",), ["x.png"], "no picture of any pose"),
-        (("led",), ["01.png", "01.tif"], "the same picture as"),
+        (("led",), [], "no image of any pose"),
+        (("led",), ["x.png"], "no image of any pose"),
+        (("led",), ["01.png", "01.tif"], "the same image as"),
         (("a", "b"), ["01.png"], "does not say which is lit"),
         (("off",), ["01.png"], "Rename it"),
     ],
@@ -162,12 +162,12 @@ def test_file_names_that_do_not_say_it_are_refused(
 ) -> None:
     put(tmp_path / "cam0", *names)
     with pytest.raises(SessionError, match=message):
-        read_album(tmp_path, with_leds(positions, *leds))
+        read_index(tmp_path, with_leds(positions, *leds))
 
 
 def test_a_session_without_images_says_where_they_belong(positions: Positions, tmp_path: Path) -> None:
     with pytest.raises(SessionError, match="images/<camera>/<pose>"):
-        read_album(tmp_path / "images", positions)
+        read_index(tmp_path / "images", positions)
 
 
 @pytest.mark.parametrize("known", [True, False])
@@ -178,7 +178,7 @@ def test_the_arm_tells_the_led_from_brighter_lights_elsewhere(simulated: Simulat
     rng = np.random.default_rng(0)
     count = int(mine.sum())
     strangers = rng.uniform([0, 0], camera.resolution, (count, 2))
-    # In every third picture the stranger is the brighter one.
+    # In every third image the stranger is the brighter one.
     flux = np.where(np.arange(count) % 3 == 0, 20.0, 1.0)
     lights = Lights(
         np.tile(np.arange(count), 2),
@@ -187,13 +187,13 @@ def test_the_arm_tells_the_led_from_brighter_lights_elsewhere(simulated: Simulat
     )
     led = session.leds[0] if known else Led("led")
     T = tip_poses(session.chain, session.q)[seen.pose[mine]]
-    foresight = foresee(camera, (led,), T, np.zeros(count, np.intp), lights)
-    assert foresight is not None
-    misses = foresight.misses(lights)
-    assert (misses[:count] < foresight.gate).all()
-    far = np.linalg.norm(strangers - seen.uv[mine], axis=1) > 2.0 * foresight.gate
-    assert (misses[count:][far] > foresight.gate).all()
-    assert foresight.gate < 40.0
+    prediction = predict(camera, (led,), T, np.zeros(count, np.intp), lights)
+    assert prediction is not None
+    misses = prediction.misses(lights)
+    assert (misses[:count] < prediction.gate).all()
+    far = np.linalg.norm(strangers - seen.uv[mine], axis=1) > 2.0 * prediction.gate
+    assert (misses[count:][far] > prediction.gate).all()
+    assert prediction.gate < 40.0
 
 
 def test_lights_that_disagree_with_the_arm_give_no_prediction(simulated: Simulated) -> None:
@@ -202,22 +202,22 @@ def test_lights_that_disagree_with_the_arm_give_no_prediction(simulated: Simulat
     uv = np.random.default_rng(1).uniform([0, 0], camera.resolution, (POSES, 2))
     lights = Lights(np.arange(POSES), uv, np.ones(POSES))
     T = tip_poses(session.chain, session.q)
-    assert foresee(camera, session.leds, T, np.zeros(POSES, np.intp), lights) is None
+    assert predict(camera, session.leds, T, np.zeros(POSES, np.intp), lights) is None
 
 
-def groups_of(simulated: Simulated) -> list[list[Candidate]]:
+def groups_of(simulated: Simulated) -> list[list[LightCandidate]]:
     seen = simulated.session.find(Detections)
-    groups: dict[int, list[Candidate]] = {}
+    groups: dict[int, list[LightCandidate]] = {}
     for row, (pose, camera, uv) in enumerate(zip(seen.pose, seen.camera, seen.uv, strict=True)):
-        groups.setdefault(int(pose), []).append(Candidate(int(camera), row, uv, 10.0))
+        groups.setdefault(int(pose), []).append(LightCandidate(int(camera), row, uv, 10.0))
     return list(groups.values())
 
 
 def test_rays_decide_between_lights_whatever_their_brightness(simulated: Simulated) -> None:
     groups = groups_of(simulated)
     first = groups[0][0]
-    groups[0].append(Candidate(first.camera, 1000, first.uv + AWAY, 30.0))
-    verdict, warnings = agree(simulated.session.rig, groups)
+    groups[0].append(LightCandidate(first.camera, 1000, first.uv + AWAY, 30.0))
+    verdict, warnings = associate(simulated.session.rig, groups)
     assert set(verdict) == {(first.camera, 1000)}
     assert not warnings
 
@@ -225,8 +225,8 @@ def test_rays_decide_between_lights_whatever_their_brightness(simulated: Simulat
 def test_a_pair_whose_rays_miss_is_no_sighting(simulated: Simulated) -> None:
     groups = groups_of(simulated)
     first = groups[0][0]
-    groups[0][0] = Candidate(first.camera, first.row, first.uv + AWAY, 10.0)
-    verdict, _ = agree(simulated.session.rig, groups)
+    groups[0][0] = LightCandidate(first.camera, first.row, first.uv + AWAY, 10.0)
+    verdict, _ = associate(simulated.session.rig, groups)
     assert set(verdict) == {(c.camera, c.row) for c in groups[0]}
 
 
@@ -235,8 +235,8 @@ def test_of_two_lights_in_one_picture_only_a_much_brighter_one_is_taken(
     simulated: Simulated, factor: float, kept: int
 ) -> None:
     uv = np.array([200.0, 200.0])
-    alone = [Candidate(0, 500, uv, 10.0), Candidate(0, 501, uv + 50.0, 10.0 * factor)]
-    verdict, _ = agree(simulated.session.rig, [*groups_of(simulated), alone])
+    alone = [LightCandidate(0, 500, uv, 10.0), LightCandidate(0, 501, uv + 50.0, 10.0 * factor)]
+    verdict, _ = associate(simulated.session.rig, [*groups_of(simulated), alone])
     assert sum((0, row) not in verdict for row in (500, 501)) == kept
     assert (0, 501) in verdict
 
@@ -244,10 +244,10 @@ def test_of_two_lights_in_one_picture_only_a_much_brighter_one_is_taken(
 def test_cameras_that_stand_elsewhere_decide_nothing_and_are_named(simulated: Simulated) -> None:
     rng = np.random.default_rng(0)
     groups = [
-        [Candidate(c.camera, c.row, c.uv + 40.0 * rng.standard_normal(2), c.flux) for c in g]
+        [LightCandidate(c.camera, c.row, c.uv + 40.0 * rng.standard_normal(2), c.flux) for c in g]
         for g in groups_of(simulated)
     ]
-    verdict, warnings = agree(simulated.session.rig, groups)
+    verdict, warnings = associate(simulated.session.rig, groups)
     assert not verdict
     assert "rays miss each other" in warnings[0]
 
@@ -256,4 +256,4 @@ def test_images_of_the_same_seed_are_the_same(simulated: Simulated, session: Pat
     write_simulated_images(tmp_path / "again", simulated, Exposure(distractors=True))
     name = "images/cam1/03.png"
     assert (tmp_path / "again" / name).read_bytes() == (session / name).read_bytes()
-    assert open_album(session)[1].count == 2 * POSES
+    assert open_images(session)[1].count == 2 * POSES

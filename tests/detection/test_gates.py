@@ -1,4 +1,4 @@
-"""What looking for LEDs says and refuses besides its detections, on rendered pictures."""
+"""What looking for LEDs says and refuses besides its detections, on rendered images."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from urdfcal.cameras.rig import Rig
-from urdfcal.detection.detect import REJECTED, detect, detect_in, open_album, write_detected
+from urdfcal.detection.detect import REJECTED, detect, detect_in, open_images, write_detected
 from urdfcal.errors import SessionError
 from urdfcal.estimation.measurements import Detections
 from urdfcal.images.files import read_image, write_image
@@ -36,7 +36,7 @@ def simulated() -> Simulated:
 
 @pytest.fixture
 def session(simulated: Simulated, tmp_path: Path) -> Path:
-    """Pictures of nothing but the LED, on a grey ground with noise."""
+    """Images of nothing but the LED, on a grey ground with noise."""
     folder = tmp_path / "session"
     write_simulated_images(folder, simulated, Exposure())
     seen, names, rng = simulated.session.find(Detections), simulated.session.rig.names, np.random.default_rng(0)
@@ -48,7 +48,7 @@ def session(simulated: Simulated, tmp_path: Path) -> Path:
 
 
 def lamp(path: Path, u: float, v: float, peak: float = 200.0) -> None:
-    """Add a small round light to a picture."""
+    """Add a small round light to an image."""
     image = read_image(path)
     y, x = np.mgrid[: image.shape[0], : image.shape[1]]
     spot = peak * np.exp(-((x - u) ** 2 + (y - v) ** 2) / (2.0 * 1.5**2))
@@ -104,7 +104,7 @@ def test_a_brighter_light_that_the_arm_does_not_carry_is_rejected_with_its_dista
 
 
 def test_a_session_without_cameras_is_refused(session: Path) -> None:
-    positions, album = open_album(session)
+    positions, album = open_images(session)
     with pytest.raises(SessionError, match="no cameras are named"):
         detect_in(replace(positions, rig=Rig()), album)
 
@@ -114,6 +114,6 @@ def test_black_pictures_hold_no_led_and_the_summary_says_so(session: Path) -> No
         write_image(path, np.zeros_like(read_image(path)))
     detected = detect(session)
     assert detected.found == 0
-    with pytest.raises(SessionError, match=rf"no LED .* {2 * POSES} pictures.*no light at all \({2 * POSES}\)"):
+    with pytest.raises(SessionError, match=rf"no LED .* {2 * POSES} images.*no light at all \({2 * POSES}\)"):
         write_detected(session, detected)
     assert not (session / "detections.csv").exists()

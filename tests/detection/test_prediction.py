@@ -1,4 +1,4 @@
-"""Where a camera should see the LED: when pictures are enough to say it, and when they are not."""
+"""Where a camera should see the LED: when images are enough to say it, and when they are not."""
 
 from __future__ import annotations
 
@@ -8,9 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from urdfcal.detection.prediction import Foresight as Prediction
-from urdfcal.detection.prediction import Lights
-from urdfcal.detection.prediction import foresee as predict
+from urdfcal.detection.prediction import Lights, Prediction, predict
 from urdfcal.estimation.measurements import Detections
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
@@ -23,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Pictures:
+class Images:
     """What the first camera of a simulated session saw of its LED."""
 
     camera: Camera
@@ -34,7 +32,7 @@ class Pictures:
     def predict(
         self, count: int, led: Led | None = None, strangers: int = 0, displaced: float = 0.0
     ) -> tuple[Prediction | None, Lights]:
-        """Predict from the first pictures; in some of them, a brighter light is elsewhere."""
+        """Predict from the first images; in some of them, a brighter light is elsewhere."""
         uv = self.uv[:count] + np.random.default_rng(1).normal(0.0, displaced, (count, 2))
         away = np.random.default_rng(0).uniform([0.0, 0.0], self.camera.resolution, (strangers, 2))
         lights = Lights(
@@ -47,69 +45,69 @@ class Pictures:
 
 
 @pytest.fixture(scope="module")
-def pictures() -> Pictures:
+def images() -> Images:
     session = simulate(read_rig(find_rig("ur5")), poses=20, seed=3).session
     seen = session.find(Detections)
     mine = seen.camera == 0
     T = tip_poses(session.chain, session.q)[seen.pose[mine]]
-    return Pictures(session.rig.cameras[0], session.leds[0], T, seen.uv[mine])
+    return Images(session.rig.cameras[0], session.leds[0], T, seen.uv[mine])
 
 
 @pytest.mark.parametrize("count", [1, 2, 5])
-def test_five_pictures_are_too_few(pictures: Pictures, count: int) -> None:
-    assert pictures.predict(count)[0] is None
+def test_five_pictures_are_too_few(images: Images, count: int) -> None:
+    assert images.predict(count)[0] is None
 
 
-def test_six_pictures_are_enough(pictures: Pictures) -> None:
-    prediction, lights = pictures.predict(6)
+def test_six_pictures_are_enough(images: Images) -> None:
+    prediction, lights = images.predict(6)
     assert prediction is not None
     assert (prediction.misses(lights) < prediction.gate).all()
 
 
-def test_pictures_through_no_lens_do_not_count(pictures: Pictures) -> None:
+def test_pictures_through_no_lens_do_not_count(images: Images) -> None:
     """A light where the lens model has no ray is none of the six."""
-    bent = replace(pictures.camera, distortion_model="radtan", distortion=np.array([-0.6, 0.0, 0.0, 0.0]))
-    uv = pictures.uv[:6].copy()
+    bent = replace(images.camera, distortion_model="radtan", distortion=np.array([-0.6, 0.0, 0.0, 0.0]))
+    uv = images.uv[:6].copy()
     uv[0] = [-3000.0, -3000.0]
     lights = Lights(np.arange(6), uv, np.ones(6))
-    assert predict(bent, (pictures.led,), pictures.T_base_tip[:6], np.zeros(6, np.intp), lights) is None
+    assert predict(bent, (images.led,), images.T_base_tip[:6], np.zeros(6, np.intp), lights) is None
 
 
-def test_most_of_the_brightest_lights_must_be_the_arms(pictures: Pictures) -> None:
-    prediction, lights = pictures.predict(20, strangers=8)
+def test_most_of_the_brightest_lights_must_be_the_arms(images: Images) -> None:
+    prediction, lights = images.predict(20, strangers=8)
     assert prediction is not None
     misses = prediction.misses(lights)
     assert (misses[:20] < prediction.gate).all()
     assert (misses[20:] > prediction.gate).sum() >= 7
     for strangers in (12, 14):  # with eight true ones the camera's place would still be found
-        assert pictures.predict(20, strangers=strangers)[0] is None
+        assert images.predict(20, strangers=strangers)[0] is None
 
 
-def test_an_led_may_be_off_as_far_as_its_sigma_says(pictures: Pictures) -> None:
+def test_an_led_may_be_off_as_far_as_its_sigma_says(images: Images) -> None:
     """Without one as far as a ruler errs: what is farther off is not this arm's LED."""
-    far = pictures.led.position + np.array([0.0, 0.25, 0.25])
-    assert pictures.predict(20, Led("led", far))[0] is None
-    assert pictures.predict(20, Led("led", far, 0.01))[0] is None
-    prediction, lights = pictures.predict(20, Led("led", far, 0.3))
+    far = images.led.position + np.array([0.0, 0.25, 0.25])
+    assert images.predict(20, Led("led", far))[0] is None
+    assert images.predict(20, Led("led", far, 0.01))[0] is None
+    prediction, lights = images.predict(20, Led("led", far, 0.3))
     assert prediction is not None
     assert (prediction.misses(lights) < prediction.gate).mean() > 0.9
 
 
-def test_an_led_given_to_a_ruler_is_found(pictures: Pictures) -> None:
-    prediction, lights = pictures.predict(20, Led("led", pictures.led.position))
+def test_an_led_given_to_a_ruler_is_found(images: Images) -> None:
+    prediction, lights = images.predict(20, Led("led", images.led.position))
     assert prediction is not None
     assert (prediction.misses(lights) < prediction.gate).all()
 
 
-def test_the_gate_follows_the_pictures(pictures: Pictures) -> None:
-    close, far = (pictures.predict(20, displaced=spread)[0] for spread in (0.5, 8.0))
+def test_the_gate_follows_the_pictures(images: Images) -> None:
+    close, far = (images.predict(20, displaced=spread)[0] for spread in (0.5, 8.0))
     assert close is not None
     assert far is not None
     assert 3.0 < close.gate < 20.0 < far.gate
 
 
-def test_out_of_sight_nothing_is_near(pictures: Pictures) -> None:
-    prediction, _ = pictures.predict(20)
+def test_out_of_sight_nothing_is_near(images: Images) -> None:
+    prediction, _ = images.predict(20)
     assert prediction is not None
     hidden = replace(prediction, uv=np.full_like(prediction.uv, np.nan))
-    assert np.isinf(hidden.misses(Lights(np.arange(20), pictures.uv, np.ones(20)))).all()
+    assert np.isinf(hidden.misses(Lights(np.arange(20), images.uv, np.ones(20)))).all()

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from urdfcal.estimation.validation import FOLDS, hold_out, loss
+from urdfcal.estimation.validation import FOLDS, hold_out, loss, rms_interval
 from urdfcal.pipeline import calibrate
 from urdfcal.session.knowledge import Estimate
 
@@ -59,3 +59,40 @@ def test_other_seeds_divide_the_poses_otherwise(calibration: FittedCalibration) 
     a, b, again = (hold_out(calibration.problem, calibration.fit, seed).norms[0] for seed in (0, 1, 0))
     np.testing.assert_array_equal(a, again)
     assert not np.array_equal(a, b)
+
+
+def interval_of(distance: np.ndarray, unit: np.ndarray, seed: int = 0) -> np.ndarray:
+    """95 % interval of the rms of distances (N, m), each pose in its unit."""
+    observed = SimpleNamespace(pose=np.arange(len(distance)))
+    return np.array(rms_interval([observed], [np.ones_like(distance, bool)], [distance], unit, seed))
+
+
+def test_the_interval_is_that_of_the_normal_limit() -> None:
+    # The mean of n squares of standard normal numbers has standard deviation sqrt(2 / n); the rms half of it.
+    count = 2000
+    distance = np.abs(np.random.default_rng(0).normal(size=(count, 1)))
+    rms = np.sqrt(np.mean(distance**2))
+    expected = rms + np.array([-1.96, 1.96]) * np.sqrt(2.0 / count) / 2.0
+    np.testing.assert_allclose(interval_of(distance, np.arange(count)), expected, atol=0.15 * np.sqrt(0.5 / count))
+
+
+def test_errors_of_one_unit_count_once() -> None:
+    rng = np.random.default_rng(1)
+    of_units = np.abs(rng.normal(size=(200, 1)))
+    low, high = interval_of(of_units, np.arange(200))
+    np.testing.assert_allclose(
+        interval_of(np.repeat(of_units, 9, axis=0), np.repeat(np.arange(200), 9)), [low, high], rtol=1e-12
+    )
+    apart = interval_of(np.repeat(of_units, 9, axis=0), np.arange(1800))
+    assert np.ptp(apart) < 0.5 * (high - low)
+
+
+def test_outliers_and_poses_without_measurements_have_no_part_in_the_interval() -> None:
+    distance = np.abs(np.random.default_rng(2).normal(size=(50, 2)))
+    expected = rms_interval(
+        [SimpleNamespace(pose=np.arange(50))], [np.ones((50, 2), bool)], [distance], np.arange(50), 3
+    )
+    spoilt = np.concatenate([distance, np.full((50, 1), 1e6)], axis=1)
+    kept = np.concatenate([np.ones((50, 2), bool), np.zeros((50, 1), bool)], axis=1)
+    unit = np.arange(60)  # ten poses more that nobody has measured
+    assert rms_interval([SimpleNamespace(pose=np.arange(50))], [kept], [spoilt], unit, 3) == expected

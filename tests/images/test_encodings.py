@@ -98,10 +98,10 @@ def test_other_files_are_decoded() -> None:
     ("format_", "data", "message"),
     [
         ("16UC1; compressedDepth png", b"x" * 20, "distances"),
-        ("jpeg", b"", "0 bytes of the format 'jpeg' are no whole picture"),
-        ("jpeg", b"\xff\xd8\xff broken", "no whole picture"),
-        ("jpeg", cv2.imencode(".jpg", np.eye(64, dtype=np.uint8) * 255)[1].tobytes()[:-20], "no whole picture"),
-        ("png", cv2.imencode(".png", np.eye(64, dtype=np.uint8) * 255)[1].tobytes()[:60], "no whole picture"),
+        ("jpeg", b"", "0 bytes of the format 'jpeg' are no whole image"),
+        ("jpeg", b"\xff\xd8\xff broken", "no whole image"),
+        ("jpeg", cv2.imencode(".jpg", np.eye(64, dtype=np.uint8) * 255)[1].tobytes()[:-20], "no whole image"),
+        ("png", cv2.imencode(".png", np.eye(64, dtype=np.uint8) * 255)[1].tobytes()[:60], "no whole image"),
     ],
 )
 def test_what_is_no_image_is_refused(format_: str, data: bytes, message: str) -> None:

@@ -1,4 +1,4 @@
-"""Videos: what is written is read, picture by picture, and a lost picture is told."""
+"""Videos: what is written is read, image by image, and a lost image is told."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 from urdfcal.detection.spots.detector import find_spots
 from urdfcal.errors import CameraError, OutputError
-from urdfcal.images.video import Frame, Video, write_video
+from urdfcal.images.video import Video, VideoFrame, write_video
 from urdfcal.simulation.render import Light, Scenery, Sensor
 
 if TYPE_CHECKING:
@@ -31,9 +31,9 @@ def place(k: int) -> np.ndarray:
 def at_the_led(spots: Spots, at: list[int]) -> tuple[np.ndarray, list[str]]:
     """How far the good spots at the LED are from it (n, 2), and what is said of all that are there.
 
-    Shadows of former pictures are lights as well, which the arm tells from the LED's.
+    Shadows of former images are lights as well, which the arm tells from the LED's.
     """
-    apart = spots.fits.uv - [place(at[k]) for k in spots.picture]
+    apart = spots.fits.uv - [place(at[k]) for k in spots.image]
     there = np.flatnonzero(np.linalg.norm(apart, axis=1) < 2.0)
     return apart[[i for i in there if not spots.reasons[i]]], [spots.reasons[i] for i in there]
 
@@ -65,7 +65,7 @@ def test_some_pictures_are_passed_over_and_one_is_found(path: Path) -> None:
     video = Video(path, rows, COUNT)
     for i, frame in enumerate(video):
         assert np.array_equal(frame.lit(SIZE), video[i].lit(SIZE))
-        assert f"picture {rows[i] + 1}" in frame.where
+        assert f"image {rows[i] + 1}" in frame.where
 
 
 @pytest.mark.parametrize("threads", [1, 3])
@@ -78,17 +78,17 @@ def test_leds_are_found_in_a_video_as_in_files(path: Path, threads: int) -> None
 
 
 def test_a_few_pictures_are_in_memory_at_a_time(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    alive: weakref.WeakSet[Frame] = weakref.WeakSet()
+    alive: weakref.WeakSet[VideoFrame] = weakref.WeakSet()
     most = 0
 
-    class Counted(Frame):
+    class Counted(VideoFrame):
         def __init__(self, image: Image, where: str) -> None:
             nonlocal most
             super().__init__(image, where)
             alive.add(self)
             most = max(most, len(alive))
 
-    monkeypatch.setattr("urdfcal.images.video.Frame", Counted)
+    monkeypatch.setattr("urdfcal.images.video.VideoFrame", Counted)
     find_spots(Video(path, tuple(range(COUNT)), COUNT), SIZE, threads=2, place=np.zeros(COUNT, dtype=np.intp))
     assert 1 <= most <= 6
 
@@ -107,7 +107,7 @@ def test_an_arm_that_waits_is_no_lamp(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("count", [COUNT - 2, COUNT + 5])
 def test_a_count_that_differs_is_told_with_both_numbers(path: Path, count: int) -> None:
-    with pytest.raises(CameraError, match=rf"has {COUNT} pictures, and the table of frames {count}"):
+    with pytest.raises(CameraError, match=rf"has {COUNT} images, and the table of frames {count}"):
         find_spots(Video(path, tuple(range(count)), count), SIZE)
 
 

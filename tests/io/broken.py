@@ -194,7 +194,7 @@ BROKEN = [
     Broken(
         "negative tolerance", append(YAML, "tolerances: {length: -1}\n"), "key 'tolerances.length': -1 is less than 0"
     ),
-    Broken("nothing measured", swap(YAML, "detections: detections.csv\n", ""), "none of detections, points are named"),
+    Broken("nothing measured", swap(YAML, "detections: detections.csv\n", ""), "none of detections, points"),
     Broken("no cameras named", swap(YAML, "cameras: cameras.yaml\n", ""), "detections are named, but no cameras"),
     Broken(
         "file not there",

@@ -313,7 +313,7 @@ def test_parameters_come_with_their_band_step_by_step(calibration, recorded):
 def test_verdict_table_and_workspace_are_there(calibration, recorded):
     overview = Overview.of(calibration)
     (banner,) = recorded.static("/base/banner", "Points2D:labels")
-    assert overview.verdict.sentence in banner
+    assert calibration.assessment.sentence in banner
     assert headline(overview.document) in banner
     (table,) = recorded.static("/base/texts/parameters", "TextDocument:text")
     for lost in calibration.identifiability.unidentifiable:

@@ -86,7 +86,7 @@ def test_something_must_be_on_the_robot() -> None:
 @pytest.mark.parametrize(
     ("mount", "message"),
     [
-        ({"link": "world"}, "a camera that stands in the world rides on no link"),
+        ({"link": "world"}, "a camera that stands in the world is on no link"),
         ({"T_link_camera": np.diag([1.0, 1.0, -1.0, 1.0])}, "no rigid"),
         ({"sigma": np.ones(6)}, "sigma is given without a place"),
         ({"T_link_camera": np.eye(4), "sigma": np.zeros(6)}, "not six positive numbers"),
@@ -150,7 +150,7 @@ def broken(folder: Path, **changes: object) -> Path:
         ({"cameras": {"head": {"link": "head_2_link"}}}, "the key 'file' is missing"),
         (
             {"cameras": {"file": "cameras.yaml", "head": {"link": "world"}}},
-            "'head'.*a camera that stands in the world rides on no link",
+            "'head'.*a camera that stands in the world is on no link",
         ),
         ({"cameras": "cameras.yaml"}, "the key 'stand' is missing"),
         ({"stand": {"position": [1, 0, 0], "look_at": [0, 0, 0]}}, "stand: no camera stands: all ride"),

@@ -1,1 +1,1 @@
-"""Cameras: projection and its derivatives, rigs of several cameras, and calibration from pictures of a board."""
+"""Cameras: projection and its derivatives, rigs of several cameras, and calibration from images of a board."""

@@ -1,4 +1,4 @@
-"""Several cameras at once: where they stand, and the points their sightings agree on."""
+"""Several cameras at once: where they stand, and the points their detections agree on."""
 
 from __future__ import annotations
 
@@ -63,13 +63,13 @@ _TEXTS = {
 
 @dataclass(frozen=True, eq=False)
 class Triangulation:
-    """Points from the sightings of several cameras.
+    """Points from the detections of several cameras.
 
     Attributes:
         points: (M, 3) m, in the world frame.
         covariances: (M, 3, 3) m², (Jᵀ W J)⁻¹ at the solution: true if the given sigma are.
         rms: (M,) root mean square of the 2 x views residuals, each divided by its sigma; no unit. With true
-            sigma about sqrt(1 - 3 / (2 views)), 0.5 for two cameras; far above, the sightings disagree.
+            sigma about sqrt(1 - 3 / (2 views)), 0.5 for two cameras; far above, the detections disagree.
         status: (M,) values of :class:`Status`.
     """
 
@@ -202,13 +202,13 @@ class Rig:
             sigma: standard deviation of u and of v, px; any shape that broadcasts to (M, C).
 
         Raises:
-            CameraError: the shapes do not fit, or a sighting's sigma is not positive.
+            CameraError: the shapes do not fit, or a detection's sigma is not positive.
         """
-        uv, sigma = self._checked_sightings(uv, sigma)
+        uv, sigma = self._checked_pixels(uv, sigma)
         placed = [(i, T) for i, T in enumerate(self.T_cam_world) if T is not None]
         columns = [i for i, _ in placed]
         cameras = tuple(self.cameras[i] for i in columns)
-        return _Sightings(cameras, tuple(T for _, T in placed), uv[:, columns], sigma[:, columns]).triangulate()
+        return _Observations(cameras, tuple(T for _, T in placed), uv[:, columns], sigma[:, columns]).triangulate()
 
     def _check_sigmas(self) -> None:
         if len(self.sigmas) != len(self.cameras):
@@ -242,27 +242,27 @@ class Rig:
                     remedy="Write all of their digits, or leave correlations out.",
                 )
 
-    def _checked_sightings(self, uv: Floats, sigma: ArrayLike) -> tuple[Floats, Floats]:
+    def _checked_pixels(self, uv: Floats, sigma: ArrayLike) -> tuple[Floats, Floats]:
         uv = np.asarray(uv, dtype=np.float64)
         if uv.ndim != 3 or uv.shape[1:] != (len(self.cameras), 2):
             raise CameraError(f"pixels of {len(self.cameras)} cameras have the shape {uv.shape}, not (M, C, 2)")
         try:
             sigma = np.broadcast_to(np.asarray(sigma, dtype=np.float64), uv.shape[:2])
         except ValueError:
-            raise CameraError(f"sigma has the shape {np.shape(sigma)}, the sightings {uv.shape[:2]}") from None
+            raise CameraError(f"sigma has the shape {np.shape(sigma)}, the detections {uv.shape[:2]}") from None
         seen = np.isfinite(uv).all(axis=2)
         bad = seen & ~((sigma > 0.0) & np.isfinite(sigma))
         if bad.any():
             point, camera = np.argwhere(bad)[0]
             raise CameraError(
-                f"sigma {sigma[point, camera]:g} px of sighting {point} must be positive",
+                f"sigma {sigma[point, camera]:g} px of detection {point} must be positive",
                 where=f"camera '{self.names[camera]}'",
             )
         return uv, np.where(seen, sigma, np.nan)
 
 
 @dataclass(frozen=True, eq=False)
-class _Sightings:
+class _Observations:
     """What the C cameras of known place saw of M points: uv (M, C, 2) and sigma (M, C) px, NaN if nothing."""
 
     cameras: tuple[Camera, ...]
@@ -344,7 +344,7 @@ class _Sightings:
         return np.asarray((seen & ~(depths > 0.0)).any(axis=1))
 
     def _linearise(self, points: Floats, rows: Ints) -> tuple[Floats, Floats, Floats]:
-        """JᵀJ (k, 3, 3), Jᵀr (k, 3) and rᵀr (k,) of the whitened residuals of the sightings ``rows``."""
+        """JᵀJ (k, 3, 3), Jᵀr (k, 3) and rᵀr (k,) of the whitened residuals of the detections ``rows``."""
         H, gradient, cost = np.zeros((len(rows), 3, 3)), np.zeros((len(rows), 3)), np.zeros(len(rows))
         for i, (camera, T) in enumerate(zip(self.cameras, self.T_cam_world, strict=True)):
             uv, J = camera.project_with_jacobian(points @ T[:3, :3].T + T[:3, 3])

@@ -1,4 +1,4 @@
-"""``urdfcal cameras``: cameras calibrated from pictures of a board, and camera files converted."""
+"""``urdfcal cameras``: cameras calibrated from images of a board, and camera files converted."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class _CalibrateUnlessNamed(click.Group):
 
 @click.group("cameras", cls=_CalibrateUnlessNamed, subcommand_metavar="BOARD_FOLDER -o OUT | convert IN... OUT")
 def command() -> None:
-    """Calibrate cameras from pictures of a board, or convert camera files.
+    """Calibrate cameras from images of a board, or convert camera files.
 
     `urdfcal cameras BOARD_FOLDER -o cameras.yaml` is short for `urdfcal cameras calibrate ...`.
     """
@@ -81,16 +81,16 @@ def calibrate(
 ) -> None:
     """Calibrate one or several cameras from BOARD_FOLDER/<camera>/<view>.png.
 
-    Pictures of the same name were taken at the same time. The standard deviations are written beside the cameras, for
+    Images of the same name were taken at the same time. The standard deviations are written beside the cameras, for
     `intrinsics: refine` and `extrinsics: refine` in session.yaml.
     """
     from urdfcal.cameras.board.calibration import calibrate_cameras
-    from urdfcal.cameras.board.views import find_pictures, read_views
+    from urdfcal.cameras.board.views import find_images, read_views
     from urdfcal.cameras.io.formats import write_kalibr
     from urdfcal.cli.console import progress_bar
 
     chosen = _board(folder, board, square, marker, dictionary)
-    count = sum(len(views) for views in find_pictures(folder).values())
+    count = sum(len(views) for views in find_images(folder).values())
     with progress_bar("looking for the board", count) as advance:
         views = read_views(folder, chosen, advance)
     calibration = calibrate_cameras(views, chosen, distortion)
@@ -172,7 +172,7 @@ def _print(calibration: BoardCalibration, output: Path) -> None:
     console.print(calibration.board.title, markup=False)
     rig = calibration.rig
 
-    quality = sheet("pictures", ["camera", "used", "corners", "residual (px)", "coverage", "tilt (deg)", "worst view"])
+    quality = sheet("images", ["camera", "used", "corners", "residual (px)", "coverage", "tilt (deg)", "worst view"])
     for q in calibration.qualities:
         worst = int(np.argmax(q.rms))
         quality.add_row(

@@ -34,18 +34,18 @@ def command(session: Path, colour: Colour, debug_images: Path | None) -> None:
 def run(session: Path, colour: Colour = "any", debug_images: Path | None = None) -> None:
     """Find the LEDs in a session's images, write the tables and print what came of it."""
     from urdfcal.cli.console import progress_bar
-    from urdfcal.detection.detect import detect_in, open_album, write_debug_images, write_detected
+    from urdfcal.detection.detect import detect_in, open_images, write_debug_images, write_detected
 
-    positions, album = open_album(session)
-    with progress_bar("reading images", album.count) as advance:
-        detected = detect_in(positions, album, colour, advance)
+    positions, index = open_images(session)
+    with progress_bar("reading images", index.count) as advance:
+        detected = detect_in(positions, index, colour, advance)
     if debug_images is not None:
-        with progress_bar("drawing", album.count) as advance:
+        with progress_bar("drawing", index.count) as advance:
             write_debug_images(debug_images, detected, colour, advance)
     paths = write_detected(session, detected)
     sigma = detected.detections.sigma
     click.echo(
-        f"{detected.found} sightings in {album.count} images, "
+        f"{detected.found} detections in {index.count} images, "
         f"found to {sorted(sigma)[len(sigma) // 2]:.3f} px each (median)"
     )
     if rejected := detected.summary():

@@ -29,7 +29,7 @@ _FAR = 20.0
 @base_option
 @click.option("--poses", type=click.IntRange(min=4), help="Configurations compared.  [default: 1000]")
 @click.option(
-    "--points", type=click.Path(path_type=Path), help="With a session: this points.csv instead of its own sightings."
+    "--points", type=click.Path(path_type=Path), help="With a session: this points.csv instead of its own measurements."
 )
 @seed_option
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
@@ -45,7 +45,7 @@ def command(
 ) -> None:
     """Compare the tips of two versions of a robot over its workspace, or the residuals of a session under one.
 
-    With a session, base pose and LED places (and camera poses, for pixels) are fitted; the arm is as A draws it.
+    With a session, base pose and LED positions (and camera poses, for pixels) are fitted; the arm is A's.
     """
     if Path(other).is_dir() or other.endswith((".yaml", ".yml")):
         if tip or base or poses:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from urdfcal.arrays import Floats
     from urdfcal.cameras.rig import Rig
 
-# Cameras that were calibrated well miss by 0.1 to 0.5 px. How badly these do shows in the pictures with one light
+# Cameras that were calibrated well miss by 0.1 to 0.5 px. How badly these do shows in the images with one light
 # each: the gate is this many times their median.
 _GATE, _LEAST_GATE = 6.0, 1.0
 # Cameras that miss by more than this are not where the file says: their rays decide nothing. [px]
@@ -27,7 +27,7 @@ _MOST = 200
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class LightCandidate:
     """A light that may be the LED.
 
     Attributes:
@@ -43,11 +43,11 @@ class Candidate:
     flux: float
 
 
-Verdict = dict[tuple[int, int], str]
+Rejections = dict[tuple[int, int], str]
 """Reasons by (camera, row) why a light is not the LED."""
 
 
-def agree(rig: Rig, groups: Sequence[Sequence[Candidate]]) -> tuple[Verdict, list[str]]:
+def associate(rig: Rig, groups: Sequence[Sequence[LightCandidate]]) -> tuple[Rejections, list[str]]:
     """Choose at most one light for each camera.
 
     Args:
@@ -57,7 +57,7 @@ def agree(rig: Rig, groups: Sequence[Sequence[Candidate]]) -> tuple[Verdict, lis
     Returns:
         The lights that are not taken, and warnings.
     """
-    verdict: Verdict = {}
+    verdict: Rejections = {}
     placed = {i for i, T in enumerate(rig.T_cam_world) if T is not None}
     several = [g for g in groups if len({c.camera for c in g} & placed) > 1]
     sets = [_combinations([c for c in group if c.camera in placed]) for group in several]
@@ -86,9 +86,9 @@ def agree(rig: Rig, groups: Sequence[Sequence[Candidate]]) -> tuple[Verdict, lis
     return verdict, warnings
 
 
-def _combinations(group: Sequence[Candidate]) -> list[tuple[Candidate, ...]]:
+def _combinations(group: Sequence[LightCandidate]) -> list[tuple[LightCandidate, ...]]:
     """All choices of one light for each of two or more cameras, those with most cameras first."""
-    by_camera: Mapping[int, list[Candidate | None]] = defaultdict(list)
+    by_camera: Mapping[int, list[LightCandidate | None]] = defaultdict(list)
     for candidate in group:
         by_camera[candidate.camera].append(candidate)
     if len(by_camera) > 2:
@@ -100,7 +100,7 @@ def _combinations(group: Sequence[Candidate]) -> list[tuple[Candidate, ...]]:
     return sorted(found, key=len, reverse=True)
 
 
-def _misses(rig: Rig, combinations: Sequence[Sequence[Candidate]]) -> Floats:
+def _misses(rig: Rig, combinations: Sequence[Sequence[LightCandidate]]) -> Floats:
     """How far (rms) the rays of each combination miss each other, px; infinite where they do not meet at all."""
     uv = np.full((len(combinations), len(rig.cameras), 2), np.nan)
     for i, combination in enumerate(combinations):
@@ -114,8 +114,8 @@ def _misses(rig: Rig, combinations: Sequence[Sequence[Candidate]]) -> Floats:
 
 
 def _judge(
-    group: Sequence[Candidate], combinations: Sequence[tuple[Candidate, ...]], misses: Floats, gate: float
-) -> Verdict:
+    group: Sequence[LightCandidate], combinations: Sequence[tuple[LightCandidate, ...]], misses: Floats, gate: float
+) -> Rejections:
     """Keep the combination of most cameras whose rays meet, if there is no doubt which it is."""
     meet = [i for i in range(len(combinations)) if misses[i] <= gate]
     if not meet:
@@ -137,8 +137,8 @@ def _judge(
     return {key: reason for key, reason in others.items() if key not in kept}
 
 
-def _brightest(lights: Sequence[Candidate]) -> Verdict:
-    """Of several lights in one picture, the brightest by far."""
+def _brightest(lights: Sequence[LightCandidate]) -> Rejections:
+    """Of several lights in one image, the brightest by far."""
     order = sorted(lights, key=lambda c: -c.flux)
     if len(order) > 1 and order[0].flux < _BRIGHTER * order[1].flux:
         return {(c.camera, c.row): "another light is as bright, and nothing tells which is the LED" for c in order}

@@ -1,4 +1,4 @@
-"""What was found in a picture, drawn for a person to judge."""
+"""What was found in an image, drawn for a person to judge."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ if TYPE_CHECKING:
     from urdfcal.images.files import Colour, Image
 
 _GREEN, _RED, _INK, _PAPER = (60, 220, 90), (255, 90, 80), (235, 235, 235), (24, 24, 28)
-# A crop of this many pixels, each drawn this large; the picture beside it has the same height.
+# A crop of this many pixels, each drawn this large; the image beside it has the same height.
 _CROP, _ZOOM = 41, 16
 _SIDE = _CROP * _ZOOM
 _MOST_REASONS = 12
 
 
 def draw_spots(image: Image, colour: Colour, uv: Floats, sigma: Floats, reasons: Sequence[str], title: str) -> Image:
-    """Draw the lights of one picture: the whole of it with all of them, and the sighting enlarged.
+    """Draw the lights of one image: the whole of it with all of them, and the detection enlarged.
 
     Args:
         image: (h, w) or (h, w, 3), 8 or 16 bit.
         colour: whose channel was searched.
         uv: (n, 2) where the lights are. [px]
         sigma: (n,) of them, NaN where not measured. [px]
-        reasons: n texts why a light was rejected, empty for the sighting.
+        reasons: n texts why a light was rejected, empty for the detection.
         title: of the drawing.
 
     Returns:
@@ -56,12 +56,12 @@ def draw_spots(image: Image, colour: Colour, uv: Floats, sigma: Floats, reasons:
     lines += [f"{i}: {reason}" for i, reason in enumerate(reasons) if reason]
     if len(lines) > _MOST_REASONS:
         lines = [*lines[:_MOST_REASONS], f"and {len(lines) - _MOST_REASONS} more"]
-    pictures = np.hstack([whole, closer])
-    legend = np.full((22 * len(lines) + 12, pictures.shape[1], 3), _PAPER, np.uint8)
+    images = np.hstack([whole, closer])
+    legend = np.full((22 * len(lines) + 12, images.shape[1], 3), _PAPER, np.uint8)
     for row, text in enumerate(lines):
         ink = _INK if row == 0 else _GREEN if row <= len(good) else _RED
         cv2.putText(legend, text, (10, 22 * (row + 1)), cv2.FONT_HERSHEY_SIMPLEX, 0.5, ink, 1, cv2.LINE_AA)
-    return np.vstack([legend, pictures])
+    return np.vstack([legend, images])
 
 
 def _visible(values: Floats | Image) -> Image:

@@ -1,4 +1,4 @@
-"""From a session's images to its sightings: a sighting that is sure, or none."""
+"""From a session's images to its detections: a detection that is sure, or none."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.detection.association import Candidate, agree
+from urdfcal.detection.association import LightCandidate, associate
 from urdfcal.detection.debug_images import draw_spots
-from urdfcal.detection.image_index import Album, read_album
-from urdfcal.detection.prediction import Lights, foresee
+from urdfcal.detection.image_index import ImageIndex, read_index
+from urdfcal.detection.prediction import Lights, predict
 from urdfcal.detection.spots.detector import find_spots
 from urdfcal.errors import OutputError, SessionError
 from urdfcal.estimation.measurements import Detections
@@ -31,8 +31,7 @@ if TYPE_CHECKING:
     from urdfcal.cameras.rig import Rig
     from urdfcal.detection.image_index import Shot
     from urdfcal.detection.spots.detector import Spots
-    from urdfcal.images.files import Colour
-    from urdfcal.images.sequence import Pictures, Shown
+    from urdfcal.images.files import Colour, ImageSequence, SequenceImage
     from urdfcal.session.model import Positions
 
 REJECTED = "detections_rejected.csv"
@@ -40,9 +39,9 @@ REJECTED = "detections_rejected.csv"
 # The arm is in the same place again where its LED comes back to within this. [m]
 _SAME = 5e-3
 # What MPEG-4 does to a spot 3.5 px wide in the 2 kB that OpenCV's encoder spends on a frame: 0.06 px a coordinate, of
-# which its pictures, smoothed as they are, show nothing. [px]
+# which its images, smoothed as they are, show nothing. [px]
 _COMPRESSED = 0.06
-# What calibration is told of the best sightings: dust and uneven pixels are not in a picture's own noise. [px]
+# What calibration is told of the best detections: dust and uneven pixels are not in an image's own noise. [px]
 _LEAST_SIGMA = 2e-3
 
 
@@ -51,28 +50,28 @@ class Detected:
     """What was found in a session's images.
 
     Attributes:
-        positions: the session without its sightings.
-        album: the pictures.
-        spots: the small lights of each camera; the good ones are the sightings.
+        positions: the session without its detections.
+        index: the images.
+        spots: the small lights of each camera; the good ones are the detections.
         warnings: what could not be used to decide, and what is left over.
     """
 
     positions: Positions
-    album: Album
+    index: ImageIndex
     spots: tuple[Spots, ...]
     warnings: tuple[str, ...]
 
     @property
     def detections(self) -> Detections:
-        """The sightings.
+        """The detections.
 
         Raises:
             SessionError: there is none.
         """
-        rows = [(shot, c, i) for c, shot, i in self._sightings()]
+        rows = [(shot, c, i) for c, shot, i in self._detections()]
         if not rows:
             raise SessionError(
-                f"no LED was found in {self.album.count} pictures", remedy=f"What was seen instead: {self.summary()}."
+                f"no LED was found in {self.index.count} images", remedy=f"What was seen instead: {self.summary()}."
             )
         fits = [self.spots[c].fits for _, c, _ in rows]
         return Detections(
@@ -84,21 +83,21 @@ class Detected:
         )
 
     def _sigma(self, camera: int, sigma: float) -> float:
-        """Of a sighting, from that of its spot in the picture. [px]."""
-        compressed = isinstance(self.album.pictures[camera], Video)
+        """Of a detection, from that of its spot in the image. [px]."""
+        compressed = isinstance(self.index.images[camera], Video)
         return float(np.hypot(sigma, _COMPRESSED)) if compressed else max(_LEAST_SIGMA, sigma)
 
     @property
     def found(self) -> int:
-        """Number of sightings."""
-        return sum(1 for _ in self._sightings())
+        """Number of detections."""
+        return sum(1 for _ in self._detections())
 
     def rejected(self) -> Iterator[tuple[str, str, str, int | None, str]]:
         """Pose, camera, LED, row of its camera's spots (None: no light) and reason of every light rejected."""
         for name, shots, spots in self._by_camera():
             rows = defaultdict(list)
-            for i, picture in enumerate(spots.picture):
-                rows[int(picture)].append(i)
+            for i, number in enumerate(spots.image):
+                rows[int(number)].append(i)
             for k, shot in enumerate(shots):
                 labels = self.positions.label(shot.pose), name, self.positions.led_names[shot.led]
                 for i in rows[k]:
@@ -115,12 +114,12 @@ class Detected:
 
     def _by_camera(self) -> Iterator[tuple[str, tuple[Shot, ...], Spots]]:
         names = self.positions.rig.names
-        return zip(names, self.album.shots, self.spots, strict=True)
+        return zip(names, self.index.shots, self.spots, strict=True)
 
-    def _sightings(self) -> Iterator[tuple[int, Shot, int]]:
+    def _detections(self) -> Iterator[tuple[int, Shot, int]]:
         for camera, (_, shots, spots) in enumerate(self._by_camera()):
             for i in np.flatnonzero(spots.good):
-                yield camera, shots[spots.picture[i]], int(i)
+                yield camera, shots[spots.image[i]], int(i)
 
 
 def detect(
@@ -134,18 +133,18 @@ def detect(
     Args:
         folder: the session's, or its YAML file.
         colour: of the LEDs; "any" if it is not known, or the images are grey.
-        progress: called with the number of pictures read since the last call.
+        progress: called with the number of images read since the last call.
         threads: that read images, one a core by default.
 
     Raises:
         SessionError: the session is malformed, or has no images.
         CameraError: an image cannot be read, or has another size than its camera.
     """
-    return detect_in(*open_album(folder), colour, progress, threads)
+    return detect_in(*open_images(folder), colour, progress, threads)
 
 
-def open_album(path: str | Path) -> tuple[Positions, Album]:
-    """Read a session without its sightings, and which pictures there are.
+def open_images(path: str | Path) -> tuple[Positions, ImageIndex]:
+    """Read a session without its detections, and which images there are.
 
     Args:
         path: the session's folder, or its YAML file.
@@ -155,35 +154,35 @@ def open_album(path: str | Path) -> tuple[Positions, Album]:
     """
     positions = read_positions(path)
     folder = Path(path) if Path(path).is_dir() else Path(path).parent
-    return positions, read_album(folder / IMAGES, positions)
+    return positions, read_index(folder / IMAGES, positions)
 
 
 def detect_in(
     positions: Positions,
-    album: Album,
+    index: ImageIndex,
     colour: Colour = "any",
     progress: Callable[[int], object] | None = None,
     threads: int | None = None,
 ) -> Detected:
-    """Look for the LEDs in an album; see :func:`detect`."""
+    """Look for the LEDs in the images of an index; see :func:`detect`."""
     rig = positions.rig
     if not rig.cameras:
         raise SessionError("no cameras are named", remedy="Images need a camera file.")
     T_base_tip = tip_poses(positions.chain, positions.q)
     threads = threads or workers()
 
-    def look(task: tuple[Camera, tuple[Shot, ...], Pictures]) -> Spots:
-        camera, shots, pictures = task
+    def look(task: tuple[Camera, tuple[Shot, ...], ImageSequence]) -> Spots:
+        camera, shots, images = task
         pose, led = _indices(shots)
         place = _places(positions, T_base_tip[pose], led)
-        share = max(1, threads // len(album.shots))
-        return find_spots(pictures, camera.resolution, colour, place, progress, share)
+        share = max(1, threads // len(index.shots))
+        return find_spots(images, camera.resolution, colour, place, progress, share)
 
     # A thread a camera: a video is decoded from its beginning to its end by one.
-    tasks = zip(rig.cameras, album.shots, album.pictures, strict=True)
-    found = list(in_parallel(look, tasks, min(threads, len(album.shots))))
+    tasks = zip(rig.cameras, index.shots, index.images, strict=True)
+    found = list(in_parallel(look, tasks, min(threads, len(index.shots))))
     spots, warnings = [], []
-    for camera, shots, seen in zip(rig.cameras, album.shots, found, strict=True):
+    for camera, shots, seen in zip(rig.cameras, index.shots, found, strict=True):
         pose, led = _indices(shots)
         spots.append(seen)
         if len(seen.still):
@@ -192,20 +191,20 @@ def detect_in(
         if not shots:
             continue
         good = np.flatnonzero(seen.good)
-        lights = Lights(seen.picture, seen.fits.uv, _flux(seen))
-        some = Lights(lights.picture[good], lights.uv[good], lights.flux[good])
-        foresight = foresee(camera, positions.leds, T_base_tip[pose], led, some)
-        if foresight is None:
+        lights = Lights(seen.image, seen.fits.uv, _flux(seen))
+        some = Lights(lights.image[good], lights.uv[good], lights.flux[good])
+        prediction = predict(camera, positions.leds, T_base_tip[pose], led, some)
+        if prediction is None:
             warnings.append(
                 f"camera {camera.name!r}: the arm did not help to tell the LED from other lights: "
-                "too few pictures show it, or they disagree with the arm"
+                "too few images show it, or they disagree with the arm"
             )
         else:
-            misses = foresight.misses(lights)
-            far = np.flatnonzero(misses > foresight.gate)
+            misses = prediction.misses(lights)
+            far = np.flatnonzero(misses > prediction.gate)
             spots[-1] = seen.with_reasons({int(i): _far(float(misses[i])) for i in far})
-    spots, more = _agreeing(rig, album, spots)
-    return Detected(positions, album, tuple(spots), (*positions.warnings, *album.warnings, *warnings, *more))
+    spots, more = _agreeing(rig, index, spots)
+    return Detected(positions, index, tuple(spots), (*positions.warnings, *index.warnings, *warnings, *more))
 
 
 def _indices(shots: Sequence[Shot]) -> tuple[Ints, Ints]:
@@ -244,7 +243,7 @@ def write_detected(path: str | Path, detected: Detected) -> list[Path]:
 def write_debug_images(
     folder: Path, detected: Detected, colour: Colour = "any", progress: Callable[[int], object] | None = None
 ) -> None:
-    """Draw what was found in each picture: ``folder``/<camera>/<picture>.png.
+    """Draw what was found in each image: ``folder``/<camera>/<image>.png.
 
     Args:
         folder: where to; made if need be, in a folder that exists.
@@ -259,24 +258,24 @@ def write_debug_images(
     if not rig.cameras:
         return
 
-    def draw(task: tuple[Camera, int, Shot, Shown, Spots]) -> None:
-        camera, number, shot, picture, spots = task
-        rows = np.flatnonzero(spots.picture == number)
+    def draw(task: tuple[Camera, int, Shot, SequenceImage, Spots]) -> None:
+        camera, number, shot, shown, spots = task
+        rows = np.flatnonzero(spots.image == number)
         label, led = positions.label(shot.pose), positions.led_names[shot.led]
         title = f"{camera.name}  pose {label}  LED {led}"
         reasons = [spots.reasons[i] for i in rows]
-        image = picture.lit(camera.resolution)
+        image = shown.lit(camera.resolution)
         drawing = draw_spots(image, colour, spots.fits.uv[rows], spots.fits.sigma[rows], reasons, title)
         write_image(
             stage / camera.name / (f"{label}.{led}.png" if len(positions.leds) > 1 else f"{label}.png"), drawing
         )
 
-    def tasks() -> Iterator[tuple[Camera, int, Shot, Shown, Spots]]:
-        album, pictures = detected.album, detected.album.pictures
-        for camera, shots, of_camera, spots in zip(rig.cameras, album.shots, pictures, detected.spots, strict=True):
-            shown: Pictures = of_camera
-            for number, (shot, picture) in enumerate(zip(shots, shown, strict=True)):
-                yield camera, number, shot, picture, spots
+    def tasks() -> Iterator[tuple[Camera, int, Shot, SequenceImage, Spots]]:
+        index, images = detected.index, detected.index.images
+        for camera, shots, of_camera, spots in zip(rig.cameras, index.shots, images, detected.spots, strict=True):
+            shown: ImageSequence = of_camera
+            for number, (shot, image) in enumerate(zip(shots, shown, strict=True)):
+                yield camera, number, shot, image, spots
 
     with staged(folder) as stage:
         for name in rig.names:
@@ -298,7 +297,7 @@ def _rejected_rows(detected: Detected) -> Iterator[tuple[str, ...]]:
 
 
 def _places(positions: Positions, T_base_tip: Floats, led: Ints) -> Ints:
-    """(P,) a number for each picture that is the same where the LED should be in the same place."""
+    """(P,) a number for each image that is the same where the LED should be in the same place."""
     # An LED of unknown place is somewhere off the tip: turning the tip moves it.
     assumed = [np.full(3, 0.05) if one.position is None else one.position for one in positions.leds]
     R, p = T_base_tip[:, :3, :3], T_base_tip[:, :3, 3]
@@ -319,15 +318,15 @@ def _flux(spots: Spots) -> Floats:
     return np.asarray(2.0 * np.pi * spots.fits.peak * (spots.fits.width**2 + 1.0 / 12.0))
 
 
-def _agreeing(rig: Rig, album: Album, spots: list[Spots]) -> tuple[list[Spots], list[str]]:
-    """Reject what the other cameras' rays do not meet, and all but one light a picture."""
-    groups: defaultdict[tuple[int, int], list[Candidate]] = defaultdict(list)
-    for camera, (shots, seen) in enumerate(zip(album.shots, spots, strict=True)):
+def _agreeing(rig: Rig, index: ImageIndex, spots: list[Spots]) -> tuple[list[Spots], list[str]]:
+    """Reject what the other cameras' rays do not meet, and all but one light an image."""
+    groups: defaultdict[tuple[int, int], list[LightCandidate]] = defaultdict(list)
+    for camera, (shots, seen) in enumerate(zip(index.shots, spots, strict=True)):
         flux = _flux(seen)
         for i in np.flatnonzero(seen.good):
-            shot = shots[seen.picture[i]]
-            groups[shot.pose, shot.led].append(Candidate(camera, int(i), seen.fits.uv[i], float(flux[i])))
-    verdict, warnings = agree(rig, list(groups.values()))
+            shot = shots[seen.image[i]]
+            groups[shot.pose, shot.led].append(LightCandidate(camera, int(i), seen.fits.uv[i], float(flux[i])))
+    verdict, warnings = associate(rig, list(groups.values()))
     by_camera: list[dict[int, str]] = [{} for _ in spots]
     for (camera, row), reason in verdict.items():
         by_camera[camera][row] = reason

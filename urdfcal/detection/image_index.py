@@ -1,11 +1,11 @@
-"""Which picture shows which LED at which pose: the names of the files in a session's images folder."""
+"""Which image shows which LED at which pose: the names of the files in a session's images folder."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
-from urdfcal.detection.spots.detector import Picture
+from urdfcal.detection.spots.detector import ImageFile
 from urdfcal.errors import SessionError
 from urdfcal.images.files import SUFFIXES
 from urdfcal.images.video import SUFFIXES as VIDEO_SUFFIXES
@@ -26,7 +26,7 @@ _K = TypeVar("_K")
 
 @dataclass(frozen=True)
 class Shot:
-    """A picture of one LED at one pose.
+    """An image of one LED at one pose.
 
     Attributes:
         pose: index of the pose.
@@ -38,26 +38,26 @@ class Shot:
 
 
 @dataclass(frozen=True)
-class Album:
-    """All pictures of a session.
+class ImageIndex:
+    """All images of a session.
 
     Attributes:
         shots: of each camera, by pose and LED.
-        pictures: of each camera, one a shot.
+        images: of each camera, one a shot.
         warnings: files and cameras that are left over.
     """
 
     shots: tuple[tuple[Shot, ...], ...]
-    pictures: tuple[tuple[Picture, ...] | Video, ...]
+    images: tuple[tuple[ImageFile, ...] | Video, ...]
     warnings: tuple[str, ...]
 
     @property
     def count(self) -> int:
-        """Number of pictures to look for an LED in."""
+        """Number of images to look for an LED in."""
         return sum(map(len, self.shots))
 
 
-def read_album(folder: Path, positions: Positions) -> Album:
+def read_index(folder: Path, positions: Positions) -> ImageIndex:
     """Sort the files of ``folder``/<camera>/: <pose>.png, <pose>.<led>.png or <pose>.off.png (dark, subtracted).
 
     Of an arm that moved a pose is a frame, and ``folder``/<camera>.mp4 may hold all frames of a camera in their order.
@@ -67,7 +67,7 @@ def read_album(folder: Path, positions: Positions) -> Album:
         positions: whose poses, LEDs and cameras the names refer to.
 
     Raises:
-        SessionError: there is no picture, two files say the same, a name does not say which LED is lit, or there is a
+        SessionError: there is no image, two files say the same, a name does not say which LED is lit, or there is a
             video of an arm that stood still or with several LEDs.
     """
     cameras = positions.rig.names
@@ -75,11 +75,11 @@ def read_album(folder: Path, positions: Positions) -> Album:
         raise SessionError(
             "there is no such folder",
             where=str(folder),
-            remedy=f"Put the pictures into {folder.name}/<camera>/<pose>.png.",
+            remedy=f"Put the images into {folder.name}/<camera>/<pose>.png.",
         )
     if _DARK in positions.led_names:
         raise SessionError(
-            f"an LED is named {_DARK!r}, as are the pictures with the LED dark", where="leds", remedy="Rename it."
+            f"an LED is named {_DARK!r}, as are the images with the LED dark", where="leds", remedy="Rename it."
         )
     warnings = [
         f"{path}: no camera is called {path.name!r}. {suggest(path.name, cameras, 'cameras')}"
@@ -89,29 +89,29 @@ def read_album(folder: Path, positions: Positions) -> Album:
     videos = _videos(folder, cameras)
     warnings += [f"{path}: no camera is called {path.stem!r}" for path in videos.pop("", [])]
     shots: list[tuple[Shot, ...]] = []
-    pictures: list[tuple[Picture, ...] | Video] = []
+    images: list[tuple[ImageFile, ...] | Video] = []
     for c, camera in enumerate(cameras):
         if camera in videos:
             found, video = _frames(videos[camera], c, folder / camera, positions)
             shots.append(found)
-            pictures.append(video)
+            images.append(video)
             continue
         stills, strangers = _sort(folder / camera, c, positions)
         shots.append(tuple(shot for shot, _ in stills))
-        pictures.append(tuple(picture for _, picture in stills))
+        images.append(tuple(image for _, image in stills))
         if not stills:
-            warnings.append(f"{folder / camera}: there are no pictures of this camera")
+            warnings.append(f"{folder / camera}: there are no images of this camera")
         elif strangers:
             warnings.append(f"{folder / camera}: {len(strangers)} files belong to no pose: {listed(strangers)}")
-    album = Album(tuple(shots), tuple(pictures), tuple(warnings))
-    if not album.count:
+    index = ImageIndex(tuple(shots), tuple(images), tuple(warnings))
+    if not index.count:
         raise SessionError(
-            "there is no picture of any pose and camera",
+            "there is no image of any pose and camera",
             where=str(folder),
             remedy=f"They are to be called <camera>/<pose>{SUFFIXES[0]}; {listed(cameras)} are the cameras, "
             f"{listed(positions.poses[:3])} the first poses.",
         )
-    return album
+    return index
 
 
 def _videos(folder: Path, cameras: Sequence[str]) -> dict[str, list[Path]]:
@@ -124,7 +124,7 @@ def _videos(folder: Path, cameras: Sequence[str]) -> dict[str, list[Path]]:
 
 
 def _frames(paths: Sequence[Path], camera: int, folder: Path, positions: Positions) -> tuple[tuple[Shot, ...], Video]:
-    """The shots in a camera's video: its n-th picture is the n-th of the camera's frames."""
+    """The shots in a camera's video: its n-th image is the n-th of the camera's frames."""
     path, *others = paths
     if others or folder.is_dir():
         other = others[0] if others else folder
@@ -141,7 +141,7 @@ def _frames(paths: Sequence[Path], camera: int, folder: Path, positions: Positio
         raise SessionError(
             f"there are {len(positions.leds)} LEDs, and a video does not say which is lit",
             where=str(path),
-            remedy="Write its frames as pictures <frame>.<led>.png, or leave one LED on.",
+            remedy="Write its frames as images <frame>.<led>.png, or leave one LED on.",
         )
     poses = _poses_of(positions.motion, camera)
     rows = tuple(int(positions.motion.row[pose]) for pose in poses.values())
@@ -155,7 +155,7 @@ def _poses_of(trajectory: Trajectory, camera: int) -> dict[str, int]:
     return {trajectory.label(k): k for k in mine}
 
 
-def _sort(folder: Path, camera: int, positions: Positions) -> tuple[list[tuple[Shot, Picture]], list[str]]:
+def _sort(folder: Path, camera: int, positions: Positions) -> tuple[list[tuple[Shot, ImageFile]], list[str]]:
     """The shots in one camera's folder, and the names of image files that say nothing."""
     if not isinstance(positions.motion, Trajectory):
         poses = {name: i for i, name in enumerate(positions.poses)}
@@ -180,7 +180,7 @@ def _sort(folder: Path, camera: int, positions: Positions) -> tuple[list[tuple[S
             _enter(dark, pose, path)
         else:
             _enter(lit, (pose, _led(last, path, positions.led_names)), path)
-    shots = [(Shot(pose, led), Picture(path, dark.get(pose))) for (pose, led), path in sorted(lit.items())]
+    shots = [(Shot(pose, led), ImageFile(path, dark.get(pose))) for (pose, led), path in sorted(lit.items())]
     return shots, strangers
 
 
@@ -191,12 +191,12 @@ def _led(name: str, path: Path, leds: Sequence[str]) -> int:
         raise SessionError(
             f"there are {len(leds)} LEDs, and the name does not say which is lit",
             where=str(path),
-            remedy=f"Call it {path.stem}.{leds[0]}{path.suffix} or the like, one picture an LED.",
+            remedy=f"Call it {path.stem}.{leds[0]}{path.suffix} or the like, one image an LED.",
         )
     return 0
 
 
 def _enter(table: dict[_K, Path], key: _K, path: Path) -> None:
     if key in table:
-        raise SessionError(f"this is the same picture as {table[key].name}", where=str(path), remedy="Keep one.")
+        raise SessionError(f"this is the same image as {table[key].name}", where=str(path), remedy="Keep one.")
     table[key] = path

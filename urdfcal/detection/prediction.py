@@ -1,4 +1,4 @@
-"""Where one camera should see the LEDs: the arm as drawn, put before the camera by what most pictures show."""
+"""Where one camera should see the LEDs: the arm as drawn, put before the camera by what most images show."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ if TYPE_CHECKING:
     from urdfcal.cameras.camera import Camera
     from urdfcal.session.knowledge import Led
 
-# Six pictures fix a camera's pose twice over.
+# Six images fix a camera's pose twice over.
 _FEWEST = 6
-# If the brightest light fits the arm in fewer pictures than this, it is not known which light is the arm's.
+# If the brightest light fits the arm in fewer images than this, it is not known which light is the arm's.
 _MOST = 0.5
 # How far off the arm as drawn may be before anything is fitted: 2 cm at 1 m. [rad]
 _DRAWN = 0.02
 # Where an LED sits if nobody says: within a hand of the tip. [m]
 _UNKNOWN_LED, _RULER = 0.15, 0.005
-# The arm as drawn is wrong by millimetres, which are as many pixels; their spread is measured in the pictures, and
+# The arm as drawn is wrong by millimetres, which are as many pixels; their spread is measured in the images, and
 # the gate is this many times their median, which leaves out one in a thousand.
 _GATE, _ALLOWANCE = 4.0, 3.0
 _ROUNDS = 8
@@ -30,22 +30,22 @@ _ROUNDS = 8
 
 @dataclass(frozen=True, eq=False)
 class Lights:
-    """What one camera saw: n lights in P pictures.
+    """What one camera saw: n lights in P images.
 
     Attributes:
-        picture: (n,) index of the picture.
+        image: (n,) index of the image.
         uv: (n, 2) where. [px]
         flux: (n,) how bright.
     """
 
-    picture: Ints
+    image: Ints
     uv: Floats
     flux: Floats
 
 
 @dataclass(frozen=True, eq=False)
-class Foresight:
-    """Where the LED should be in each of P pictures of a camera.
+class Prediction:
+    """Where the LED should be in each of P images of a camera.
 
     Attributes:
         uv: (P, 2) NaN where it should be out of sight. [px]
@@ -57,33 +57,33 @@ class Foresight:
 
     def misses(self, lights: Lights) -> Floats:
         """How far (n,) lights are from where the LED should be, px; infinite where it cannot be."""
-        distance = np.linalg.norm(lights.uv - self.uv[lights.picture], axis=1)
+        distance = np.linalg.norm(lights.uv - self.uv[lights.image], axis=1)
         return np.where(np.isfinite(distance), distance, np.inf)
 
 
-def foresee(camera: Camera, leds: tuple[Led, ...], T_base_tip: Floats, led: Ints, lights: Lights) -> Foresight | None:
+def predict(camera: Camera, leds: tuple[Led, ...], T_base_tip: Floats, led: Ints, lights: Lights) -> Prediction | None:
     """Place the camera before the arm as drawn, from lights of which most are the LED's.
 
     Args:
         camera: its lens.
         leds: on the tip link.
-        T_base_tip: (P, 4, 4) of every picture, of the arm as drawn. [m]
+        T_base_tip: (P, 4, 4) of every image, of the arm as drawn. [m]
         led: (P,) which one is lit.
         lights: that may be LEDs.
 
     Returns:
-        None where the pictures are too few, or do not agree with the arm.
+        None where the images are too few, or do not agree with the arm.
     """
     import cv2
 
     places = np.array([np.zeros(3) if one.position is None else one.position for one in leds])
     sigma = np.array([_UNKNOWN_LED if one.position is None else one.sigma or _RULER for one in leds])
-    first = _first(lights.picture, -lights.flux)
+    first = _first(lights.image, -lights.flux)
     rays = camera.unproject(lights.uv[first])[:, :2]
     first, rays = first[np.isfinite(rays[:, 0])], rays[np.isfinite(rays[:, 0])]
     if len(first) < _FEWEST:
         return None
-    at = lights.picture[first]
+    at = lights.image[first]
     tips = T_base_tip[at]
     objects = tips[:, :3, 3] + (tips[:, :3, :3] @ places[led[at]][..., None])[..., 0]
     off = _DRAWN + float(np.max(sigma[np.unique(led[at])]))
@@ -97,21 +97,21 @@ def foresee(camera: Camera, leds: tuple[Led, ...], T_base_tip: Floats, led: Ints
     fit = _Fit(camera, T_base_tip, led, T_cam_base, places, places, np.maximum(sigma, 1e-4))
     gate = off * float(camera.intrinsics[:2].mean())
     for _ in range(_ROUNDS):
-        foresight = Foresight(fit.project(), gate)
-        misses = foresight.misses(lights)
-        nearest = _first(lights.picture, misses)
+        prediction = Prediction(fit.project(), gate)
+        misses = prediction.misses(lights)
+        nearest = _first(lights.image, misses)
         near = nearest[misses[nearest] < gate]
         if len(near) < max(_FEWEST, _MOST * len(nearest)):
             return None
-        fit = fit.stepped(lights.picture[near], lights.uv[near])
+        fit = fit.stepped(lights.image[near], lights.uv[near])
         gate = min(gate, _ALLOWANCE + _GATE * float(np.median(misses[near])))
-    return Foresight(fit.project(), gate)
+    return Prediction(fit.project(), gate)
 
 
-def _first(picture: Ints, key: Floats) -> Ints:
-    """The light with the smallest ``key`` of each picture that has one."""
-    order = np.lexsort([key, picture])
-    _, first = np.unique(picture[order], return_index=True)
+def _first(image: Ints, key: Floats) -> Ints:
+    """The light with the smallest ``key`` of each image that has one."""
+    order = np.lexsort([key, image])
+    _, first = np.unique(image[order], return_index=True)
     return np.asarray(order[first])
 
 
@@ -137,10 +137,10 @@ class _Fit:
         R, p = self.T_cam_base[:3, :3], self.T_cam_base[:3, 3]
         return self.camera.project(self.points() @ R.T + p)
 
-    def stepped(self, picture: Ints, uv: Floats) -> _Fit:
-        """One robust Gauss-Newton step towards lights ``uv`` (m, 2) in pictures (m,)."""
+    def stepped(self, image: Ints, uv: Floats) -> _Fit:
+        """One robust Gauss-Newton step towards lights ``uv`` (m, 2) in images (m,)."""
         R, p = self.T_cam_base[:3, :3], self.T_cam_base[:3, 3]
-        points = self.points()[picture] @ R.T + p
+        points = self.points()[image] @ R.T + p
         seen, J_point = self.camera.project_with_jacobian(points)
         r = uv - seen
         miss = np.linalg.norm(r, axis=1)
@@ -150,9 +150,9 @@ class _Fit:
         J = np.zeros((len(uv), 2, 6 + 3 * count))
         J[:, :, :3] = J_point
         J[:, :, 3:6] = -J_point @ skew(points)
-        turned = J_point @ (R @ self.T_base_tip[picture, :3, :3])
+        turned = J_point @ (R @ self.T_base_tip[image, :3, :3])
         for k in range(count):
-            J[:, :, 6 + 3 * k : 9 + 3 * k] = turned * (self.led[picture] == k)[:, None, None]
+            J[:, :, 6 + 3 * k : 9 + 3 * k] = turned * (self.led[image] == k)[:, None, None]
         J, r = J * weight[:, None, None], r * weight[:, None]
         prior = np.zeros(6 + 3 * count)
         prior[6:] = np.repeat(self.sigma**-2.0, 3)

@@ -1,4 +1,4 @@
-"""Which spec the data support: nested models, compared by the poses they have not seen."""
+"""Model selection: nested models, compared by how well they predict held-out poses (METHOD 13)."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ class Attempt:
 
     Attributes:
         spec: the model.
-        identifiability: what the sightings tell of its parameters.
+        identifiability: which of its parameters the measurements identify.
         fit: its estimate.
-        seen_loss: of the poses it has seen; of unseen ones it cannot be lower.
+        seen_loss: of the poses in the fit; of held-out ones it cannot be lower.
     """
 
     spec: ModelSpec
@@ -50,7 +50,7 @@ class Trial(Attempt):
     """One model, estimated and cross-validated.
 
     Attributes:
-        held_out: its predictions of poses it has not seen.
+        held_out: its predictions of held-out poses.
         loss: of those, the lower the better.
     """
 
@@ -58,7 +58,7 @@ class Trial(Attempt):
     loss: float
 
     def residuals(self, what: Literal["residual", "distance"]) -> Floats:
-        """Held-out residuals or distances of all sightings that are no outliers, (S,), in px or m."""
+        """Return the held-out residuals or distances of all measurements that are no outliers, (S,), in px or m."""
         parts: tuple[Floats, ...] = getattr(self.held_out, what)
         return np.concatenate([part[keep] for part, keep in zip(parts, self.fit.kept, strict=True)])
 
@@ -68,7 +68,7 @@ class Comparison:
     """The models that were tried.
 
     Attributes:
-        nominal: the arm and the lenses as given; only base, LEDs and unknown camera poses fitted.
+        nominal: the nominal arm and lenses; only base, LEDs and unknown camera poses fitted.
         attempts: every model, from simple to rich; those that could be the best are trials.
         best: the one that predicts held-out poses best, whether the session allows it or not.
         chosen: of those that the session allows, the one that predicts held-out poses best.
@@ -102,14 +102,14 @@ def compare_models(
         progress: called after every solver step.
     """
     base = nominal(session, start, priors=priors)
-    as_given = solve(problem, start, choose_parameters(session, problem, start, base), progress)
+    nominal_fit = solve(problem, start, choose_parameters(session, problem, start, base), progress)
     models = candidates(session, start, priors=priors)
     attempts: dict[ModelSpec, Attempt] = {}
 
     def attempt(spec: ModelSpec) -> Attempt:
         if spec not in attempts:
             # Lenses first, the arm after: freed together they start in a bent valley.
-            state = as_given.state if spec.geometry == "none" else attempt(spec.nominal_arm).fit.state
+            state = nominal_fit.state if spec.geometry == "none" else attempt(spec.nominal_arm).fit.state
             found = identify(problem, state, choose_parameters(session, problem, state, spec))
             fit = solve(problem, state, found.parameters, progress)
             attempts[spec] = Attempt(spec, found, fit, loss(fit.norms, problem.observations))
@@ -127,7 +127,7 @@ def compare_models(
         permitted = allowed(session, spec)
         rival = chosen if permitted else best
         if rival is not None and attempt(spec).seen_loss >= rival.loss:
-            continue  # it explains what it has seen worse than the rival predicts what that has not
+            continue  # it explains the poses in its fit worse than the rival predicts held-out ones
         trial = validated(spec)
         best = trial if best is None or trial.loss < best.loss else best
         if permitted and (chosen is None or _preferred(trial, chosen, problem)):
@@ -136,11 +136,11 @@ def compare_models(
         raise CalibrationError("the session allows no model", remedy="Look at its estimate.")
     nominal_arm = validated(chosen.spec.nominal_arm)
     ordered = tuple(attempts[spec] for spec in dict.fromkeys((*models, *attempts)))
-    return Comparison(as_given, ordered, best, chosen, nominal_arm)
+    return Comparison(nominal_fit, ordered, best, chosen, nominal_arm)
 
 
 def _preferred(trial: Trial, rival: Trial, problem: Problem) -> bool:
-    """Whether a model predicts unseen poses better; lenses as given are left only for a certain improvement."""
+    """Return whether a model predicts held-out poses better; given lenses are left only for a certain improvement."""
     if trial.spec.intrinsics == rival.spec.intrinsics:
         return trial.loss < rival.loss
     difference = np.concatenate(

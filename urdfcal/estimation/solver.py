@@ -197,7 +197,7 @@ def residual_norms(problem: Problem, state: State, parameters: Parameters) -> tu
 
 
 @dataclass(frozen=True, eq=False)
-class _Normal:
+class _NormalEquations:
     """The normal equations at a state, the cost, and each measurement's whitened residual norm on its own."""
 
     H: Floats
@@ -285,7 +285,7 @@ class _LeastSquares:
             for observed, own, weight in zip(self.problem.observations, noise, weights, strict=True)
         )
 
-    def evaluate(self, at: _Local, whitening: Sequence[Floats]) -> _Normal:
+    def evaluate(self, at: _Local, whitening: Sequence[Floats]) -> _NormalEquations:
         """Accumulate the normal equations over all poses, whole poses whitened (N, mD, mD)."""
         r, J = self.parameters.prior_residuals(at.state)
         H, g, cost = J.T @ J, J.T @ r, float(r @ r)
@@ -297,7 +297,7 @@ class _LeastSquares:
                 H += J_poses.T @ J_poses
                 g += J_poses.T @ r
                 cost += float(r @ r)
-        return _Normal(H, g, cost, at.norms)
+        return _NormalEquations(H, g, cost, at.norms)
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,7 +313,7 @@ class _Descent:
     """
 
     at: _Local
-    normal: _Normal
+    normal: _NormalEquations
     damping: float
     history: tuple[Iteration, ...]
     converged: bool
@@ -383,7 +383,7 @@ def _descend(
     return _Descent(at, normal, damping, tuple(history), ahead < tolerance)
 
 
-def _damped_step(normal: _Normal, damping: float) -> Floats:
+def _damped_step(normal: _NormalEquations, damping: float) -> Floats:
     """Solve the normal equations in column-scaled form, so that metres and radians weigh alike."""
     diagonal = np.diag(normal.H)
     scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))

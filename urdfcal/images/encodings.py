@@ -30,7 +30,7 @@ _FILES = {_JPEG: ".jpg", b"\x89PNG\r\n\x1a\n": ".png"}
 
 
 class DamagedPictureError(CameraError):
-    """One picture that was not recorded whole; the next may be."""
+    """One image that was not recorded whole; the next may be."""
 
 
 def decode_raw(encoding: str, size: tuple[int, int], step: int, data: NDArray[np.uint8], *, big_endian: bool) -> Image:
@@ -90,7 +90,7 @@ def decode_compressed(format_: str, data: bytes) -> tuple[str, Image | None, tup
     cut = data.startswith(_JPEG) and not data.rstrip(b"\0").endswith(_JPEG_END)
     pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data and not cut else None
     if pixels is None:
-        raise DamagedPictureError(f"{len(data)} bytes of the format {format_!r} are no whole picture")
+        raise DamagedPictureError(f"{len(data)} bytes of the format {format_!r} are no whole image")
     size = pixels.shape[1], pixels.shape[0]
     # The mosaic of a Bayer sensor is compressed as if it were grey.
     bayer = _BAYER.match(format_)

@@ -1,11 +1,12 @@
-"""Image files to numbers: any depth, any number of channels, several at a time and never all at once."""
+"""Image files and sequences of images as arrays: any depth, any number of channels, several at a time."""
 
 from __future__ import annotations
 
 import os
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, get_args
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias, TypeVar, get_args
 
 import numpy as np
 
@@ -95,6 +96,73 @@ def saturation(image: Image) -> float:
     if top >= _ALMOST * full and top < full and np.count_nonzero(image == top) >= _SHARED:
         full = top
     return float(_CLIPPED * full)
+
+
+class SequenceImage(Protocol):
+    """One image; reading it may take time, and is done where it is needed."""
+
+    def lit(self, resolution: tuple[int, int]) -> Image:
+        """The image, which must be of the size ``resolution`` (width, height) in px."""
+
+    def unlit(self, resolution: tuple[int, int]) -> Image | None:
+        """One from the same place with the LED off, to be subtracted, if there is one."""
+
+
+class ImageSequence(Protocol):
+    """Many of them, in order: a list of files, or a video, of which only a few are in memory at a time."""
+
+    def __len__(self) -> int:
+        """How many."""
+
+    def __iter__(self) -> Iterator[SequenceImage]:
+        """From the first to the last."""
+
+    def __getitem__(self, index: int, /) -> SequenceImage:
+        """One of them."""
+
+
+@dataclass(frozen=True)
+class ImageFile:
+    """An image file with the LED on.
+
+    Attributes:
+        path: of it.
+        dark: an image from the same place with the LED off, to be subtracted.
+    """
+
+    path: Path
+    dark: Path | None = None
+
+    def lit(self, resolution: tuple[int, int]) -> Image:
+        """Read it.
+
+        Raises:
+            CameraError: it cannot be read, or has another size than ``resolution`` (width, height).
+        """
+        return sized(read_image(self.path), resolution, str(self.path))
+
+    def unlit(self, resolution: tuple[int, int]) -> Image | None:
+        """Read the dark one, if there is one.
+
+        Raises:
+            CameraError: it cannot be read, or has another size than ``resolution`` (width, height).
+        """
+        return None if self.dark is None else sized(read_image(self.dark), resolution, str(self.dark))
+
+
+def sized(image: Image, resolution: tuple[int, int], where: str) -> Image:
+    """The image, if it has the size ``resolution`` (width, height).
+
+    Raises:
+        CameraError: it has another.
+    """
+    if image.shape[1::-1] != resolution:
+        raise CameraError(
+            f"the image is {image.shape[1]} x {image.shape[0]} px, the camera {resolution[0]} x {resolution[1]}",
+            where=where,
+            remedy="Give the camera's resolution in the camera file, at which it was calibrated.",
+        )
+    return image
 
 
 def workers() -> int:

@@ -10,7 +10,7 @@ import numpy as np
 
 from urdfcal.errors import CameraError
 from urdfcal.files import replacing
-from urdfcal.images.sequence import sized
+from urdfcal.images.files import sized
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -22,19 +22,19 @@ SUFFIXES = (".mp4", ".avi", ".mkv")
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
-    """A picture of a video, decoded.
+class VideoFrame:
+    """An image of a video, decoded.
 
     Attributes:
         image: (h, w, 3) red first, 8 bit.
-        where: the video, and which of its pictures.
+        where: the video, and which of its images.
     """
 
     image: Image
     where: str
 
     def lit(self, resolution: tuple[int, int]) -> Image:
-        """The picture.
+        """The image.
 
         Raises:
             CameraError: it has another size than ``resolution`` (width, height).
@@ -42,18 +42,18 @@ class Frame:
         return sized(self.image, resolution, self.where)
 
     def unlit(self, resolution: tuple[int, int]) -> None:
-        """A video has no dark pictures."""
+        """A video has no dark images."""
         del resolution
 
 
 @dataclass(frozen=True)
 class Video:
-    """Some pictures of a video file.
+    """Some images of a video file.
 
     Attributes:
         path: the file.
-        rows: the pictures, from 0, in ascending order.
-        count: how many pictures the file must have in all.
+        rows: the images, from 0, in ascending order.
+        count: how many images the file must have in all.
     """
 
     path: Path
@@ -63,11 +63,11 @@ class Video:
     def __len__(self) -> int:
         return len(self.rows)
 
-    def __iter__(self) -> Iterator[Frame]:
+    def __iter__(self) -> Iterator[VideoFrame]:
         """Decode from the first to the last; the others are passed over.
 
         Raises:
-            CameraError: the file cannot be read, or has another number of pictures.
+            CameraError: the file cannot be read, or has another number of images.
         """
         wanted = set(self.rows)
         with _opened(self.path) as video:
@@ -82,11 +82,11 @@ class Video:
             if more:
                 raise self._miscounted(self.count + more)
 
-    def __getitem__(self, index: int) -> Frame:
+    def __getitem__(self, index: int) -> VideoFrame:
         """Decode one; where the file has no index it may be a neighbour.
 
         Raises:
-            CameraError: the file cannot be read, or has fewer pictures.
+            CameraError: the file cannot be read, or has fewer images.
         """
         import cv2
 
@@ -96,17 +96,17 @@ class Video:
                 return self._retrieved(video, self.rows[index])
         raise self._miscounted(_counted(self.path))
 
-    def _retrieved(self, video: Any, row: int) -> Frame:
+    def _retrieved(self, video: Any, row: int) -> VideoFrame:
         done, image = video.retrieve()
         if not done:
-            raise CameraError("a picture is damaged", where=f"{self.path}, picture {row + 1}")
-        return Frame(np.ascontiguousarray(image[..., ::-1]), f"{self.path}, picture {row + 1}")
+            raise CameraError("an image is damaged", where=f"{self.path}, image {row + 1}")
+        return VideoFrame(np.ascontiguousarray(image[..., ::-1]), f"{self.path}, image {row + 1}")
 
     def _miscounted(self, found: int) -> CameraError:
         return CameraError(
-            f"the video has {found} pictures, and the table of frames {self.count} of this camera",
+            f"the video has {found} images, and the table of frames {self.count} of this camera",
             where=str(self.path),
-            remedy="Every picture has its row, in the same order; none may be lost or added in encoding.",
+            remedy="Every image has its row, in the same order; none may be lost or added in encoding.",
         )
 
 

@@ -148,7 +148,7 @@ def read_rig(path: str | Path) -> RigDescription:
         raise SessionError(
             "the key 'stand' is missing",
             where=document.place(),
-            remedy="It says where the first camera stands that rides on no link.",
+            remedy="It says where the first camera stands that is on no link.",
         )
     return RigDescription(**setup, stand=stand)
 

@@ -195,7 +195,7 @@ def read_frame_detections(
         raise SessionError(
             "no LED was seen in a frame for which there are joint readings",
             where=str(path),
-            remedy="Are the clocks of cameras and robot the same?",
+            remedy="Do the times of cameras and robot count from the same moment?",
         )
     kept = tuple(frame for frame, k in zip(frames.frame, pose.tolist(), strict=True) if k >= 0)
     names = {"pose": kept, "camera": frames.cameras, "led": tuple(leds)}

@@ -1,4 +1,4 @@
-"""A session measured while the program runs: poses and sightings one by one, each checked when it comes."""
+"""A session measured while the program runs: poses and measurements one by one, each checked when it comes."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Recorder:
             recorder.sighting(pose, "left", "led", uv)
         session = recorder.session()
 
-    A pose, sighting or point that makes no sense is refused when it is added, and leaves what is there as it is. One
+    A pose, detection or point that makes no sense is refused when it is added, and leaves what is there as it is. One
     thread at a time; the sessions it gives are immutable.
     """
 
@@ -47,7 +47,7 @@ class Recorder:
         self._setup = setup
         self._readings: dict[str, Floats] = {}
         self._times: list[float] = []
-        self._sightings: dict[tuple[int, ...], tuple[Floats, float]] = {}  # by pose, camera, LED
+        self._detections: dict[tuple[int, ...], tuple[Floats, float]] = {}  # by pose, camera, LED
         self._points: dict[tuple[int, ...], tuple[Floats, float]] = {}  # by pose, LED
 
     def __len__(self) -> int:
@@ -66,7 +66,7 @@ class Recorder:
             time: when it was. [s]
 
         Returns:
-            The label, by which sightings refer to the pose.
+            The label, by which measurements refer to the pose.
 
         Raises:
             SessionError: a joint is missing or unknown, a reading is no finite number or beyond its limits, the label
@@ -119,9 +119,9 @@ class Recorder:
         if not rig.cameras[key[1]].in_image(place):
             width, height = rig.cameras[key[1]].resolution
             raise SessionError(f"({place[0]:g}, {place[1]:g}) is outside the {width} x {height} image", where=where)
-        if key in self._sightings:
-            raise SessionError("it was seen there already", where=where, remedy="Keep one sighting.")
-        self._sightings[key] = place, _positive(self._setup.noise.pixel if sigma is None else sigma, where)
+        if key in self._detections:
+            raise SessionError("it was seen there already", where=where, remedy="Keep one detection.")
+        self._detections[key] = place, _positive(self._setup.noise.pixel if sigma is None else sigma, where)
 
     def point(self, pose: str, led: str, xyz: ArrayLike, *, sigma: float | None = None) -> None:
         """Add where a tracker measured an LED.
@@ -153,7 +153,7 @@ class Recorder:
         """
         setup = {entry.name: getattr(self._setup, entry.name) for entry in fields(Setup)}
         if isinstance(self._setup, Positions):
-            # Files and pictures of what was measured then are not what is measured now.
+            # Files and images of what was measured then are not what is measured now.
             setup |= {"sha256": {}, "folder": None}
         return Session(
             **setup,
@@ -161,7 +161,7 @@ class Recorder:
             q=self._setup.chain.joint_values(np.array(list(self._readings.values())).reshape(len(self), -1)),
             time=np.array(self._times) if self._times else None,
             measurements=(
-                *([Detections(**_columns(self._sightings, Detections))] if self._sightings else ()),
+                *([Detections(**_columns(self._detections, Detections))] if self._detections else ()),
                 *([Points(**_columns(self._points, Points))] if self._points else ()),
             ),
         )

@@ -72,7 +72,7 @@ class LedDistanceKeys(_Keys):
 
 
 class MountKeys(_Keys):
-    """The link that a camera rides on, where on it (m, rad; the camera's z looks forward, y down), and how surely."""
+    """The link of an eye-in-hand camera, where on it (m, rad; the camera's z looks forward, y down), and how surely."""
 
     link: Name
     position: Vector | None = None
@@ -98,7 +98,7 @@ class MountKeys(_Keys):
 
 
 class CamerasKeys(_Keys):
-    """The camera file; every other key is a camera that rides on the robot."""
+    """The camera file; every other key is an eye-in-hand camera."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, MountKeys] = Field(init=False)
@@ -139,7 +139,7 @@ class EstimateKeys(_Keys):
 
 
 class TolerancesKeys(_Keys):
-    """How far the robot may be from its drawing; every other key is a joint, with the exceptions for its row."""
+    """How far the robot may be from nominal; every other key is a joint, with the exceptions for its row."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, dict[Parameter, NotNegative]] = Field(init=False)
@@ -162,7 +162,7 @@ class StandKeys(_Keys):
 
 
 def _noise(keys: dict[str, float]) -> Noise:
-    own = {name: keys.pop(name) for name in ("pixel", "point", "joint")}
+    own = {name: keys.pop(name) for name in ("pixel", "point", "joint") if name in keys}
     return Noise(**own, other=keys)
 
 
@@ -201,7 +201,7 @@ class SetupFile(_Keys):
             "leds": tuple(Led(name, led.position, led.sigma, led.link) for name, led in self.leds.items()),  # type: ignore[arg-type]
             "mounts": self.cameras.mounts if self.cameras is not None else (),
             "led_distances": tuple(LedDistance(d.leds, d.distance, d.sigma) for d in self.led_distances),
-            "noise": _noise(self.noise.model_dump()),
+            "noise": _noise(self.noise.model_dump(exclude_unset=True)),
             "estimate": Estimate(**self.estimate.model_dump()),
             "tolerances": Tolerances(
                 self.tolerances.length, self.tolerances.angle, self.tolerances.zero, self.tolerances.joints
@@ -225,7 +225,7 @@ class RigFile(SetupFile):
 
     @field_validator("estimate")
     @classmethod
-    def _has_no_clocks(cls, estimate: EstimateKeys) -> EstimateKeys:
+    def _has_no_time_offset(cls, estimate: EstimateKeys) -> EstimateKeys:
         if estimate.time_offset is not None:
             raise ValueError("time_offset belongs into a session with frames")
         return estimate
@@ -261,5 +261,5 @@ class SessionFile(_Tables):
         if self.frames is not None and self.cameras is None:
             raise ValueError("frames are named, but no cameras")
         if self.frames is None and self.estimate.time_offset is not None:
-            raise ValueError("estimate.time_offset is given, but no frames: clocks do not matter to an arm at rest")
+            raise ValueError("estimate.time_offset is given, but no frames: they do not matter to an arm at rest")
         return self

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from urdfcal.robot.tree_dh import TreeTable
     from urdfcal.session.model import Session
 
-Color = tuple[int, ...]
+Tint = tuple[int, ...]
 # Lengths below this share of the reach are corrections, too small to be seen.
 _NO_LENGTH = 2e-3
 
@@ -90,7 +90,7 @@ def log_dh(layer: Layer, table: DHTable | TreeTable, scene: CalibrationScene) ->
             row.each(rr.LineStrips3D.columns(strips=stretch.astype(np.float32)))
 
 
-def _log_body(layer: Layer, body: VisibleLink, frames: Floats, tint: Color | None) -> None:
+def _log_body(layer: Layer, body: VisibleLink, frames: Floats, tint: Tint | None) -> None:
     T = frames[:, body.frame] @ body.T_frame_link
     if body.frame == 0:
         layer.fixed(placed(T[0]))
@@ -101,7 +101,7 @@ def _log_body(layer: Layer, body: VisibleLink, frames: Floats, tint: Color | Non
         layer.at(f"shape {k}").fixed(placed(shape.T_link_shape, scale), _visual(shape, tint))
 
 
-def _visual(shape: Shape, tint: Color | None) -> AsComponents:
+def _visual(shape: Shape, tint: Tint | None) -> AsComponents:
     color = tint or (tuple(round(255 * c) for c in shape.color) if shape.color else None)
     if shape.mesh:
         suffix = shape.mesh.suffix.lower()

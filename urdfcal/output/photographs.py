@@ -28,19 +28,19 @@ def find_photographs(session: Session) -> tuple[dict[int, Path], ...]:
     none: tuple[dict[int, Path], ...] = ({},) * len(session.attachments.camera)
     if folder is None or not folder.is_dir() or not none:
         return none
-    from urdfcal.detection.image_index import read_album
+    from urdfcal.detection.image_index import read_index
     from urdfcal.images.video import Video
 
     try:
-        album = read_album(folder, session)
+        index = read_index(folder, session)
     except SessionError:  # a folder of other images: nothing that a calibration from tables should fail for
         return none
     # Videos stay where they are: every frame as an image of its own would be a hundred times their size.
     return tuple(
         {}
-        if isinstance(pictures, Video)
-        else {shot.pose: picture.path for shot, picture in reversed(list(zip(shots, pictures, strict=True)))}
-        for shots, pictures in zip(album.shots, album.pictures, strict=True)
+        if isinstance(images, Video)
+        else {shot.pose: image.path for shot, image in reversed(list(zip(shots, images, strict=True)))}
+        for shots, images in zip(index.shots, index.images, strict=True)
     )
 
 

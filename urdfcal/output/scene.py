@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
-from urdfcal.arrays import Floats, Ints, frozen, inverse
+from urdfcal.arrays import Bools, Floats, Ints, frozen, inverse
 from urdfcal.cameras.rig import Rig
 from urdfcal.estimation.alignment import kabsch
 from urdfcal.output import fitted
@@ -16,13 +16,9 @@ from urdfcal.output.placing import RobotPoses, dh_frames, row_corners
 from urdfcal.robot.kinematics import tip_poses
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from urdfcal.output.fitted import ArmEstimate, ResidualTable
     from urdfcal.result.fitted import FittedCalibration
     from urdfcal.session.attachments import Attachments
-
-    Bools = NDArray[np.bool_]
 
 # Enough for a map of 20 x 20 cells; drawing more takes longer and shows the same.
 _SAMPLES = 1500

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     import pinocchio as pin
     from numpy.typing import ArrayLike
 
+    from urdfcal.estimation.assessment import Assessment
     from urdfcal.result.document import ResultDocument, RobotSection
     from urdfcal.robot.urdf.urdf import Urdf
 
@@ -36,7 +37,12 @@ class Calibration(ABC):
     """A calibrated robot: its nominal joints, their calibrated placements, and the result document.
 
     Immutable, so that threads may share it.
+
+    Attributes:
+        assessment: whether to trust it, and what speaks against it.
     """
+
+    assessment: Assessment
 
     @property
     @abstractmethod
@@ -61,7 +67,12 @@ class Calibration(ABC):
     @property
     def failures(self) -> tuple[str, ...]:
         """Why this result should not be used; empty when it passed its checks."""
-        return self.document.failures
+        return self.assessment.failures
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What to check before trusting the result."""
+        return self.assessment.warnings
 
     def __repr__(self) -> str:
         validation, verdict = self.document.validation, self.document.verdict
@@ -95,7 +106,8 @@ class Calibration(ABC):
             raise OutputError(
                 f"cannot be read: {reason}", where=str(file), remedy="Name a folder that `urdfcal calibrate` wrote."
             ) from error
-        return _Loaded(read_document(text, str(file)))
+        document = read_document(text, str(file))
+        return _Loaded(document, document.assessment)
 
     def save(self, path: str | Path) -> None:
         """Write the result as JSON, format ``urdfcal/2``; numbers read back exactly."""
@@ -161,6 +173,7 @@ class _Loaded(Calibration):
     """A calibration that was read from its file."""
 
     read: ResultDocument
+    assessment: Assessment
 
     @property
     def document(self) -> ResultDocument:

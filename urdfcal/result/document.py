@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from urdfcal.errors import OutputError
 from urdfcal.robot.tree_dh import MOUNT
+
+if TYPE_CHECKING:
+    from urdfcal.estimation.assessment import Assessment
 
 FORMAT: Literal["urdfcal/2"] = "urdfcal/2"
 
@@ -290,9 +293,12 @@ class ResultDocument(_Section):
         return self
 
     @property
-    def failures(self) -> tuple[str, ...]:
-        """Why the result should not be used: the reasons that are no warnings."""
-        return tuple(self.verdict.reasons[: len(self.verdict.reasons) - len(self.warnings)])
+    def assessment(self) -> Assessment:
+        """The verdict; its reasons that are no warnings are failures."""
+        from urdfcal.estimation.assessment import Assessment
+
+        verdict, count = self.verdict, len(self.verdict.reasons) - len(self.warnings)
+        return Assessment(verdict.level, verdict.sentence, tuple(verdict.reasons[:count]), tuple(self.warnings))
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data, as JSON has it."""

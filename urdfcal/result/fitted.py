@@ -71,16 +71,6 @@ class FittedCalibration(Calibration):
         return self.comparison.chosen.identifiability
 
     @property
-    def failures(self) -> tuple[str, ...]:
-        """Why this result should not be used; empty when it passed its checks."""
-        return self.assessment.failures
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """What to check before trusting the result."""
-        return self.assessment.warnings
-
-    @property
     def geometry(self) -> ArmParameterization:
         """What was estimated of the arm: the offsets of the DH rows, or of whole placements."""
         return self.problem.arm

@@ -23,7 +23,7 @@ WORLD = "world"
 
 @dataclass(frozen=True, eq=False)
 class CameraMount:
-    """A camera that rides on a link.
+    """An eye-in-hand camera: what link it is on, and where.
 
     Attributes:
         camera: its name.
@@ -42,7 +42,7 @@ class CameraMount:
         where = f"camera {self.camera!r}"
         if self.link == WORLD:
             raise SessionError(
-                "a camera that stands in the world rides on no link",
+                "a camera that stands in the world is on no link",
                 where=where,
                 remedy="Name the camera file alone: T_cn_cnm1 says where it stands, or it is estimated.",
             )

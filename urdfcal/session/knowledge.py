@@ -132,7 +132,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Tolerances:
-    """How far the robot may be from its drawing, one standard deviation; 0 is exactly as drawn.
+    """How far the robot may be from nominal, one standard deviation; 0 is exactly nominal.
 
     Attributes:
         length: of d and a. [m]

@@ -1,4 +1,4 @@
-"""A session in memory: a robot, its LEDs and cameras, and what was measured. All of it read-only."""
+"""A session in memory, read-only: a robot, its LEDs and cameras, and what was measured."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ class Setup(Rebuilt):
                     raise SessionError(
                         f"there is no camera {name!r}", where="estimate", remedy=suggest(name, names, "cameras")
                     )
-        _ = self.attachments  # a link that is none of the robot's is told now, not when it is first needed
+        _ = self.attachments  # a link that is none of the robot's is refused now, not when it is first needed
 
     @cached_property
     def attachments(self) -> Attachments:

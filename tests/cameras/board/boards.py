@@ -67,7 +67,7 @@ def true_corners(rig: Rig, board: Board, T_world_board: np.ndarray) -> np.ndarra
 
 
 def as_views(rig: Rig, uv: np.ndarray) -> BoardViews:
-    """Corners (C, V, N, 2) as if read from pictures."""
+    """Corners (C, V, N, 2) as if read from images."""
     blur = np.where(np.isfinite(uv[..., 0]).any(axis=2), 0.9, np.nan)
     names = tuple(f"{i:02d}" for i in range(uv.shape[1]))
     return BoardViews(rig.names, tuple(c.resolution for c in rig.cameras), names, uv, blur, ())

@@ -23,9 +23,9 @@ from tests.cameras.board.rendering import BoardRenderer
 from urdfcal.cameras.board.board import Board
 from urdfcal.cameras.board.bundle import Bundle, adjust
 from urdfcal.cameras.board.calibration import calibrate_cameras
-from urdfcal.cameras.board.detection import detect_board
+from urdfcal.cameras.board.corners import detect_board
 from urdfcal.cameras.board.start import board_poses
-from urdfcal.cameras.board.views import BoardViews, find_pictures, read_views
+from urdfcal.cameras.board.views import BoardViews, find_images, read_views
 from urdfcal.cameras.camera import Camera
 from urdfcal.cameras.rig import Rig
 from urdfcal.errors import CameraError
@@ -175,7 +175,7 @@ def test_three_cameras_are_chained_by_whatever_two_of_them_see() -> None:
     assert found.rig.T_cam_world[2] is not None
     assert np.abs(errors(found.rig, rig) / np.sqrt(np.diag(found.covariance))).max() < 4.0
     uv[2] = np.nan
-    with pytest.raises(CameraError, match="camera 'third': only 0 of its pictures can be used"):
+    with pytest.raises(CameraError, match="camera 'third': only 0 of its images can be used"):
         calibrate_cameras(replace(views, uv=uv), CHESSBOARD)
 
 
@@ -264,7 +264,7 @@ def test_single_corners_far_off_are_left_out() -> None:
 def test_too_few_views_are_refused() -> None:
     views = seen(alone(PAIR.cameras[0]), CHESSBOARD, 4, 1)
     with pytest.raises(
-        CameraError, match=r"camera 'left': only \d of its pictures can be used.*at least 5 .*Add sharp pictures"
+        CameraError, match=r"camera 'left': only \d of its images can be used.*at least 5 .*Add sharp images"
     ):
         calibrate_cameras(views, CHESSBOARD)
 
@@ -272,7 +272,7 @@ def test_too_few_views_are_refused() -> None:
 @pytest.mark.parametrize("tilt", [0.0, 0.05, 0.12])
 def test_boards_parallel_to_the_image_are_refused(tilt: float) -> None:
     views = seen(alone(PAIR.cameras[0]), CHESSBOARD, 20, 1, 0.02, tilt=tilt)
-    with pytest.raises(CameraError, match=r"camera 'left': .* Add pictures with the board turned by 20° to 45°"):
+    with pytest.raises(CameraError, match=r"camera 'left': .* Add images with the board turned by 20° to 45°"):
         calibrate_cameras(views, CHESSBOARD)
 
 
@@ -282,7 +282,7 @@ def test_boards_tilted_too_little_for_their_noise_are_refused() -> None:
     poses = [placed([0.3 * (i % 3 - 1), 0.3 * (i // 3 - 1), 0.0], [-0.12, -0.07, 0.6]) for i in range(9)]
     uv = np.stack([true_corners(alone(camera), CHESSBOARD, T) for T in poses], axis=1)
     views = as_views(alone(camera), uv + rng.normal(0.0, 0.4, uv.shape))
-    with pytest.raises(CameraError, match=r"focal length only to [\d.]+ % .* 0.5 % is needed. Add pictures"):
+    with pytest.raises(CameraError, match=r"focal length only to [\d.]+ % .* 0.5 % is needed. Add images"):
         calibrate_cameras(views, CHESSBOARD)
 
 
@@ -305,7 +305,7 @@ def test_coverage_and_tilt_are_told() -> None:
     left = np.where(views.uv[..., :1] < 300, views.uv, np.nan)
     halved = calibrate_cameras(replace(views, uv=left), CHESSBOARD)
     assert halved.qualities[0].coverage < 0.5
-    assert any("Add pictures with the board at the right" in text for text in halved.warnings)
+    assert any("Add images with the board at the right" in text for text in halved.warnings)
 
 
 def test_a_fit_that_has_its_corners_exactly_stays_there() -> None:
@@ -324,12 +324,12 @@ def test_pictures_are_found_in_natural_order_and_read(tmp_path: Path) -> None:
         (tmp_path / camera).mkdir()
         for view in ("view10", "view9"):
             write_image(tmp_path / camera / f"{view}.png", image)
-    (tmp_path / "cam2" / "notes.txt").write_text("no picture")
-    (tmp_path / "cam2" / "broken.png").write_bytes(b"no picture")
+    (tmp_path / "cam2" / "notes.txt").write_text("no image")
+    (tmp_path / "cam2" / "broken.png").write_bytes(b"no image")
     write_image(tmp_path / "cam10" / "small.png", image[:200])
     write_image(tmp_path / "cam10" / "empty.png", np.full_like(image, 90))
     (tmp_path / "empty").mkdir()
-    assert {camera: list(found) for camera, found in find_pictures(tmp_path).items()} == {
+    assert {camera: list(found) for camera, found in find_images(tmp_path).items()} == {
         "cam2": ["broken", "view9", "view10"],
         "cam10": ["empty", "small", "view9", "view10"],
     }
@@ -349,21 +349,21 @@ def test_pictures_are_found_in_natural_order_and_read(tmp_path: Path) -> None:
 
 def test_a_folder_of_pictures_is_one_camera(tmp_path: Path) -> None:
     write_image(tmp_path / "a.png", np.zeros((20, 30), np.uint8))
-    assert list(find_pictures(tmp_path)) == ["cam0"]
+    assert list(find_images(tmp_path)) == ["cam0"]
     write_image(tmp_path / "a.tif.png", np.zeros((20, 30), np.uint8))
     (tmp_path / "a.jpg").write_bytes(b"")
     with pytest.raises(CameraError, match="are both called 'a'"):
-        find_pictures(tmp_path)
+        find_images(tmp_path)
 
 
 def test_folders_without_pictures_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(CameraError, match="there are no pictures"):
-        find_pictures(tmp_path)
+    with pytest.raises(CameraError, match="there are no images"):
+        find_images(tmp_path)
     with pytest.raises(CameraError, match="there is no such folder"):
-        find_pictures(tmp_path / "nowhere")
+        find_images(tmp_path / "nowhere")
     (tmp_path / "cam0").mkdir()
     (tmp_path / "cam0" / "a.png").write_bytes(b"")
-    with pytest.raises(CameraError, match="none of its files is a picture"):
+    with pytest.raises(CameraError, match="none of its files is an image"):
         read_views(tmp_path, CHESSBOARD)
 
 

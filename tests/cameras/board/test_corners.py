@@ -6,8 +6,7 @@ import pytest
 from tests.cameras.board.boards import CHARUCO, CHESSBOARD, PAIR, SIZE, held, placed, true_corners
 from tests.cameras.board.rendering import BoardRenderer
 from urdfcal.cameras.board.board import Board
-from urdfcal.cameras.board.corners import refine
-from urdfcal.cameras.board.detection import detect_board
+from urdfcal.cameras.board.corners import detect_board, refine
 from urdfcal.cameras.camera import Camera
 from urdfcal.cameras.rig import Rig
 
@@ -15,7 +14,7 @@ LEFT = Rig(PAIR.cameras[:1], (np.eye(4),))
 LENS = BoardRenderer(PAIR.cameras[0])
 
 
-def pictures(board: Board, count: int, seed: int = 0) -> list[tuple[np.ndarray, np.ndarray]]:
+def images(board: Board, count: int, seed: int = 0) -> list[tuple[np.ndarray, np.ndarray]]:
     """Poses of boards wholly in view, with their true corners."""
     # Markers are read where a module is three pixels wide.
     poses = held(LEFT, board, 4 * count, np.random.default_rng(seed), far=0.9 if board.kind == "chessboard" else 0.55)
@@ -24,7 +23,7 @@ def pictures(board: Board, count: int, seed: int = 0) -> list[tuple[np.ndarray, 
 
 
 def test_a_picture_does_not_depend_on_its_sampling() -> None:
-    T, _ = pictures(CHARUCO, 1)[0]
+    T, _ = images(CHARUCO, 1)[0]
     coarse = LENS.render(CHARUCO, T, blur=1.0).astype(float)
     fine = BoardRenderer(PAIR.cameras[0], 4).render(CHARUCO, T, blur=1.0).astype(float)
     assert np.ptp(coarse) > 150
@@ -48,7 +47,7 @@ def test_corners_are_found_without_bias_and_better_than_by_opencv(board: Board) 
 
     rng = np.random.default_rng(1)
     errors, theirs, blurs = [], [], []
-    for T, uv in pictures(board, 5):
+    for T, uv in images(board, 5):
         image = LENS.render(board, T, blur=0.8, noise=2.0, rng=rng)
         corners = detect_board(image, board)
         assert corners.found.sum() >= 0.9 * len(uv)
@@ -66,7 +65,7 @@ def test_corners_are_found_without_bias_and_better_than_by_opencv(board: Board) 
 
 
 def test_without_noise_corners_are_right_to_a_few_thousandths_at_any_blur() -> None:
-    T, uv = pictures(CHESSBOARD, 1, seed=3)[0]
+    T, uv = images(CHESSBOARD, 1, seed=3)[0]
     for blur in (0.6, 1.2, 2.0):
         image = LENS.render(CHESSBOARD, T, blur=blur)
         corners = refine(image, CHESSBOARD, uv + np.random.default_rng(0).uniform(-0.5, 0.5, uv.shape))
@@ -77,7 +76,7 @@ def test_without_noise_corners_are_right_to_a_few_thousandths_at_any_blur() -> N
 
 
 def test_motion_shows_as_blur() -> None:
-    T, uv = pictures(CHESSBOARD, 1, seed=4)[0]
+    T, uv = images(CHESSBOARD, 1, seed=4)[0]
     still, moved = (refine(LENS.render(CHESSBOARD, T, smear=s), CHESSBOARD, uv) for s in ((0.0, 0.0), (7.0, 2.0)))
     assert np.nanmedian(moved.blur) > 2.0 * np.nanmedian(still.blur)
     # and is no bias: the corner of the mean position
@@ -85,7 +84,7 @@ def test_motion_shows_as_blur() -> None:
 
 
 def test_depth_and_colour_do_not_matter() -> None:
-    T, uv = pictures(CHARUCO, 1)[0]
+    T, uv = images(CHARUCO, 1)[0]
     image = LENS.render(CHARUCO, T)
     eight = detect_board(image, CHARUCO)
     twelve = detect_board(image.astype(np.uint16) * 16 + 5, CHARUCO)
@@ -97,7 +96,7 @@ def test_depth_and_colour_do_not_matter() -> None:
 
 
 def test_a_charuco_board_may_be_cut_and_keeps_its_numbers() -> None:
-    T, uv = pictures(CHARUCO, 1)[0]
+    T, uv = images(CHARUCO, 1)[0]
     image = LENS.render(CHARUCO, T)
     middle = int(uv[:, 0].mean())
     image[:, middle:] = 90
@@ -134,7 +133,7 @@ def test_where_there_is_no_board_none_is_found() -> None:
     for image in (noise, flat):
         for board in (CHESSBOARD, CHARUCO):
             assert detect_board(image, board) is None
-    other = LENS.render(Board("chessboard", 7, 5, 0.03), pictures(CHESSBOARD, 1)[0][0])
+    other = LENS.render(Board("chessboard", 7, 5, 0.03), images(CHESSBOARD, 1)[0][0])
     assert detect_board(other, CHESSBOARD) is None
 
 
@@ -144,6 +143,6 @@ def test_corners_at_the_border_and_on_tiny_boards_are_left_out() -> None:
     rig = Rig((camera,), (np.eye(4),))
     uv = true_corners(rig, CHESSBOARD, T)[0]
     assert not refine(BoardRenderer(camera).render(CHESSBOARD, T), CHESSBOARD, uv).found.any()
-    T, uv = pictures(CHESSBOARD, 1)[0]
+    T, uv = images(CHESSBOARD, 1)[0]
     shifted = uv - uv.min(axis=0)
     assert not refine(LENS.render(CHESSBOARD, T), CHESSBOARD, shifted).found.all()

@@ -10,7 +10,7 @@ import pytest
 from tests.centroid_bound import centroid_bound
 from urdfcal.detection.spots import gaussian
 from urdfcal.detection.spots.centroid import HALF, Crops, Fits, fit_spots
-from urdfcal.detection.spots.detector import Picture, Spots, find_spots
+from urdfcal.detection.spots.detector import ImageFile, Spots, find_spots
 from urdfcal.errors import CameraError
 from urdfcal.images.files import write_image
 from urdfcal.simulation.render import Light, Scenery, Sensor
@@ -92,11 +92,11 @@ def test_derivatives_of_the_spot_agree_with_finite_differences() -> None:
 def spots_in(folder: Path, exposures: Sequence[Sequence[Light]], seed: int = 0, **scenery: object) -> Spots:
     rng = np.random.default_rng(seed)
     stage = Scenery.flat(SIZE, 25.0, **scenery)
-    pictures = []
+    images = []
     for k, lights in enumerate(exposures):
-        pictures.append(Picture(folder / f"{k}.png"))
-        write_image(pictures[-1].path, SENSOR.expose(stage.expected(lights), rng))
-    return find_spots(pictures, SIZE)
+        images.append(ImageFile(folder / f"{k}.png"))
+        write_image(images[-1].path, SENSOR.expose(stage.expected(lights), rng))
+    return find_spots(images, SIZE)
 
 
 def reasons(spots: Spots, near: Sequence[float], within: float = 3.0) -> set[str]:
@@ -152,11 +152,11 @@ def test_a_lamp_that_stands_still_is_none_and_an_led_in_its_light_is_found(tmp_p
     spots = spots_in(tmp_path, [[led(*place)] for place in places], lights=lamps)
     assert len(spots.still) >= 1
     for k, place in enumerate(places):
-        found = spots.fits.uv[spots.good & (spots.picture == k)]
+        found = spots.fits.uv[spots.good & (spots.image == k)]
         drowned = np.linalg.norm(place - [150.0, 90.0]) < 20.0 or np.linalg.norm(place - [60.0, 60.0]) < 12.0
         assert drowned or (len(found) == 1 and found[0] == pytest.approx(place, abs=0.3))
         assert all(np.linalg.norm(uv - place) < 0.5 for uv in found)
-    assert spots.good[spots.picture == 11].sum() == 1
+    assert spots.good[spots.image == 11].sum() == 1
 
 
 def test_in_few_pictures_too_a_still_light_is_told_from_the_led(tmp_path: Path) -> None:
@@ -171,7 +171,7 @@ def test_a_dark_picture_takes_away_what_shines_without_the_led(tmp_path: Path) -
     stage = Scenery.flat(SIZE, 25.0, (0.5, 0.0), lights=[led(60.0, 60.0, 1500.0), led(104.0, 80.0, 400.0)])
     for name, lights in (("on", [led(100.3, 80.7)]), ("off", [])):
         write_image(tmp_path / f"{name}.png", SENSOR.expose(stage.expected(lights), rng))
-    spots = find_spots([Picture(tmp_path / "on.png", tmp_path / "off.png")], SIZE)
+    spots = find_spots([ImageFile(tmp_path / "on.png", tmp_path / "off.png")], SIZE)
     assert spots.good.sum() == 1
     assert spots.fits.uv[spots.good][0] == pytest.approx([100.3, 80.7], abs=0.15)
 
@@ -183,7 +183,7 @@ def test_a_coloured_led_is_told_from_white_lights(tmp_path: Path) -> None:
         stage = Scenery.flat(SIZE, 25.0, lights=[led(60.0, 60.0, 1200.0)])
         layers.append(SENSOR.expose(stage.expected([led(100.3, 80.7, 1000.0 * share)]), rng))
     write_image(tmp_path / "a.png", np.stack(layers, axis=-1))
-    spots = find_spots([Picture(tmp_path / "a.png")], SIZE, "red")
+    spots = find_spots([ImageFile(tmp_path / "a.png")], SIZE, "red")
     assert reasons(spots, (60.0, 60.0)) <= {"not red"}
     assert spots.good.sum() == 1
     assert spots.fits.uv[spots.good][0] == pytest.approx([100.3, 80.7], abs=0.1)
@@ -192,4 +192,4 @@ def test_a_coloured_led_is_told_from_white_lights(tmp_path: Path) -> None:
 def test_an_image_of_another_size_is_refused(tmp_path: Path) -> None:
     write_image(tmp_path / "a.png", np.zeros((10, 12), np.uint8))
     with pytest.raises(CameraError, match=r"12 x 10 px, the camera 240 x 180"):
-        find_spots([Picture(tmp_path / "a.png")], SIZE)
+        find_spots([ImageFile(tmp_path / "a.png")], SIZE)

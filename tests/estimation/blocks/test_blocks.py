@@ -72,7 +72,6 @@ def test_names_units_and_standard_deviations_agree_in_number(example: Example) -
         assert (block.sigma > 0.0).all(), block.key.name
         assert set(block.fixed) <= set(range(count)), block.key.name
         assert all(block.fixed.values()), block.key.name
-        assert block.phrase, block.key.name
         scale = block.scale(example.state[block.key])
         assert scale.shape == (count,), block.key.name
         assert (scale > 0.0).all(), block.key.name

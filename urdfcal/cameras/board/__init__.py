@@ -1,1 +1,1 @@
-"""Camera calibration from pictures of a chessboard or ChArUco board."""
+"""Camera calibration from images of a chessboard or ChArUco board."""

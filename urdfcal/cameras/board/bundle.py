@@ -31,11 +31,11 @@ _FIRST_DAMPING, _MOST_DAMPING = 1e-3, 1e12
 _HUBER, _CUT = 3.0, 6.0
 # Sigma and weights settle to this within 2 or 3 rounds.
 _ROUNDS, _SETTLED = 6, 1e-3
-# A corner cannot be read better than this, px; keeps pictures without noise from a division by zero.
+# A corner cannot be read better than this, px; keeps images without noise from a division by zero.
 _LEAST_SIGMA = 1e-4
 # A fit that leaves out more corners than it explains is none.
 _LEAST_SHARE = 0.5
-_MORE = "Check the board's size; add pictures with the board tilted in different directions, all over the image."
+_MORE = "Check the board's size; add images with the board tilted in different directions, all over the image."
 
 
 @dataclass(frozen=True, eq=False)

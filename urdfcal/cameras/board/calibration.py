@@ -1,4 +1,4 @@
-"""Cameras from pictures of a board: which pictures are used, how well the cameras are known, and when not at all."""
+"""Cameras from images of a board: which images are used, how well the cameras are known, and when not at all."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 # A view adds 6 unknowns of its own; with fewer corners, or all in two rows, it says nothing about the lens.
 _FEWEST_CORNERS, _FEWEST_ROWS = 8, 2
 _FEWEST_VIEWS = 5
-# Focus and exposure vary the blur of good pictures by a quarter; a picture this much softer was moved.
+# Focus and exposure vary the blur of good images by a quarter; an image this much softer was moved.
 _BLURRED, _LEAST_BLUR = 2.0, 1.5
 # The rms of 54 corners varies by 7 % between views, with distance and light by a factor of two.
 _FAR_ABOVE = 3.0
@@ -41,11 +41,9 @@ _GOOD_SIGMA, _GOOD_SHARE = 0.5, 0.02
 _GRID = (8, 6)
 # Half of the image without a corner leaves the distortion there to extrapolation.
 _LEAST_COVERAGE = 0.5
-_TILT_THE_BOARD = "Add pictures with the board turned by 20° to 45° to either side, and up and down."
-_AT_THE_SAME_TIME = (
-    "Pictures of one name must be taken at the same time, or with the board held still; check the names."
-)
-# Corners of rendered pictures without noise fit to a few thousandths of a pixel, and then anything is far above.
+_TILT_THE_BOARD = "Add images with the board turned by 20° to 45° to either side, and up and down."
+_AT_THE_SAME_TIME = "Images of one name must be taken at the same time, or with the board held still; check the names."
+# Corners of rendered images without noise fit to a few thousandths of a pixel, and then anything is far above.
 _LEAST_NOISE = 0.01
 _POSE_AXES = ("x", "y", "z", "rx", "ry", "rz")
 
@@ -85,13 +83,13 @@ class BoardCalibration:
     """Calibrated cameras.
 
     Attributes:
-        board: what the pictures show.
+        board: what the images show.
         rig: the cameras with their places, standard deviations and correlations.
         covariance: (P, P) of all cameras' parameters.
         names: of these parameters, camera by camera: the lens, then the place of those that have one but the first
             (m and rad, a small motion in the camera's frame after T_cam_world).
         qualities: of each camera.
-        rejected: pictures not used.
+        rejected: images not used.
         warnings: what to mind.
     """
 
@@ -116,7 +114,7 @@ def calibrate_cameras(views: BoardViews, board: Board, model: str = "radtan") ->
         model: "radtan" (k3 only where the corners ask for it), "equidistant" or "none".
 
     Raises:
-        CameraError: too few or too parallel views, or corners that fit no camera; says what pictures to add.
+        CameraError: too few or too parallel views, or corners that fit no camera; says what images to add.
     """
     uv, rejected = _usable(views, board)
     alone: list[Camera] = []
@@ -171,9 +169,9 @@ def _check_views(views: BoardViews, c: int, uv: Floats, rejected: Sequence[Rejec
     mine = [f"{r.view}: {r.reason}" for r in rejected if r.camera == views.cameras[c]]
     because = f" ({'; '.join(mine[:3])}{'; ...' if len(mine) > 3 else ''})" if mine else ""
     raise CameraError(
-        f"only {count} of its pictures can be used{because}, at least {_FEWEST_VIEWS} are needed and 15 to 30 are good",
+        f"only {count} of its images can be used{because}, at least {_FEWEST_VIEWS} are needed and 15 to 30 are good",
         where=f"camera '{views.cameras[c]}'",
-        remedy="Add sharp pictures of the board in all parts of the image, and check the board's kind and its counts.",
+        remedy="Add sharp images of the board in all parts of the image, and check the board's kind and its counts.",
     )
 
 
@@ -184,7 +182,7 @@ def _check_focal(fitted: Adjusted, name: str) -> None:
     tilts = _tilts(fitted.bundle, 0)[seen]
     if tilts.max() < _LEAST_TILT:
         raise CameraError(
-            f"the board faces the camera in all pictures (tilted by at most {tilts.max():.0f}°): a longer lens further "
+            f"the board faces the camera in all images (tilted by at most {tilts.max():.0f}°): a longer lens further "
             "away would see the same",
             where=f"camera '{name}'",
             remedy=_TILT_THE_BOARD,
@@ -192,7 +190,7 @@ def _check_focal(fitted: Adjusted, name: str) -> None:
     relative = float((np.sqrt(np.diag(fitted.covariance)[:2]) / camera.intrinsics[:2]).max())
     if not relative < _WORST_FOCAL:
         raise CameraError(
-            f"these pictures tell the focal length only to {100 * relative:.2g} % (standard deviation)",
+            f"these images tell the focal length only to {100 * relative:.2g} % (standard deviation)",
             where=f"camera '{name}'",
             remedy=f"{100 * _WORST_FOCAL:g} % is needed. {_TILT_THE_BOARD}",
         )
@@ -250,7 +248,7 @@ def _merit(fitted: Adjusted) -> float:
 def _without_bad_views(
     board: Board, cameras: Sequence[Camera], uv: Floats, views: BoardViews, group: Sequence[int]
 ) -> tuple[list[Rejection], Adjusted]:
-    """Fit, leave out the picture that fits worst if it fits far worse than the others, and fit again."""
+    """Fit, leave out the image that fits worst if it fits far worse than the others, and fit again."""
     uv = np.array(uv)
     rejected: list[Rejection] = []
     while True:
@@ -261,7 +259,7 @@ def _without_bad_views(
         if len(placed) < len(cameras):
             lost = next(camera for camera, T in zip(cameras, T_cam_world, strict=True) if T is None)
             raise CameraError(
-                "no picture it shares with another camera agrees with the rest",
+                "no image it shares with another camera agrees with the rest",
                 where=f"camera '{lost.name}'",
                 remedy=_AT_THE_SAME_TIME,
             )
@@ -373,12 +371,12 @@ def _remarks(camera: Camera, quality: CameraQuality, *, placed: bool) -> list[st
     if quality.coverage < _LEAST_COVERAGE:
         remarks.append(
             f"camera '{camera.name}': corners lie in {100 * quality.coverage:.0f} % of the image only; the distortion "
-            f"of the rest is a guess. Add pictures with the board {_empty_side(quality.covered)}"
+            f"of the rest is a guess. Add images with the board {_empty_side(quality.covered)}"
         )
     if not placed:
         remarks.append(
             f"camera '{camera.name}' has no view in common with the cameras before it: its place is not known. "
-            "Pictures of the same name must be taken at the same time"
+            "Images of the same name must be taken at the same time"
         )
     return remarks
 

@@ -24,7 +24,7 @@ _AGREE = 0.2
 
 
 def board_poses(camera: Camera, board: Board, uv: Floats) -> Floats:
-    """T_cam_board (V, 4, 4) from the corners ``uv`` (V, N, 2) of V pictures by direct linear transformation.
+    """T_cam_board (V, 4, 4) from the corners ``uv`` (V, N, 2) of V images by direct linear transformation.
 
     The corners of a plane are seen along d ~ H (x, y, 1), H = [r1 r2 t] up to scale; d x H (x, y, 1) = 0 is
     linear in H.

@@ -1,4 +1,4 @@
-"""A folder of board pictures, and the corners found in them."""
+"""A folder of board images, and the corners found in them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.arrays import Floats, frozen
-from urdfcal.cameras.board.detection import detect_board
+from urdfcal.cameras.board.corners import detect_board
 from urdfcal.errors import CameraError
 from urdfcal.images.files import SUFFIXES, in_parallel, read_image
 
@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Rejection:
-    """A picture that was not used.
+    """An image that was not used.
 
     Attributes:
         camera: its name.
-        view: the picture's name without suffix.
+        view: the image's name without suffix.
         reason: in words.
     """
 
@@ -44,10 +44,10 @@ class BoardViews:
     Attributes:
         cameras: their names; the first one's frame is the world.
         resolutions: (width, height) of each camera, px.
-        views: their names; pictures of the same name were taken at the same time.
+        views: their names; images of the same name were taken at the same time.
         uv: (C, V, N, 2) px, NaN where a corner was not found.
         blur: (C, V) median standard deviation of the edges' blur, px; NaN where there is nothing.
-        rejected: pictures with nothing of use.
+        rejected: images with nothing of use.
     """
 
     cameras: tuple[str, ...]
@@ -59,26 +59,26 @@ class BoardViews:
 
 
 def read_views(folder: Path, board: Board, progress: Callable[[int], None] | None = None) -> BoardViews:
-    """Find ``board`` in the pictures ``folder``/<camera>/<view>.png; a folder of pictures is one camera, cam0.
+    """Find ``board`` in the images ``folder``/<camera>/<view>.png; a folder of images is one camera, cam0.
 
     Args:
         folder: cameras are in the order of their names, numbers in them counted as numbers.
         board: what to look for.
-        progress: called with 1 after every picture.
+        progress: called with 1 after every image.
 
     Raises:
-        CameraError: there are no pictures.
+        CameraError: there are no images.
     """
-    pictures = find_pictures(folder)
-    paths = [(camera, path) for camera, found in pictures.items() for path in found.values()]
+    images = find_images(folder)
+    paths = [(camera, path) for camera, found in images.items() for path in found.values()]
     results = []
     for result in in_parallel(lambda item: _look(item[1], board), paths):
         results.append(result)
         if progress is not None:
             progress(1)
 
-    cameras = tuple(pictures)
-    views = tuple(sorted({view for found in pictures.values() for view in found}, key=_natural))
+    cameras = tuple(images)
+    views = tuple(sorted({view for found in images.values() for view in found}, key=_natural))
     uv = np.full((len(cameras), len(views), len(board.corners), 2), np.nan)
     blur = np.full((len(cameras), len(views)), np.nan)
     rejected, resolutions = [], []
@@ -86,7 +86,7 @@ def read_views(folder: Path, board: Board, progress: Callable[[int], None] | Non
         mine = [(path, *result) for (name, path), result in zip(paths, results, strict=True) if name == camera]
         sizes = Counter(size for _, size, _ in mine if all(size))
         if not sizes:
-            raise CameraError("none of its files is a picture", where=str(folder / camera))
+            raise CameraError("none of its files is an image", where=str(folder / camera))
         usual = sizes.most_common(1)[0][0]
         resolutions.append(usual)
         for path, size, found in mine:
@@ -102,8 +102,8 @@ def read_views(folder: Path, board: Board, progress: Callable[[int], None] | Non
     return BoardViews(cameras, tuple(resolutions), views, frozen(uv), frozen(blur), tuple(rejected))
 
 
-def find_pictures(folder: Path) -> dict[str, dict[str, Path]]:
-    """Camera name -> view name -> picture, both in natural order.
+def find_images(folder: Path) -> dict[str, dict[str, Path]]:
+    """Camera name -> view name -> image, both in natural order.
 
     Raises:
         CameraError: there are none, or two of the same name.
@@ -111,33 +111,33 @@ def find_pictures(folder: Path) -> dict[str, dict[str, Path]]:
     if not folder.is_dir():
         raise CameraError("there is no such folder", where=str(folder))
     inside = [path for path in folder.iterdir() if path.is_dir() and not path.name.startswith(".")]
-    found = {path.name: _pictures(path) for path in sorted(inside, key=lambda path: _natural(path.name))}
+    found = {path.name: _images(path) for path in sorted(inside, key=lambda path: _natural(path.name))}
     found = {camera: views for camera, views in found.items() if views}
-    if not found and (alone := _pictures(folder)):
+    if not found and (alone := _images(folder)):
         found = {"cam0": alone}
     if not found:
         raise CameraError(
-            f"there are no pictures ({', '.join(SUFFIXES)}) here",
+            f"there are no images ({', '.join(SUFFIXES)}) here",
             where=str(folder),
             remedy="Put them into one folder a camera: <camera>/<view>.png.",
         )
     return found
 
 
-def _pictures(folder: Path) -> dict[str, Path]:
-    pictures: dict[str, Path] = {}
+def _images(folder: Path) -> dict[str, Path]:
+    images: dict[str, Path] = {}
     for path in sorted(folder.iterdir(), key=lambda p: _natural(p.name)):
         if path.suffix.lower() in SUFFIXES and not path.name.startswith("."):
-            if path.stem in pictures:
+            if path.stem in images:
                 raise CameraError(
-                    f"{path.name} and {pictures[path.stem].name} are both called '{path.stem}'", where=str(folder)
+                    f"{path.name} and {images[path.stem].name} are both called '{path.stem}'", where=str(folder)
                 )
-            pictures[path.stem] = path
-    return pictures
+            images[path.stem] = path
+    return images
 
 
 def _look(path: Path, board: Board) -> tuple[tuple[int, int], Corners | str]:
-    """The picture's (width, height) and its corners, or why there are none."""
+    """The image's (width, height) and its corners, or why there are none."""
     try:
         image = read_image(path)
     except CameraError as error:

@@ -52,8 +52,8 @@ class Candidates:
 
 
 @dataclass(frozen=True, eq=False)
-class Still:
-    """What stands still in the pictures of a camera.
+class StaticImage:
+    """What stands still in the images of a camera.
 
     Attributes:
         image: (h, w) counts.
@@ -66,7 +66,7 @@ class Still:
     damping: NDArray[np.float32]
 
 
-def find_candidates(image: NDArray[np.float32], still: Still | None = None) -> Candidates:
+def find_candidates(image: NDArray[np.float32], still: StaticImage | None = None) -> Candidates:
     """Find small lights in an image (h, w) of counts, other than those that stand ``still``."""
     small = halved(image)
     if still is not None:
@@ -112,7 +112,7 @@ class _Peaks:
     excess: Floats
 
 
-def _peaks(image: NDArray[np.float32], small: NDArray[np.float32], still: Still | None) -> _Peaks:
+def _peaks(image: NDArray[np.float32], small: NDArray[np.float32], still: StaticImage | None) -> _Peaks:
     import cv2
 
     small = cv2.GaussianBlur(small, (5, 5), _BLUR)
@@ -150,7 +150,7 @@ def _areas(small: NDArray[Any], relief: NDArray[Any], u: Ints, v: Ints) -> Ints:
     return np.asarray((_around(small, u, v, reach) > half[:, None, None]).sum(axis=(1, 2)))
 
 
-def _single(image: NDArray[np.float32], places: Ints, still: Still | None) -> tuple[Bools, Ints, Floats]:
+def _single(image: NDArray[np.float32], places: Ints, still: StaticImage | None) -> tuple[Bools, Ints, Floats]:
     """Which places (n, 2) are one pixel, whose neighbours show next to nothing of it; that pixel; its excess."""
     u, v = places.T
     reach = np.arange(-7, 9)

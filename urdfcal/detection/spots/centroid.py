@@ -15,8 +15,8 @@ from urdfcal.detection.spots.gaussian import (
     LEVEL,
     PEAK,
     PIXEL_VARIANCE,
-    Noise,
-    Solution,
+    GaussianFit,
+    PixelNoise,
     U,
     V,
     Windows,
@@ -179,13 +179,13 @@ class _Rough:
     """Crops fitted without knowing how their noise grows with the light."""
 
     windows: Windows
-    solution: Solution
-    noise: Noise
+    solution: GaussianFit
+    noise: PixelNoise
 
     @classmethod
     def of(cls, windows: Windows, spots: Floats) -> _Rough:
         floor = np.maximum(_rim_variance(windows), _LEAST_VARIANCE)
-        noise = Noise(floor, _likely_shot(floor, spots))
+        noise = PixelNoise(floor, _likely_shot(floor, spots))
         solution = fit(windows, spots, noise.variance(light(windows, spots)))
         near = windows.within(solution.spots, _WIDTHS * _widths(solution.spots).max(axis=1) + _MARGIN)
         glow = light(near, solution.spots)
@@ -194,7 +194,7 @@ class _Rough:
         counted = wings.sum(axis=1)
         spread = np.sum(r * r * wings, axis=1) / np.maximum(counted - 3, 1)
         floor = np.where(counted > 20, np.maximum(spread, _LEAST_VARIANCE), floor)
-        return cls(near, solution, Noise(floor, noise.shot))
+        return cls(near, solution, PixelNoise(floor, noise.shot))
 
     def shot_evidence(self) -> tuple[Floats, Floats]:
         """For each spot, sums whose ratio is its shot noise per count: what is left in the core against its light."""
@@ -210,7 +210,7 @@ class _Rough:
 
     def refined(self, shot: float) -> Fits:
         spots = self.solution.spots
-        noise = Noise(self.noise.floor, np.full(len(spots), shot))
+        noise = PixelNoise(self.noise.floor, np.full(len(spots), shot))
         glow = light(self.windows, spots)
         variance = noise.variance(glow)
         z = residuals(self.windows, spots, glow) / np.sqrt(variance)
@@ -223,7 +223,7 @@ class _Rough:
         clean = Windows(windows.u, windows.v, windows.values, trusted, windows.saturated)
         solution = fit(clean, spots, variance)
         found = solution.converged & self.solution.converged
-        return _measure(clean, windows, Solution(solution.spots, solution.covariances, found), noise)
+        return _measure(clean, windows, GaussianFit(solution.spots, solution.covariances, found), noise)
 
 
 def _shot_noise(rough: list[_Rough]) -> float:
@@ -240,7 +240,7 @@ def _shot_noise(rough: list[_Rough]) -> float:
     return max(float(above[good].sum() / below[good].sum()), 0.0) if good.any() else usual
 
 
-def _measure(clean: Windows, windows: Windows, solution: Solution, noise: Noise) -> Fits:
+def _measure(clean: Windows, windows: Windows, solution: GaussianFit, noise: PixelNoise) -> Fits:
     """Judge spots fitted to ``clean`` windows, by all that there is in ``windows``."""
     spots, covariances = solution.spots, solution.covariances
     glow = light(windows, spots)

@@ -1,4 +1,4 @@
-"""LEDs in the pictures of one camera: every small light there is, and whether it looks like an LED.
+"""LEDs in the images of one camera: every small light there is, and whether it looks like an LED.
 
 Nothing here knows the robot: which of several lights is the LED is decided where the arm is known.
 """
@@ -14,20 +14,18 @@ import numpy as np
 
 from urdfcal.detection.spots.candidates import HOT, LARGE
 from urdfcal.detection.spots.centroid import Crops, Fits, fit_spots
-from urdfcal.detection.spots.preprocessing import Look, look, read_backdrop
-from urdfcal.images.files import in_parallel
-from urdfcal.images.sequence import Picture
+from urdfcal.detection.spots.preprocessing import Preprocessed, preprocess, read_background
+from urdfcal.images.files import ImageFile, in_parallel
 
-__all__ = ["Picture", "Spots", "find_spots"]
+__all__ = ["ImageFile", "Spots", "find_spots"]
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from urdfcal.arrays import Bools, Ints
-    from urdfcal.images.files import Colour
-    from urdfcal.images.sequence import Pictures
+    from urdfcal.images.files import Colour, ImageSequence
 
-# Pictures whose crops are fitted together: with a dozen lights each, their crops take as much as six pictures.
+# Images whose crops are fitted together: with a dozen lights each, their crops take as much as six images.
 _TOGETHER = 64
 
 # An LED cannot be measured below this; of noise alone nothing comes so far. [deviations of the peak]
@@ -45,24 +43,24 @@ _LOBE = 0.15
 # Share of the light in the named colour: 1/3 is white, a red LED has above 0.6 on any Bayer sensor.
 _PURITY = 0.45
 
-# Lights this near to each other in different pictures are one that stands still. [px]
+# Lights this near to each other in different images are one that stands still. [px]
 _SAME_PLACE = 2.0
-# In so many pictures with the LED elsewhere: chance brings a moving LED back to within two pixels in one in 10,000.
+# In so many images with the LED elsewhere: chance brings a moving LED back to within two pixels in one in 10,000.
 _STILL_COUNT, _STILL_SHARE = 3, 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class Spots:
-    """Small lights in the pictures of one camera.
+    """Small lights in the images of one camera.
 
     Attributes:
-        picture: (n,) index of the picture.
+        image: (n,) index of the image.
         fits: where they are and what they look like.
         reasons: n texts why a light is not taken for an LED; empty where it may be one.
-        still: (k, 2) where small lights stand still, which were taken off the pictures. [px]
+        still: (k, 2) where small lights stand still, which were taken off the images. [px]
     """
 
-    picture: Ints
+    image: Ints
     fits: Fits
     reasons: tuple[str, ...]
     still: Ints = field(default_factory=lambda: np.zeros((0, 2), dtype=np.intp))
@@ -72,7 +70,7 @@ class Spots:
         """All spots of several, in order."""
         parts = list(parts)
         return Spots(
-            np.concatenate([np.zeros(0, dtype=np.intp), *(part.picture for part in parts)]),
+            np.concatenate([np.zeros(0, dtype=np.intp), *(part.image for part in parts)]),
             Fits.join(part.fits for part in parts),
             tuple(chain.from_iterable(part.reasons for part in parts)),
             np.zeros((0, 2), dtype=np.intp) if still is None else still,
@@ -93,56 +91,58 @@ class Spots:
 
 
 def find_spots(
-    pictures: Pictures,
+    images: ImageSequence,
     resolution: tuple[int, int],
     colour: Colour = "any",
     place: Ints | None = None,
     progress: Callable[[int], object] | None = None,
     threads: int | None = None,
 ) -> Spots:
-    """Find and measure every small light in the pictures of one camera.
+    """Find and measure every small light in the images of one camera.
 
     Args:
-        pictures: of the same camera.
+        images: of the same camera.
         resolution: (width, height) that they must have. [px]
         colour: of the LED: lights of other colours are rejected, and the others' pixels not used.
-        place: (P,) of every picture a number that is the same where the LED should be at the same place; without,
+        place: (P,) of every image a number that is the same where the LED should be at the same place; without,
             it is elsewhere in each.
-        progress: called with the number of pictures read since the last call.
+        progress: called with the number of images read since the last call.
         threads: that read, one a core by default.
 
     Raises:
-        CameraError: a picture cannot be read, or has another size.
+        CameraError: an image cannot be read, or has another size.
     """
-    place = np.arange(len(pictures)) if place is None else place
-    backdrop = read_backdrop(pictures, place, resolution, colour, threads)
-    looks = in_parallel(partial(look, resolution=resolution, colour=colour, backdrop=backdrop), pictures, threads)
+    place = np.arange(len(images)) if place is None else place
+    background = read_background(images, place, resolution, colour, threads)
+    looks = in_parallel(
+        partial(preprocess, resolution=resolution, colour=colour, background=background), images, threads
+    )
     batches = []
-    for first in range(0, len(pictures), _TOGETHER):
+    for first in range(0, len(images), _TOGETHER):
         batch = []
         for seen in islice(looks, _TOGETHER):
             batch.append(seen)
             if progress:
                 progress(1)
         batches.append(_measured(batch, first, resolution, colour))
-    spots = Spots.join(batches, backdrop.lights if backdrop else None)
+    spots = Spots.join(batches, background.lights if background else None)
     return spots.rejected(_stands_still(spots, place), "it stands still")
 
 
 def _stands_still(spots: Spots, place: Ints) -> Bools:
-    """Which spots (n,) are where a light also is in pictures with the LED elsewhere."""
+    """Which spots (n,) are where a light also is in images with the LED elsewhere."""
     from scipy.spatial import cKDTree
 
     if not len(spots.fits):
         return np.zeros(0, dtype=bool)
     tree = cKDTree(spots.fits.uv)
-    of = place[spots.picture]
+    of = place[spots.image]
     counts = np.array([np.unique(of[near]).size for near in tree.query_ball_point(spots.fits.uv, _SAME_PLACE)])
     return np.asarray(counts >= max(_STILL_COUNT, _STILL_SHARE * np.unique(place).size))
 
 
-def _measured(looks: Sequence[Look], first: int, resolution: tuple[int, int], colour: Colour) -> Spots:
-    """Fit and judge the lights of some pictures, the ``first`` and following."""
+def _measured(looks: Sequence[Preprocessed], first: int, resolution: tuple[int, int], colour: Colour) -> Spots:
+    """Fit and judge the lights of some images, the ``first`` and following."""
     numbers = first + np.arange(len(looks))
     crops = Crops.join(seen.crops for seen in looks)
     fits = fit_spots(crops)
@@ -155,8 +155,8 @@ def _measured(looks: Sequence[Look], first: int, resolution: tuple[int, int], co
         tuple(chain.from_iterable(seen.reasons for seen in looks)),
     )
     joined = Spots.join([_once(_judged(spots, resolution)), others])
-    order = np.argsort(joined.picture, kind="stable")
-    return Spots(joined.picture[order], joined.fits[order], tuple(joined.reasons[i] for i in order))
+    order = np.argsort(joined.image, kind="stable")
+    return Spots(joined.image[order], joined.fits[order], tuple(joined.reasons[i] for i in order))
 
 
 def _judged(spots: Spots, resolution: tuple[int, int]) -> Spots:
@@ -177,11 +177,11 @@ def _judged(spots: Spots, resolution: tuple[int, int]) -> Spots:
 
 
 def _once(spots: Spots) -> Spots:
-    """Without fits that met in the same place as one before them in the same picture."""
+    """Without fits that met in the same place as one before them in the same image."""
     kept = np.ones(len(spots.fits), dtype=bool)
-    for picture in np.unique(spots.picture):
-        rows = np.flatnonzero(spots.picture == picture)
+    for image in np.unique(spots.image):
+        rows = np.flatnonzero(spots.image == image)
         apart = np.linalg.norm(spots.fits.uv[rows, None] - spots.fits.uv[rows], axis=2) >= _SAME_PLACE
         kept[rows] = (apart | ~np.tri(len(rows), k=-1, dtype=bool)).all(axis=1)
     rows = np.flatnonzero(kept)
-    return Spots(spots.picture[rows], spots.fits[rows], tuple(spots.reasons[i] for i in rows))
+    return Spots(spots.image[rows], spots.fits[rows], tuple(spots.reasons[i] for i in rows))

@@ -61,7 +61,7 @@ class Windows:
 
 
 @dataclass(frozen=True, eq=False)
-class Noise:
+class PixelNoise:
     """Variance of a pixel: constant, and proportional to the light that the spot adds to it.
 
     Attributes:
@@ -72,8 +72,8 @@ class Noise:
     floor: Floats
     shot: Floats
 
-    def __getitem__(self, rows: Ints | Bools) -> Noise:
-        return Noise(self.floor[rows], self.shot[rows])
+    def __getitem__(self, rows: Ints | Bools) -> PixelNoise:
+        return PixelNoise(self.floor[rows], self.shot[rows])
 
     def variance(self, light: Floats) -> Floats:
         """Variance of pixels with ``light`` (n, P) counts of the spot on them."""
@@ -117,7 +117,7 @@ def jacobian(windows: Windows, spots: Floats) -> tuple[Floats, Floats]:
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class GaussianFit:
     """What came of n fits.
 
     Attributes:
@@ -131,7 +131,7 @@ class Solution:
     converged: Bools
 
 
-def fit(windows: Windows, spots: Floats, variance: Floats) -> Solution:
+def fit(windows: Windows, spots: Floats, variance: Floats) -> GaussianFit:
     """Least squares weighted by the pixels' variances, saturated pixels one-sided: damped Gauss-Newton.
 
     With the variances of a spot near the solution this is as good as maximum likelihood; letting them follow the
@@ -164,10 +164,10 @@ def fit(windows: Windows, spots: Floats, variance: Floats) -> Solution:
         done = better & (gain < _CONVERGED**2)
         converged[active[done]] = True
         active = active[~done & (damping[active] < _LARGEST_DAMPING)]
-    return Solution(spots, _inverse(H), converged)
+    return GaussianFit(spots, _inverse(H), converged)
 
 
-def leverages(windows: Windows, solution: Solution, variance: Floats) -> Floats:
+def leverages(windows: Windows, solution: GaussianFit, variance: Floats) -> Floats:
     """Share (n, P) of each pixel's noise that the fit takes up."""
     _, J = jacobian(windows, solution.spots)
     hat: Floats = np.einsum("nip,nij,njp->np", J, solution.covariances, J, optimize=True)

@@ -45,7 +45,7 @@ _TOO_FAR, _TOO_WIDE = 5.0, 20.0
 _BLIND = 0.05
 # Five degrees of reading noise: the unit is wrong.
 _UNREAD = 0.1
-# A joint that moves less than this moves the tip by less than the drawing is wrong.
+# A joint that moves less than this moves the tip by less than a nominal arm is wrong.
 _STILL = 1e-3
 
 

@@ -1,0 +1,88 @@
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from urdfcal.cli import run
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+
+@pytest.fixture
+def folder(calibrated: Callable[[str], Path]) -> Path:
+    return calibrated("elbow3r")
+
+
+def evaluated(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict[str, object]:
+    assert run(["evaluate", *map(str, arguments), "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def test_the_calibrated_arm_explains_its_session_better_than_the_nominal_one(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    session = folder / "session"
+    truth, found, nominal = (
+        evaluated(capsys, urdf, session)["residual_px"]
+        for urdf in (session / "truth.urdf", folder / "result" / "elbow3r_calibrated.urdf", session / "elbow3r.urdf")
+    )
+    assert found["sightings"] == truth["sightings"] > 0
+    assert found["rms"] < 1.1 * truth["rms"] < 0.5 * nominal["rms"]
+    assert found["median"] <= found["p95"] <= found["max"]
+
+
+def points(path: Path, scale: float) -> Path:
+    rng = np.random.default_rng(0)
+    rows = [f"{k:04d},led,{','.join(map(str, scale * rng.normal(size=3)))}" for k in range(1, 9)]
+    path.write_text("\n".join(["pose,led,x,y,z", *rows]) + "\n")
+    return path
+
+
+def test_points_in_millimetres_are_refused(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    session, file = folder / "session", tmp_path / "points.csv"
+    names = [line.split(",")[0] for line in (session / "joints.csv").read_text().splitlines()[1:9]]
+
+    def evaluate(scale: float) -> int:
+        text = points(file, scale).read_text()
+        for k, name in enumerate(names, start=1):
+            text = text.replace(f"{k:04d},", f"{name},")
+        file.write_text(text)
+        return run(["evaluate", str(session / "truth.urdf"), str(session), "--points", str(file), "--json"])
+
+    assert evaluate(1000.0) == 2
+    assert "these look like millimetres" in capsys.readouterr().err
+    assert evaluate(1.0) == 0
+    assert json.loads(capsys.readouterr().out)["residual_mm"]["sightings"] == 8
+
+
+@pytest.mark.parametrize("option", [["--tip", "tool0"], ["--base", "base_link"], ["--poses", "10"]])
+def test_with_a_session_links_and_poses_are_the_sessions(
+    option: list[str], folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    session = folder / "session"
+    assert run(["evaluate", str(session / "truth.urdf"), str(session), *option]) == 2
+    assert "leave --tip, --base, --poses out" in capsys.readouterr().err
+
+
+def test_what_does_not_go_together_is_said(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    urdf = str(folder / "session" / "truth.urdf")
+    for arguments, message in (
+        ([urdf, "nowhere.urdf", "--tip", "tool0"], "no such file or folder"),
+        ([urdf, urdf, "--tip", "tool0", "--points", "points.csv"], "--points goes with a session"),
+        ([urdf, urdf], "two URDFs need --tip LINK"),
+    ):
+        assert run(["evaluate", *arguments]) == 2
+        assert message in capsys.readouterr().err
+
+
+def test_a_table_has_a_row_for_each_quantity(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    urdf = str(folder / "session" / "truth.urdf")
+    assert run(["evaluate", urdf, urdf, "--tip", "tool0"]) == 0
+    printed = capsys.readouterr().out
+    for quantity in ("position (mm)", "orientation (mrad)", "position unaligned (mm)", "orientation unaligned (mrad)"):
+        assert quantity in printed
