@@ -15,10 +15,8 @@ if TYPE_CHECKING:
     from urdfcal.rosbag.topics import ChosenTopics
 
 
-def _led(value: str | tuple[str, list[float] | None]) -> tuple[str, list[float] | None]:
-    """NAME or NAME=x,y,z."""
-    if isinstance(value, tuple):
-        return value
+def _led(value: str) -> tuple[str, list[float] | None]:
+    """Parse NAME or NAME=x,y,z."""
     name, separator, place = value.partition("=")
     if not separator:
         return name, None
@@ -31,10 +29,8 @@ def _led(value: str | tuple[str, list[float] | None]) -> tuple[str, list[float] 
     return name, position
 
 
-def _camera(value: str | tuple[str, str, str | None]) -> tuple[str, str, str | None]:
-    """NAME=IMAGE_TOPIC[,INFO_TOPIC]."""
-    if isinstance(value, tuple):
-        return value
+def _camera(value: str) -> tuple[str, str, str | None]:
+    """Parse NAME=IMAGE_TOPIC[,INFO_TOPIC]."""
     name, _, topics = value.partition("=")
     image, _, info = topics.partition(",")
     if not name or not image:

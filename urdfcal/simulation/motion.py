@@ -91,13 +91,14 @@ def set_in_motion(simulated: Simulated, settings: MotionSettings) -> Simulated:
         time=time - time_offsets[camera],
     )
     q = path.at(time)
+    sigma, share = session.noise.pixel, truth.outlier_share
     detections, outliers = simulate_detections(
         scene,
         q,
         camera[:, None],
         pixel=truth.pixel,
-        sigma=session.noise.pixel,
-        outliers=truth.outlier_share,
+        sigma=sigma,
+        outliers=share,
         noise_rng=noise_rng,
         outlier_rng=outlier_rng,
     )

@@ -83,15 +83,9 @@ def simulate(
     q = sample_poses(nominal, checker, poses, pose_rng, progress)
     noise = rig.noise if not pixel else replace(rig.noise, pixel=pixel)
     pixel = rig.noise.pixel if pixel is None else pixel
+    views = np.tile(np.arange(len(true.cameras)), (poses, 1))
     detections, outlying = simulate_detections(
-        true,
-        q,
-        np.tile(np.arange(len(true.cameras)), (poses, 1)),
-        pixel=pixel,
-        sigma=noise.pixel,
-        outliers=outliers,
-        noise_rng=noise_rng,
-        outlier_rng=outlier_rng,
+        true, q, views, pixel=pixel, sigma=noise.pixel, outliers=outliers, noise_rng=noise_rng, outlier_rng=outlier_rng
     )
     session = Session(
         **{field.name: getattr(rig, field.name) for field in fields(Setup)}

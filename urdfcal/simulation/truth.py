@@ -75,15 +75,8 @@ class Simulated:
     def scene(self) -> Scene:
         """The true robot and its cameras."""
         session, truth = self.session, self.truth
-        return Scene(
-            session.chain,
-            truth.placements,
-            session.attachments,
-            truth.leds,
-            truth.T_world_base,
-            session.rig.cameras,
-            truth.T_cam_frame,
-        )
+        at, cameras = session.attachments, session.rig.cameras
+        return Scene(session.chain, truth.placements, at, truth.leds, truth.T_world_base, cameras, truth.T_cam_frame)
 
 
 def write_simulated(folder: str | Path, simulated: Simulated, *, detections: bool = True) -> None:
