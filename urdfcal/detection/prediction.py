@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.rotations import skew
+from urdfcal.rotations import rotation_vector_to_matrix, skew
 
 if TYPE_CHECKING:
     from urdfcal.arrays import Floats, Ints
@@ -93,7 +93,7 @@ def predict(camera: Camera, leds: tuple[Led, ...], T_base_tip: Floats, led: Ints
     if not found or inliers is None or len(inliers) < max(_FEWEST, _MOST * len(first)):
         return None
     T_cam_base = np.eye(4)
-    T_cam_base[:3, :3], T_cam_base[:3, 3] = cv2.Rodrigues(rotation)[0], translation.ravel()
+    T_cam_base[:3, :3], T_cam_base[:3, 3] = rotation_vector_to_matrix(rotation.ravel()), translation.ravel()
     fit = _Fit(camera, T_base_tip, led, T_cam_base, places, places, np.maximum(sigma, 1e-4))
     gate = off * float(camera.intrinsics[:2].mean())
     for _ in range(_ROUNDS):
@@ -160,15 +160,8 @@ class _Fit:
         pull[6:] = prior[6:] * (self.declared - self.leds).ravel()
         H = np.einsum("mdi,mdj->ij", J, J) + np.diag(prior + 1e-6)
         step = np.linalg.solve(H, np.einsum("mdi,md->i", J, r) + pull)
-        T = _moved(self.T_cam_base, step[:6])
+        motion = np.eye(4)
+        motion[:3, :3], motion[:3, 3] = rotation_vector_to_matrix(step[3:6]), step[:3]
+        T: Floats = motion @ self.T_cam_base
         return replace(self, T_cam_base=T, leds=self.leds + step[6:].reshape(-1, 3))
 
-
-def _moved(T: Floats, step: Floats) -> Floats:
-    """``T`` (4, 4) after a small motion (translation, rotation) in the frame it leads to."""
-    import cv2
-
-    motion = np.eye(4)
-    motion[:3, :3], motion[:3, 3] = cv2.Rodrigues(step[3:])[0], step[:3]
-    result: Floats = motion @ T
-    return result

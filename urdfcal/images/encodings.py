@@ -107,8 +107,4 @@ def _demosaic(mosaic: NDArray[Any], pattern: str) -> Image:
 
     if min(mosaic.shape) < 3:
         raise CameraError(f"a mosaic of {mosaic.shape[1]} x {mosaic.shape[0]} pixels has no colours")
-    codes = {
-        "rggb": cv2.COLOR_BayerRGGB2RGB, "bggr": cv2.COLOR_BayerBGGR2RGB,
-        "gbrg": cv2.COLOR_BayerGBRG2RGB, "grbg": cv2.COLOR_BayerGRBG2RGB,
-    }  # fmt: skip
-    return np.asarray(cv2.cvtColor(mosaic, codes[pattern]))
+    return np.asarray(cv2.cvtColor(mosaic, getattr(cv2, f"COLOR_Bayer{pattern.upper()}2RGB")))

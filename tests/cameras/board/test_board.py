@@ -55,6 +55,8 @@ def test_boards_are_read_from_their_file(tmp_path: Path) -> None:
     path = tmp_path / "board.yaml"
     path.write_text("type: chessboard\ncolumns: 9\nrows: 6\nsquare: 0.025\n")
     assert read_board(path) == Board("chessboard", 9, 6, 0.025)
+    path.write_text(path.read_text() + "marker:\ndictionary: ~\n")
+    assert read_board(path) == Board("chessboard", 9, 6, 0.025)
     path.write_text("{type: charuco, columns: 10, rows: 7, square: 0.025, marker: 0.018, dictionary: DICT_4X4_50}")
     assert read_board(path) == Board("charuco", 10, 7, 0.025, 0.018, "DICT_4X4_50")
 
@@ -65,16 +67,17 @@ BROKEN = {
     "small": ({"columns": 3}, "a 3 x 7 charuco has 2 x 6 inner corners. It needs at least 3 x 3"),
     "millimetres": ({"square": 25}, "a square of 25 m is no board's. Give its side in metres"),
     "negative": ({"square": -0.02}, "a square of -0.02 m"),
-    "text": ({"square": "25mm"}, "square '25mm' is not a float"),
-    "fraction": ({"rows": 6.5}, "rows 6.5 is not a int"),
-    "true": ({"rows": True}, "rows True is not a int"),
-    "missing": ({"columns": None}, "columns None is not"),
+    "text": ({"square": "25mm"}, r"yaml:5:9 \(square\): '25mm' is not a finite .* Lengths are in metres"),
+    "fraction": ({"rows": 6.5}, "rows 6.5 is not a whole number"),
+    "true": ({"rows": True}, "'true' is not a finite number"),
+    "nothing": ({"columns": None}, r"\(columns\): 'null' is not a finite number"),
+    "marker in millimetres": ({"marker": "20 mm"}, r"\(marker\): '20 mm' is not a finite .* Lengths are in metres"),
     "large marker": ({"marker": 0.03}, "markers of 0.03 m do not fit into squares of 0.03 m"),
     "no dictionary": ({"dictionary": None}, "needs the side of its markers and their dictionary"),
     "unknown dictionary": ({"dictionary": "DICT_3X3"}, "dictionary 'DICT_3X3' is not known. OpenCV has: .*DICT_4X4_50"),
     "too many markers": ({"columns": 20}, "a 20 x 7 board has 70 markers, DICT_4X4_50 holds 50"),
     "chessboard with markers": ({"type": "chessboard"}, "a chessboard has no markers"),
-    "unknown key": ({"colour": "red"}, "key 'colour' is not known. Allowed: type, columns"),
+    "unknown key": ({"colour": "red"}, "key 'colour' of a board is not known. Allowed: type, columns"),
 }  # fmt: skip
 
 
@@ -95,7 +98,12 @@ def test_files_that_are_no_boards_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "board.yaml"
     with pytest.raises(CameraError, match="cannot be read: No such file"):
         read_board(path)
-    for text, message in (("[1, 2]", "expected are the keys type"), ("a: [", "not a YAML text file")):
+    for text, message in (
+        ("[1, 2]", "the keys type, columns, .* are expected here"),
+        ("a: [", "this is not YAML"),
+        ("", "the file holds nothing"),
+        ("type: chessboard", r"\(columns\): columns is missing"),
+    ):
         path.write_text(text)
         with pytest.raises(CameraError, match=message):
             read_board(path)

@@ -255,13 +255,13 @@ BROKEN_ROS = {
     "fraction": ("640", "640.5", r"yaml:1:14 \(image_width\): image_width 640.5 is not a whole number"),
     "text": ("438.76", "wide", r"yaml:7:10 \(camera_matrix.data\): 'wide' is not a finite number"),
     "skew": ("438.76, 0,", "438.76, 0.1,", r"camera_matrix must be \[fx 0 cx"),
-    "shape": ("rows: 3\n  cols: 3", "rows: 1\n  cols: 9", "camera_matrix must have 3 rows and 3 columns"),
+    "shape": ("rows: 3\n  cols: 3", "rows: 1\n  cols: 9", "camera_matrix must have 3 rows of 3 numbers"),
     "count": ("cols: 5", "cols: 4", r"yaml:12:9 \(distortion_coefficients.data\): 5 numbers do not make 1 rows of 4"),
     "eight": ("cols: 5\n  data: [", "cols: 8\n  data: [1, 2, 3, ", "takes 4 or 5 coefficients, 8 are given"),
     "millimetres": ("438.76, 0, 305.59, 0, 437.27", "4, 0, 305, 0, 4", "like millimetres"),
     "singular": ("data: [393.65, 0, 322.79", "data: [0, 0, 322.79", "left part of projection_matrix has no inverse"),
     "skewed R": ("[1, 0, 0, 0, 1, 0", "[1, 0.1, 0, 0, 1, 0", "is off by 0.1 from a rotation matrix"),
-    "mm baseline": ("322.79, 0, 0,", "322.79, -47238, 0,", "stand 120 m apart; it looks like millimetres"),
+    "mm baseline": ("322.79, 0, 0,", "322.79, -47238, 0,", "are 120 m apart; it looks like millimetres"),
 }  # fmt: skip
 
 
@@ -285,6 +285,7 @@ BROKEN_OPENCV = {
     "NaN": ("1400.", ".Nan", "", "", r"yml:13:12 \(camera_matrix.data\): '.Nan' is not a finite number"),
     "other names": ("camera_matrix", "cam", "", "", "there is no camera matrix in it. It is called one of: camera_m"),
     "twice": ("flags: 0", "image_width: 3", "", "", "yml:7:1: 'image_width' stands here a second time"),
+    "three sides": ("flags: 0", "imageSize: [3, 4, 5]", "image_width", "w", r"imageSize \[3.0, 4.0, 5.0\] is not"),
     "no size": ("image_width", "width", "", "", "does not tell the size of the image"),
     "unknown model": ("fisheye_model: 0", "distortion_model: fov", "", "", "distortion model 'fov' is not supported"),
     "deep": ("nr_of_frames: 14", "nr: " + "[" * 100_000, "", "", "this is not a YAML text file"),
@@ -299,6 +300,22 @@ def test_a_broken_opencv_file_is_refused(tmp_path: Path, old: str, new: str, als
     with pytest.raises(CameraError, match=message) as caught:
         read_cameras([path])
     assert str(path) in str(caught.value)
+
+
+def test_a_rotation_or_translation_of_another_shape_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "stereo.yml"
+    write_opencv(path, PAIR)
+    text = path.read_text()
+    for old, new in (
+        ("R: !!opencv-matrix\n   rows: 3\n   cols: 3", "R: !!opencv-matrix\n   rows: 1\n   cols: 9"),
+        (
+            "T: !!opencv-matrix\n   rows: 3\n   cols: 1\n   dt: d\n   data: [ ",
+            "T: !!opencv-matrix\n   rows: 4\n   cols: 1\n   dt: d\n   data: [ 0, ",
+        ),
+    ):
+        path.write_text(edited(text, old, new))
+        with pytest.raises(CameraError, match=r"\(R\): R must be 3 x 3 and T have three numbers"):
+            read_opencv([path])
 
 
 BROKEN_XML = {

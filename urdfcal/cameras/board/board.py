@@ -5,11 +5,12 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, cast, get_args
 
 import numpy as np
 
 from urdfcal.arrays import Floats, Ints, frozen
+from urdfcal.cameras.io.entries import Entry
 from urdfcal.errors import CameraError
 
 if TYPE_CHECKING:
@@ -21,6 +22,7 @@ BoardKind = Literal["chessboard", "charuco"]
 _FEWEST = 3
 # A printed square is between a few millimetres and half a metre; 25 is millimetres.
 _LARGEST_SQUARE = 1.0
+_METRES = "Lengths are in metres: 0.025, or 2.5e-2."
 _KEYS = ("type", "columns", "rows", "square", "marker", "dictionary")
 
 
@@ -141,28 +143,14 @@ def read_board(path: Path) -> Board:
     Raises:
         CameraError: the file cannot be read or describes no board.
     """
-    import yaml
-
+    entry = Entry.read(path, f"the keys {', '.join(_KEYS)}")
+    entry.only(_KEYS, "a board")
+    # "marker:" with nothing behind it is left out, too.
+    given = [key for key, node in entry.fields.items() if node.tag != "tag:yaml.org,2002:null"]
+    size = entry.whole("columns"), entry.whole("rows"), entry.number("square", _METRES)
+    marker = entry.number("marker", _METRES) if "marker" in given else None
+    dictionary = entry.text("dictionary") if "dictionary" in given else None
     try:
-        data = yaml.safe_load(path.read_bytes())
-    except OSError as error:
-        raise CameraError(f"the board's file cannot be read: {error.strerror}", where=str(path)) from error
-    except (yaml.YAMLError, RecursionError) as error:
-        raise CameraError("this is not a YAML text file", where=str(path)) from error
-    if not isinstance(data, dict):
-        raise CameraError(f"expected are the keys {', '.join(_KEYS)}", where=str(path))
-    unknown = [str(key) for key in data if key not in _KEYS]
-    if unknown:
-        raise CameraError(f"key '{unknown[0]}' is not known", where=str(path), remedy=f"Allowed: {', '.join(_KEYS)}.")
-    kinds: dict[str, tuple[type, ...]] = {
-        "type": (str,), "columns": (int,), "rows": (int,), "square": (float, int),
-        "marker": (float, int, type(None)), "dictionary": (str, type(None)),
-    }  # fmt: skip
-    for key, allowed in kinds.items():
-        if not isinstance(data.get(key), allowed) or isinstance(data.get(key), bool):
-            found = f"{key} {data[key]!r} is not a {allowed[0].__name__}" if key in data else f"{key} is missing"
-            raise CameraError(found, where=str(path), remedy="Lengths are in metres: 0.025, or 2.5e-2.")
-    try:
-        return Board(*(data.get(key) for key in _KEYS))  # type: ignore[arg-type]
+        return Board(cast("BoardKind", entry.text("type")), *size, marker, dictionary)
     except CameraError as error:
         raise CameraError(error.what, where=str(path), remedy=error.remedy) from error

@@ -1,4 +1,4 @@
-"""The least squares of a calibration from boards: lenses, camera places and board poses in one.
+"""Bundle adjustment of a calibration from boards: lenses, camera poses and board poses in one least squares.
 
     r = (uv - project(camera, T_cam_world T_world_board corner)) / sigma
 
@@ -17,7 +17,7 @@ import numpy as np
 
 from urdfcal.arrays import Floats, frozen
 from urdfcal.errors import CameraError
-from urdfcal.rotations import skew
+from urdfcal.rotations import rotation_vector_to_matrix, skew
 
 if TYPE_CHECKING:
     from urdfcal.cameras.board.board import Board
@@ -62,7 +62,7 @@ class Bundle:
 
     @property
     def pose_slices(self) -> tuple[slice | None, ...]:
-        """Where each camera's place is among them, after all lenses; None for the first camera."""
+        """Where each camera's pose is among them, after all lenses; None for the first camera."""
         first = self.lens_slices[-1].stop
         return (None, *(slice(first + 6 * i, first + 6 * i + 6) for i in range(len(self.cameras) - 1)))
 
@@ -174,7 +174,7 @@ class _Normal:
 
 @dataclass(frozen=True, eq=False)
 class Adjusted:
-    """A bundle that fits.
+    """A bundle adjusted to corners.
 
     Attributes:
         bundle: cameras and boards.
@@ -194,10 +194,10 @@ class Adjusted:
 
 
 def adjust(bundle: Bundle, uv: Floats) -> Adjusted:
-    """Fit ``bundle`` to the corners ``uv`` (C, V, N, 2), with weights from their own residuals.
+    """Adjust ``bundle`` to the corners ``uv`` (C, V, N, 2), with weights from their own residuals.
 
     Raises:
-        CameraError: the start explains nothing, or the fit does not come to rest.
+        CameraError: the start explains nothing, or the fit does not converge.
     """
     seen = np.isfinite(uv[..., 0])
     if not np.isfinite(bundle.normal_equations(uv, seen.astype(float)).cost):
@@ -210,9 +210,9 @@ def adjust(bundle: Bundle, uv: Floats) -> Adjusted:
         # A corner left out may have come to lie beyond the lens.
         distance = np.nan_to_num(np.linalg.norm(residuals, axis=-1), nan=np.inf)
         before, sigma = sigma, _noise(distance, seen, bundle)
-        deviation = distance / sigma[:, None, None]
-        huber = _HUBER / np.maximum(deviation, _HUBER)
-        weights = np.where(seen & (deviation < _CUT), huber, 0.0) / sigma[:, None, None] ** 2
+        norms = distance / sigma[:, None, None]
+        huber = _HUBER / np.maximum(norms, _HUBER)
+        weights = np.where(seen & (norms < _CUT), huber, 0.0) / sigma[:, None, None] ** 2
         if np.allclose(sigma, before, rtol=_SETTLED, atol=0.0):
             break
     if np.count_nonzero(weights) < _LEAST_SHARE * np.count_nonzero(seen):
@@ -261,10 +261,7 @@ def _descend(bundle: Bundle, uv: Floats, weights: Floats) -> Bundle:
         # With weights of 1 / px² the length is in px of all corners together: just as good a measure.
         if length < _CONVERGED:
             return bundle
-    raise CameraError(
-        "the cameras' calibration does not come to rest",
-        remedy=_MORE,
-    )
+    raise CameraError("the calibration of the cameras does not converge", remedy=_MORE)
 
 
 def _moving(J_point: Floats, points: Floats) -> Floats:
@@ -274,12 +271,6 @@ def _moving(J_point: Floats, points: Floats) -> Floats:
 
 def _small_motion(step: Floats) -> Floats:
     """[exp(w) v; 0 1] of steps (..., 6)."""
-    v, w = step[..., :3], step[..., 3:]
-    angle = np.linalg.norm(w, axis=-1)[..., None, None]
-    W = skew(w)
-    # sinc(x) is sin(πx)/(πx): both factors keep their digits at no angle at all.
     T = np.zeros((*step.shape[:-1], 4, 4))
-    T[..., :3, :3] = np.eye(3) + np.sinc(angle / np.pi) * W + 0.5 * np.sinc(0.5 * angle / np.pi) ** 2 * (W @ W)
-    T[..., :3, 3] = v
-    T[..., 3, 3] = 1.0
+    T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = rotation_vector_to_matrix(step[..., 3:]), step[..., :3], 1.0
     return T

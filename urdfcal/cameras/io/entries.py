@@ -1,4 +1,4 @@
-"""The keys of a camera file, each with the line and column of its value.
+"""Read the keys of camera and board files, each with the line and column of its value.
 
 Files are parsed to PyYAML's nodes and no further: no value is guessed a type, nothing is constructed. OpenCV's XML
 files become the same nodes.
@@ -16,7 +16,7 @@ import numpy as np
 from urdfcal.errors import CameraError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
     import yaml
@@ -39,7 +39,7 @@ _SHORTEST_BASELINE = 1e-6
 
 @dataclass(frozen=True)
 class Entry:
-    """A mapping in a file: its keys with the places where their values stand.
+    """A mapping in a file: its keys, and where their values are.
 
     Attributes:
         path: the file.
@@ -58,6 +58,18 @@ class Entry:
         """Read the keys of ``node``, which must be a mapping that holds ``what``."""
         return cls(path, name, node, mapping(node, path, what))
 
+    @classmethod
+    def read(cls, path: Path, what: str) -> Entry:
+        """Read the keys of a YAML file that is to hold ``what``."""
+        return cls.of(path, "", compose(read_bytes(path), path), what)
+
+    def only(self, allowed: Sequence[str], owner: str) -> None:
+        """Refuse keys of ``owner`` other than those ``allowed``."""
+        for key, node in self.fields.items():
+            if key not in allowed:
+                remedy = f"Allowed: {', '.join(allowed)}."
+                raise CameraError(f"key '{key}' of {owner} is not known", where=place(self.path, node), remedy=remedy)
+
     def error(self, key: str, what: str, remedy: str = "") -> CameraError:
         """An error at the value of ``key``, or at the entry if it has none."""
         where = place(self.path, self.fields.get(key, self.node))
@@ -70,9 +82,13 @@ class Entry:
             raise self.error(key, f"{key} must be one word")
         return value
 
+    def number(self, key: str, remedy: str = "") -> float:
+        """The value of ``key``, a number; ``remedy`` helps where it is none."""
+        return self._number(key, self._required(key), remedy)
+
     def whole(self, key: str) -> int:
         """The value of ``key``, a whole number."""
-        value = self._number(key, self._required(key))
+        value = self.number(key)
         if not value.is_integer():
             raise self.error(key, f"{key} {value:g} is not a whole number")
         return int(value)
@@ -81,26 +97,30 @@ class Entry:
         """The value of ``key``, a list of numbers."""
         return self._numbers(key, self._required(key))
 
-    def matrix(self, key: str) -> Floats:
-        """The value of ``key``, four rows of four numbers."""
-        rows = self.rows(key, "four rows of four numbers")
-        if rows.shape != (4, 4):
-            raise self.error(key, f"{key} must have four rows of four numbers")
-        return rows
+    def size(self, key: str) -> tuple[int, int]:
+        """The value of ``key``, [width, height]."""
+        sides = self.numbers(key)
+        if len(sides) != 2 or not all(side.is_integer() and side > 0 for side in sides):
+            raise self.error(key, f"{key} {sides} is not [width, height] in whole positive pixels")
+        return int(sides[0]), int(sides[1])
 
-    def rows(self, key: str, what: str = "rows of equally many numbers") -> Floats:
-        """The value of ``key``, a list of equally long lists of numbers; ``what`` says so in messages."""
+    def rows(self, key: str, shape: tuple[int, int] | None = None) -> Floats:
+        """The value of ``key``, a list of equally long lists of numbers, of a given ``shape`` or any."""
         rows = [self._numbers(key, row) for row in _items(self._required(key)) or []]
-        if not rows or len({len(row) for row in rows}) > 1:
+        lengths = {len(row) for row in rows}
+        if len(lengths) != 1 or shape not in (None, (len(rows), *lengths)):
+            what = f"{shape[0]} rows of {shape[1]} numbers" if shape else "rows of equally many numbers"
             raise self.error(key, f"{key} must have {what}")
         return np.array(rows)
 
-    def table(self, key: str) -> Floats:
-        """The value of ``key``, an array written as rows, cols and data -> (rows, cols)."""
+    def table(self, key: str, shape: tuple[int, int] | None = None) -> Floats:
+        """The value of ``key``, an array written as rows, cols and data, of a given ``shape`` or any."""
         inner = self.inner(key)
         rows, columns, data = inner.whole("rows"), inner.whole("cols"), inner.numbers("data")
         if min(rows, columns) < 0 or rows * columns != len(data):
             raise inner.error("data", f"{len(data)} numbers do not make {rows} rows of {columns}")
+        if shape not in (None, (rows, columns)):
+            raise self.error(key, f"{key} must have {shape[0]} rows of {shape[1]} numbers")
         return np.array(data).reshape(rows, columns)
 
     def inner(self, key: str) -> Entry:
@@ -121,10 +141,11 @@ class Entry:
             raise self.error(key, f"{key} must be a list of numbers")
         return [self._number(key, item) for item in items]
 
-    def _number(self, key: str, node: yaml.Node) -> float:
+    def _number(self, key: str, node: yaml.Node, remedy: str = "") -> float:
         text = node.value if isinstance(node.value, str) else "a nested value"
         if not _NUMBER.fullmatch(text) or not np.isfinite(float(text)):
-            raise CameraError(f"'{text}' is not a finite number", where=f"{place(self.path, node)} ({self._full(key)})")
+            where = f"{place(self.path, node)} ({self._full(key)})"
+            raise CameraError(f"'{text}' is not a finite number", where=where, remedy=remedy)
         return float(text)
 
 
@@ -137,7 +158,7 @@ def read_bytes(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise CameraError(f"the camera file cannot be read: {error.strerror}", where=str(path)) from error
+        raise CameraError(f"the file cannot be read: {error.strerror}", where=str(path)) from error
 
 
 def compose(data: bytes, path: Path) -> yaml.Node:
@@ -157,7 +178,7 @@ def compose(data: bytes, path: Path) -> yaml.Node:
     except (yaml.YAMLError, RecursionError) as error:
         raise CameraError("this is not a YAML text file", where=str(path)) from error
     if root is None or not root.value:
-        raise CameraError("the file holds no cameras", where=str(path))
+        raise CameraError("the file holds nothing", where=str(path))
     return root
 
 
@@ -258,11 +279,11 @@ def rigid(R: Floats, t: Floats, what: str, error: Callable[[str, str], CameraErr
     baseline = float(np.linalg.norm(t))
     if baseline > _LONGEST_BASELINE:
         raise error(
-            f"the cameras stand {baseline:g} m apart; it looks like millimetres", "Give the translation in metres."
+            f"the cameras are {baseline:g} m apart; it looks like millimetres", "Give the translation in metres."
         )
     if baseline < _SHORTEST_BASELINE:
         raise error(
-            "the two cameras stand in the same place", f"Leave {what} out if it is not known; it is then estimated."
+            "the two cameras are in the same place", f"Leave {what} out if it is not known; it is then estimated."
         )
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = R, t

@@ -24,7 +24,7 @@ import numpy as np
 
 from urdfcal.arrays import Floats, inverse
 from urdfcal.cameras.camera import Camera
-from urdfcal.cameras.io.entries import Entry, compose, mapping, place, read_bytes, rigid
+from urdfcal.cameras.io.entries import Entry, place, rigid
 from urdfcal.cameras.rig import CameraSigma, Rig
 from urdfcal.errors import CameraError
 from urdfcal.files import write_text
@@ -54,11 +54,8 @@ def read_kalibr(path: str | Path) -> Rig:
             camera and key.
     """
     path = Path(path)
-    root = compose(read_bytes(path), path)
-    entries = {
-        name: Entry.of(path, name, node, f"the keys of '{name}'")
-        for name, node in mapping(root, path, "cameras by name").items()
-    }
+    file = Entry.read(path, "cameras by name")
+    entries = {name: Entry.of(path, name, node, f"the keys of '{name}'") for name, node in file.fields.items()}
     cameras, chain, sigmas = [], [], []
     T: Floats | None = np.eye(4)
     for i, name in enumerate(_chain_order(entries, path)):
@@ -139,10 +136,7 @@ def _chain_order(names: Iterable[str], path: Path) -> list[str]:
 
 
 def _camera(entry: Entry) -> Camera:
-    _refuse_unknown(entry, _USED + _IGNORED, f"camera '{entry.name}'")
-    for key in _REQUIRED:
-        if key not in entry.fields:
-            raise entry.error(key, f"{key} is missing")
+    entry.only(_USED + _IGNORED, f"camera '{entry.name}'")
     if (model := entry.text("camera_model")) != "pinhole":
         raise entry.error("camera_model", f"camera model '{model}' is not supported", "Use a pinhole model.")
     written = entry.text("distortion_model")
@@ -152,13 +146,9 @@ def _camera(entry: Entry) -> Camera:
             f"distortion model '{written}' is not supported",
             f"Use one of: {', '.join(_DISTORTIONS)}.",
         )
-    if written != "none" and "distortion_coeffs" not in entry.fields:
-        raise entry.error("distortion_coeffs", "distortion_coeffs is missing")
-    coefficients = entry.numbers("distortion_coeffs") if "distortion_coeffs" in entry.fields else []
-    resolution = entry.numbers("resolution")
-    if len(resolution) != 2 or not all(side.is_integer() and side > 0 for side in resolution):
-        raise entry.error("resolution", f"resolution {resolution} is not [width, height] in whole positive pixels")
-    size = int(resolution[0]), int(resolution[1])
+    given = written != "none" or "distortion_coeffs" in entry.fields
+    coefficients = entry.numbers("distortion_coeffs") if given else []
+    size = entry.size("resolution")
     intrinsics = entry.numbers("intrinsics")
     try:
         return Camera(entry.name, size, np.array(intrinsics), _DISTORTIONS[written], np.array(coefficients))
@@ -173,7 +163,7 @@ def _step(entry: Entry) -> Floats | None:
     key = "T_cn_cnm1"
     if key not in entry.fields:
         return None
-    T = entry.matrix(key)
+    T = entry.rows(key, (4, 4))
     if not np.allclose(T[3], [0.0, 0.0, 0.0, 1.0], rtol=0.0, atol=1e-9):
         transposed = np.allclose(T[:, 3], [0.0, 0.0, 0.0, 1.0], rtol=0.0, atol=1e-9)
         raise entry.error(
@@ -189,7 +179,7 @@ def _sigma(entry: Entry, camera: Camera, *, placed: bool) -> CameraSigma | None:
     if _SIGMA not in entry.fields:
         return None
     inner = entry.inner(_SIGMA)
-    _refuse_unknown(inner, _SIGMAS, _SIGMA)
+    inner.only(_SIGMAS, _SIGMA)
     expected = {"intrinsics": 4, "distortion_coeffs": len(camera.distortion), "T_cn_c0": 6}
     if "T_cn_c0" not in inner.fields:
         del expected["T_cn_c0"]
@@ -206,13 +196,3 @@ def _sigma(entry: Entry, camera: Camera, *, placed: bool) -> CameraSigma | None:
         None if pose is None else np.array(pose),
         inner.rows("correlations") if "correlations" in inner.fields else None,
     )
-
-
-def _refuse_unknown(entry: Entry, allowed: tuple[str, ...], owner: str) -> None:
-    for key, node in entry.fields.items():
-        if key not in allowed:
-            raise CameraError(
-                f"key '{key}' of {owner} is not known",
-                where=place(entry.path, node),
-                remedy=f"Allowed: {', '.join(allowed)}.",
-            )

@@ -167,10 +167,7 @@ class _Found:
             if width and height:
                 return self.entry.whole(width), self.entry.whole(height)
             if both:
-                sides = self.entry.numbers(both)
-                if len(sides) != 2 or not all(side.is_integer() for side in sides):
-                    raise self.entry.error(both, f"{both} must be [width, height]")
-                return int(sides[0]), int(sides[1])
+                return self.entry.size(both)
         if size is None:
             raise CameraError(
                 "the file does not tell the size of the image",

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.cameras.camera import Camera
-from urdfcal.cameras.io.entries import Entry, compose, place, read_bytes, rigid
+from urdfcal.cameras.io.entries import Entry, place, rigid
 from urdfcal.cameras.rig import Rig
 from urdfcal.errors import CameraError
 from urdfcal.files import staged, write_text
@@ -127,7 +127,7 @@ def read_ros(paths: Sequence[str | Path]) -> Rig:
     Raises:
         CameraError: a file cannot be read or holds no camera urdfcal knows; names file, line, column and key.
     """
-    entries = [_entry(Path(path)) for path in paths]
+    entries = [Entry.read(Path(path), "the keys of a camera_info") for path in paths]
     names = [entry.text("camera_name") if "camera_name" in entry.fields else "" for entry in entries]
     if len(set(names)) < len(names) or not all(names):
         names = [entry.path.stem for entry in entries]
@@ -164,19 +164,13 @@ def write_ros(path: str | Path, rig: Rig) -> tuple[Path, ...]:
     return tuple(path / f"{name}.yaml" for name in rig.names)
 
 
-def _entry(path: Path) -> Entry:
-    return Entry.of(path, "", compose(read_bytes(path), path), "the keys of a camera_info")
-
-
 def _info(name: str, entry: Entry) -> CameraInfo:
-    size = entry.whole("image_width"), entry.whole("image_height")
-    K = _shaped(entry, "camera_matrix", (3, 3))
-    R = _shaped(entry, "rectification_matrix", (3, 3)) if "rectification_matrix" in entry.fields else np.eye(3)
-    P = _shaped(entry, "projection_matrix", (3, 4)) if "projection_matrix" in entry.fields else np.eye(3, 4)
+    R = entry.table("rectification_matrix", (3, 3)) if "rectification_matrix" in entry.fields else np.eye(3)
+    P = entry.table("projection_matrix", (3, 4)) if "projection_matrix" in entry.fields else np.eye(3, 4)
     return CameraInfo(
         name=name,
-        size=size,
-        K=K,
+        size=(entry.whole("image_width"), entry.whole("image_height")),
+        K=entry.table("camera_matrix", (3, 3)),
         distortion_model=entry.text("distortion_model"),
         D=entry.table("distortion_coefficients").ravel(),
         R=R,
@@ -184,13 +178,6 @@ def _info(name: str, entry: Entry) -> CameraInfo:
         where=place(entry.path, entry.node),
         error=entry.error,
     )
-
-
-def _shaped(entry: Entry, key: str, shape: tuple[int, int]) -> Floats:
-    values = entry.table(key)
-    if values.shape != shape:
-        raise entry.error(key, f"{key} must have {shape[0]} rows and {shape[1]} columns")
-    return values
 
 
 def _projection(camera: Camera, t: Floats) -> Floats:
