@@ -259,6 +259,14 @@ def test_cameras_are_found_by_name() -> None:
         TRIPLE.index("middle")
 
 
+def test_without_cameras_it_is_empty() -> None:
+    """So a session that something else measures has a rig as well."""
+    empty = Rig()
+    assert (empty.cameras, empty.T_cam_world, empty.sigmas, empty.names) == ((), (), (), ())
+    with pytest.raises(CameraError, match="0 cameras have 1 transforms"):
+        Rig((), (np.eye(4),))
+
+
 @pytest.mark.parametrize(
     ("cameras", "transforms", "message"),
     [

@@ -164,4 +164,3 @@ class _Fit:
         motion[:3, :3], motion[:3, 3] = rotation_vector_to_matrix(step[3:6]), step[:3]
         T: Floats = motion @ self.T_cam_base
         return replace(self, T_cam_base=T, leds=self.leds + step[6:].reshape(-1, 3))
-
