@@ -19,7 +19,7 @@ class Contacts(Measurements):
     keys: ClassVar[tuple[str, ...]] = ("pose", "led", "place")
     dimension: ClassVar[int] = 3
     noise: ClassVar[str] = "contact"
-    usual: ClassVar[float] = 1e-4
+    usual: ClassVar[float] = 3e-4
 
     led: Ints
     place: Ints

@@ -24,7 +24,7 @@ class TestNoise:
         assert noise.of(Points) == 2e-5
 
     def test_of_a_further_kind_it_is_the_usual_one_unless_named(self) -> None:
-        assert Noise(pixel=0.3).of(Contacts) == 1e-4
+        assert Noise(pixel=0.3).of(Contacts) == 3e-4
         noise = Noise(pixel=0.3, other={"contact": 5e-5})
         assert noise.of(Contacts) == 5e-5
         assert noise.of(Detections) == 0.3

@@ -204,7 +204,7 @@ def choose_parameters(session: Session, problem: Problem, state: State, spec: Mo
     if spec.geometry in ("dh", "full"):
         blocks.append(ArmBlock.of(problem.arm, session.tolerances, priors=spec.priors))
     for model in problem.joint_models:
-        if model.enabled(session, spec.geometry):
+        if model.estimated(session, spec.geometry):
             without = model.toleranced and not spec.priors
             blocks.append(replace(model, sigma=np.full(len(model), np.inf)) if without else model)
     tables = [observed.table for observed in problem.observations]

@@ -10,7 +10,7 @@ from urdfcal.arrays import evenly
 from urdfcal.errors import CalibrationError
 from urdfcal.estimation.blocks.leds import led_positions
 from urdfcal.estimation.camera_start import Views
-from urdfcal.estimation.joint_models.time_offset import TIME_OFFSETS
+from urdfcal.estimation.joint_models.time_offset import TIME_OFFSETS, TimeOffsets
 from urdfcal.estimation.measurements import Detections
 from urdfcal.estimation.start import Start, first_state
 from urdfcal.session.trajectory import Trajectory
@@ -45,7 +45,7 @@ def start_state(session: Session, arm: ArmParameterization, offsets: Floats) -> 
     if not isinstance(session.motion, Trajectory) or detections is None:
         return first_state(session, arm, offsets)
     time_offsets = np.zeros(len(session.rig.cameras))
-    if session.estimate.time_offset != "fixed":
+    if TimeOffsets.estimated(session, "none"):
         cameras = range(len(time_offsets))
         time_offsets = np.array([_search(session, detections, arm, offsets, c) for c in cameras])
     return first_state(session.with_time_offsets(time_offsets), arm, offsets, {TIME_OFFSETS: time_offsets})

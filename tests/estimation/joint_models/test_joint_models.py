@@ -79,7 +79,7 @@ def some_value(model: JointModel) -> Floats:
 
 def geometry_with(kind: type[JointModel], session: Session) -> str:
     """An arm's geometry that the model is estimated with."""
-    return next(geometry for geometry in ("dh", "offsets", "full", "none") if kind.enabled(session, geometry))
+    return next(geometry for geometry in ("dh", "offsets", "full", "none") if kind.estimated(session, geometry))
 
 
 def test_models_differ_in_name_and_key(simulated: Callable) -> None:
@@ -162,7 +162,24 @@ def test_its_parameters_take_part_where_the_session_asks_for_them(
 ) -> None:
     parameters = Example.of(session, geometry_with(kind, session)).parameters
     assert parameters.names[parameters.columns(model.key)] == model.names
-    without = [geometry for geometry in ("dh", "offsets", "full", "none") if not kind.enabled(session, geometry)]
+    without = [geometry for geometry in ("dh", "offsets", "full", "none") if not kind.estimated(session, geometry)]
     for geometry in without:
         parameters = Example.of(session, geometry).parameters
         assert not parameters.has_active(model.key)
+
+
+@pytest.mark.parametrize("geometry", ["none", "offsets", "dh"])
+def test_what_the_session_says_of_a_model_overrules_its_default(geometry: str, simulated: Callable) -> None:
+    class Asked(JointModel):
+        """A model that is estimated where it is asked for."""
+
+        name = "asked"
+
+    session = simulated("elbow3r", poses=8).session
+    for kind in (*JOINT_MODELS, Asked):
+        on, off = (replace(session, joint_models={kind.name: said}) for said in (True, False))
+        assert kind.estimated(session, geometry) == kind.enabled(session, geometry)
+        assert kind.estimated(on, geometry) >= kind.enabled(session, geometry)
+        assert not kind.estimated(off, geometry)
+    on = replace(session, joint_models={"asked": True})
+    assert Asked.estimated(on, geometry) == (geometry != "none")

@@ -55,11 +55,22 @@ class JointModel(VectorBlock):
 
     @classmethod
     def enabled(cls, session: Positions, geometry: str) -> bool:
-        """Return whether its parameters are estimated with a kind of arm geometry (dh, offsets, full or none).
+        """Return whether it is estimated where nothing is said of it, with a geometry (dh, offsets, full or none).
 
-        By default where the session's ``joint_models`` say so, and the arm is not nominal.
+        By default it is not.
         """
-        return session.joint_models.get(cls.name, False) and geometry != "none"
+        del session, geometry
+        return False
+
+    @classmethod
+    def estimated(cls, session: Positions, geometry: str) -> bool:
+        """Return whether its parameters are estimated: the session's ``joint_models`` overrule :meth:`enabled`.
+
+        One that is switched on takes part where the arm does, which is not in the nominal one's fit.
+        """
+        said = session.joint_models.get(cls.name)
+        usual = cls.enabled(session, geometry)
+        return usual if said is None else said and (usual or geometry != "none")
 
     @abstractmethod
     def values(self, readings: Readings, p: Floats) -> Floats:

@@ -59,6 +59,11 @@ class ZeroOffsets(JointModel):
         del session
         return geometry == "offsets"
 
+    @classmethod
+    def estimated(cls, session: Positions, geometry: str) -> bool:
+        """Return whether zero offsets have parameters of their own: switched on beside DH rows they are theta's."""
+        return cls.enabled(session, geometry) and session.joint_models.get(cls.name, True)
+
     def values(self, readings: Readings, p: Floats) -> Floats:
         """Return the offsets, the same at every pose."""
         return np.broadcast_to(p, readings.q.shape)
