@@ -174,6 +174,25 @@ def test_cameras_that_cannot_be_used_are_refused(make: Callable[[], Recording], 
         read(make())
 
 
+def test_drivers_that_leave_rectification_and_projection_zero_are_understood() -> None:
+    bag = pair()
+    for _, _, content in bag.messages:
+        content.r[:] = 0.0
+        content.p[:] = 0.0
+    rig = read(bag)[0]
+    assert rig.cameras[1].intrinsics.tolist() == [80.0, 81.0, 32.25, 23.5]
+    assert rig.T_cam_world[1] is None
+
+
+def test_rectification_alone_may_be_left_zero() -> None:
+    bag = Recording("sqlite3")
+    bag.info(TOPICS[0][1], START)
+    bag.info(TOPICS[1][1], START, baseline=BASELINE)
+    for _, _, content in bag.messages:
+        content.r[:] = 0.0
+    np.testing.assert_allclose(read(bag)[0].T_cam_world[1][:3, 3], [-BASELINE, 0.0, 0.0], atol=1e-15)
+
+
 def test_an_uncalibrated_camera_is_distinguished_from_a_broken_one() -> None:
     bag = pair()
     bag.messages[0][2].k[:] = 0.0
