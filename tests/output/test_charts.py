@@ -83,3 +83,11 @@ def test_a_trend_shows_in_the_means(overview):
     chart = next(c for c in residual_charts(replace(overview, scene=scene)) if c.name == f"joint {joint + 1}")
     mean = next(mark for mark in chart.marks if mark.name == "mean 0")
     assert (np.diff(mean.y) > 0).all()
+
+
+def test_a_scale_may_hold_its_values_without_room_beside_them():
+    scale = Scale.holding([1.0, 3.0], room=0.0)
+    assert (scale.low, scale.high) == (1.0, 3.0)
+    flat = Scale.holding([0.0, 0.0], room=0.0)
+    assert np.isfinite(flat.share([0.0])).all()
+    assert flat.ticks()

@@ -212,3 +212,13 @@ def requested(net):
     text = net.read_text()
     hosts = set(re.findall(r'"url":"(https?://[^/"]+)', text))
     return {host for host in hosts if not re.search(r"google|gvt1|chromium", host)}
+
+
+def test_a_nominal_arm_that_is_kept_has_a_report_too(tmp_path):
+    """Its error against itself is zero everywhere, and there is nothing to correct."""
+    session = replace(simulate(read_rig(find_rig("elbow3r")), seed=1, poses=12).session, estimate=Estimate("none"))
+    kept = calibrate(session, force=True)
+    write_report(tmp_path / "report.html", kept)
+    page = (tmp_path / "report.html").read_text()
+    assert "Corrections with 95 % intervals" not in page
+    assert not re.search(r"\bnan\b", page, re.IGNORECASE)

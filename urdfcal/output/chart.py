@@ -42,16 +42,19 @@ class Scale:
     whole: bool = False
 
     @classmethod
-    def holding(cls, *values: ArrayLike, logarithmic: bool = False, whole: bool = False) -> Scale:
-        """A range that holds all finite values (the positive ones, if logarithmic) with some room beside them."""
+    def holding(cls, *values: ArrayLike, logarithmic: bool = False, whole: bool = False, room: float = 0.05) -> Scale:
+        """A range that holds all finite values (the positive ones, if logarithmic) with a share of it as room beside.
+
+        A single value has a range about it: there is none to take a share of.
+        """
         flat = np.concatenate([np.ravel(np.asarray(v, dtype=float)) for v in values])
         flat = flat[np.isfinite(flat) & ((flat > 0.0) | (not logarithmic))]
         low, high = (float(flat.min()), float(flat.max())) if len(flat) else (1.0, 1.0)
         if logarithmic and high > _FLAT * low:
-            room = (high / low) ** 0.05
-            return cls(low / room, high * room, logarithmic=True)
-        room = 0.05 * (high - low) if high > low else max(abs(high), 1e-3)
-        return cls(low - room, high + room, whole=whole)
+            factor = (high / low) ** room
+            return cls(low / factor, high * factor, logarithmic=True)
+        beside = room * (high - low) if high > low else max(abs(high), 1e-3)
+        return cls(low - beside, high + beside, whole=whole)
 
     def share(self, values: ArrayLike) -> Floats:
         """Where values lie between ``low`` (0) and ``high`` (1); NaN where a logarithm has none."""

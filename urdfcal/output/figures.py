@@ -57,7 +57,7 @@ def _map(name: str, tip: Floats, error: Floats) -> Chart:
     order = np.argsort(cell, kind="stable")
     groups = np.split(error[order], np.cumsum(np.bincount(cell))[:-1])
     median = np.array([np.median(group) for group in groups])
-    colors = Scale(float(median.min()), float(median.max()))
+    colors = Scale.holding(median, room=0.0)
     x, y = radius.min() + (cells[:, 0] + 0.5) * size, height.min() + (cells[:, 1] + 0.5) * size
     return Chart(
         name,
