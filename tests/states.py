@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from urdfcal.estimation.blocks.arm import ARM
 from urdfcal.estimation.blocks.base_pose import BASE
 from urdfcal.estimation.blocks.leds import LEDS
-from urdfcal.estimation.joint_models import JOINT_MODELS
+from urdfcal.estimation.joint_models import joint_models_of
 from urdfcal.estimation.measurements.pixels import camera_state
 from urdfcal.estimation.state import State
 
@@ -24,8 +24,7 @@ def state_of(
     session: Session, offsets: Floats, T_world_base: Floats, leds: Floats, T_cam_frame: Floats, **more: Floats
 ) -> State:
     """A state of a session with given values; those of joint models may be given by name, such as ``time_offset``."""
-    models = (model.of(session) for model in JOINT_MODELS)
-    joints = {model.key: more.pop(model.name, model.nominal) for model in models if model is not None}
+    joints = {model.key: more.pop(model.name, model.nominal) for model in joint_models_of(session)}
     if more:
         raise ValueError(f"the session has no joint models {sorted(more)}")
     values = {ARM: offsets, BASE: T_world_base, LEDS: leds}

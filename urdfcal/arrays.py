@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
@@ -68,6 +68,14 @@ def _rebuilt(kind: type[Any], values: dict[str, Any]) -> Any:
 def evenly(values: Ints, most: int) -> Ints:
     """At most so many of some values, spread evenly over their order."""
     return values[np.unique(np.linspace(0, len(values) - 1, min(most, len(values))).astype(np.intp))]
+
+
+def numbered(columns: Iterable[Ints]) -> Ints:
+    """Number the combinations of indices that stand at the same place of some columns: equal where all are equal."""
+    number: Ints = np.zeros((), dtype=np.intp)
+    for column in columns:
+        number = number * (1 + column.max(initial=0)) + column
+    return number
 
 
 def inverse(T: Floats) -> Floats:

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from tests.states import state_of
-from urdfcal.estimation.blocks.arm import ARM
+from urdfcal.estimation.blocks.arm import ARM, no_offsets
 from urdfcal.estimation.evaluation import compare
 from urdfcal.estimation.identifiability import identify
 from urdfcal.estimation.measurements import Detections
@@ -59,7 +59,7 @@ def main() -> None:
         measured = replace(session, q=readings, measurements=(replace(session.find(Detections), uv=uv),))
 
         problem = Problem.of(measured, table)
-        state = first_state(measured, table, problem.nominal_offsets())
+        state = first_state(measured, table, no_offsets(problem.arm))
         base = choose_parameters(measured, problem, state, nominal(measured, state))
         state = solve(problem, state, base).state
         found = identify(problem, state, choose_parameters(measured, problem, state, spec))

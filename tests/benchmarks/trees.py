@@ -20,7 +20,7 @@ import numpy as np
 
 from tests.benchmarks.accuracy import information_of
 from tests.states import true_state_of
-from urdfcal.estimation.blocks.arm import ARM
+from urdfcal.estimation.blocks.arm import ARM, no_offsets
 from urdfcal.estimation.blocks.cameras import camera_poses
 from urdfcal.estimation.identifiability import identify
 from urdfcal.estimation.measurements import Detections
@@ -76,7 +76,7 @@ def one(simulated: Simulated, seed: int) -> tuple[float, float, float]:
     known = np.array(truth[ARM])
     for row, name in parameters.arm_rows:
         known[row, table.columns.index(name)] = 0.0
-    start = first_state(session, table, problem.nominal_offsets())
+    start = first_state(session, table, no_offsets(problem.arm))
     arm_fixed = choose_parameters(session, problem, start, spec.nominal_arm)
     nominal = solve(problem, start, identify(problem, start, arm_fixed).parameters)
     fit = solve(problem, start.replace({ARM: known}), parameters)

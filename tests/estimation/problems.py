@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from urdfcal.estimation.blocks.arm import no_offsets
 from urdfcal.estimation.joint_models import JOINT_MODELS
 from urdfcal.estimation.model_spec import ModelSpec
 from urdfcal.estimation.parameters import Parameters, choose_parameters
@@ -51,7 +52,7 @@ class Example:
         session = replace(session, joint_models={model.name: True for model in JOINT_MODELS})
         arm = PlacementTable(session.chain) if geometry == "full" else rows_of(session.chain)
         problem = Problem.of(session, arm)
-        start = first_state(session, arm, problem.nominal_offsets())
+        start = first_state(session, arm, no_offsets(problem.arm))
         free = ("free",) * len(session.rig.cameras)
         parameters = choose_parameters(session, problem, start, ModelSpec(geometry, free, free))
         size = np.minimum(_STEP, parameters.prior[parameters.active])

@@ -33,7 +33,7 @@ def test_a_pose_has_no_part_in_its_own_prediction(calibration: FittedCalibration
     problem, fit = calibration.problem, calibration.fit
     (observed,) = problem.observations
     before = hold_out(problem, fit, seed=0)
-    folds = observed.readings.motion.folds(np.arange(len(problem.poses)), FOLDS, 0)
+    folds = observed.readings.motion.folds(len(problem.poses), FOLDS, 0)
     assert before.folds == FOLDS
     value = np.array(observed.value)
     value[0] += 3.0

@@ -12,10 +12,10 @@ from urdfcal.output.blueprint import viewpoint
 from urdfcal.output.palette import by_sigma
 from urdfcal.output.placing import dh_frames, joint_frames, link_frames
 from urdfcal.output.scene import build_scene, exaggerated, magnification
-from urdfcal.output.stream import quaternions
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.dh import PARAMETERS, DHTable
 from urdfcal.robot.kinematics import tip_poses
+from urdfcal.rotations import matrix_to_quaternion
 from urdfcal.simulation.simulate import simulate
 
 
@@ -59,7 +59,7 @@ def test_quaternions_are_the_rotations_they_came_from():
     rng = np.random.default_rng(2)
     half_turns = [np.diag(d) for d in ([1.0, -1, -1], [-1.0, 1, -1], [-1.0, -1, 1])]
     R = np.concatenate([random_transforms(rng, 200)[:, :3, :3], half_turns, [np.eye(3)]])
-    back = [pin.Quaternion(np.array(q)).matrix() for q in quaternions(R)]
+    back = [pin.Quaternion(np.array(q)).matrix() for q in matrix_to_quaternion(R)]
     np.testing.assert_allclose(back, R, atol=1e-12)
 
 

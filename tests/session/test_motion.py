@@ -40,19 +40,17 @@ class TestAtRest:
 
     @pytest.mark.parametrize(("poses", "folds"), [(20, 5), (23, 5), (3, 3), (7, 2), (2, 4)])
     def test_folds_are_of_equal_size_but_for_one(self, poses: int, folds: int) -> None:
-        chosen = 10 + np.arange(poses)
-        fold = AT_REST.folds(chosen, folds, seed=0)
+        fold = AT_REST.folds(poses, folds, seed=0)
         sizes = np.bincount(fold, minlength=folds)
         assert fold.shape == (poses,)
         assert len(sizes) == folds
         assert np.ptp(sizes) <= 1
 
     def test_folds_are_mixed_and_the_seed_decides_how(self) -> None:
-        poses = np.arange(40)
-        first = AT_REST.folds(poses, 4, seed=1)
-        assert np.array_equal(first, AT_REST.folds(poses, 4, seed=1))
-        assert not np.array_equal(first, AT_REST.folds(poses, 4, seed=2))
-        assert not np.array_equal(first, poses % 4)
+        first = AT_REST.folds(40, 4, seed=1)
+        assert np.array_equal(first, AT_REST.folds(40, 4, seed=1))
+        assert not np.array_equal(first, AT_REST.folds(40, 4, seed=2))
+        assert not np.array_equal(first, np.arange(40) % 4)
         assert np.any(np.diff(first) < 0)  # no stretches
 
     def test_it_travels_to_other_processes(self) -> None:
@@ -87,15 +85,15 @@ class TestFilmed:
 
     def test_folds_are_stretches_of_time(self) -> None:
         """Whatever the seed, and of the chosen frames alone."""
-        assert filmed().folds(np.arange(6), 3, seed=0).tolist() == [2, 0, 0, 1, 1, 2]
-        assert filmed().folds(np.arange(6), 3, seed=7).tolist() == [2, 0, 0, 1, 1, 2]
-        assert filmed().folds(np.array([0, 2, 4, 5]), 2, seed=0).tolist() == [1, 0, 0, 1]
+        assert filmed().folds(6, 3, seed=0).tolist() == [2, 0, 0, 1, 1, 2]
+        assert filmed().folds(6, 3, seed=7).tolist() == [2, 0, 0, 1, 1, 2]
+        assert filmed().at(np.array([0, 2, 4, 5])).folds(4, 2, seed=0).tolist() == [1, 0, 0, 1]
 
     @pytest.mark.parametrize("frames", [5, 6, 11, 40])
     def test_folds_hold_nearly_equal_numbers(self, frames: int) -> None:
         time = np.random.default_rng(0).uniform(3.5, 8.5, frames)
         many = Trajectory(LOG, (("x",) * frames,), np.zeros(frames, int), np.arange(frames), time)
-        sizes = np.bincount(many.folds(np.arange(frames), 5, seed=0), minlength=5)
+        sizes = np.bincount(many.folds(frames, 5, seed=0), minlength=5)
         assert len(sizes) == 5
         assert np.ptp(sizes) <= 1
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -35,11 +35,11 @@ class Jacobian:
         self._parameters = parameters
         self.values = np.zeros((count, dimension, parameters.count))
 
-    def wants(self, key: Key) -> bool:  # type: ignore[type-arg]
+    def wants(self, key: Key[Any]) -> bool:
         """Return whether a coordinate of a block is active."""
         return self._parameters.has_active(key)
 
-    def put(self, key: Key, derivative: Floats, rows: Ints | slice = _EVERY) -> None:  # type: ignore[type-arg]
+    def put(self, key: Key[Any], derivative: Floats, rows: Ints | slice = _EVERY) -> None:
         """Write the derivative (K or len(rows), D, k) by the k coordinates of a block; fixed ones are left out."""
         if not self.wants(key):
             return

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import Bools, Floats, Ints, evenly, frozen
+from urdfcal.arrays import Bools, Floats, Ints, evenly, frozen, numbered
 from urdfcal.estimation.joint_models import Readings
 
 if TYPE_CHECKING:
@@ -72,10 +72,7 @@ class Observations:
 
     def spread(self, most: int) -> Ints:
         """Return indices of poses, at most so many for each combination of keys (LED, camera), spread evenly."""
-        views = np.zeros_like(self.row)
-        for column in self.index.values():
-            views = views * (1 + column.max(initial=0)) + column
-        views = np.where(self.valid, views, -1)
+        views = np.where(self.valid, numbered(self.index.values()), -1)
         chosen = [evenly(np.flatnonzero((views == one).any(axis=1)), most) for one in np.unique(views[self.valid])]
         return np.unique(np.concatenate(chosen))
 

@@ -106,13 +106,9 @@ class Parameters:
         return () if arm is None else tuple(row for row, on in zip(arm.rows, arm.active, strict=True) if on)
 
     @cached_property
-    def reasons(self) -> dict[int, str]:
-        """Why an entry is not active."""
-        return {
-            start + k: why
-            for start, block in zip(self._starts.tolist(), self.blocks, strict=True)
-            for k, why in block.fixed.items()
-        }
+    def reasons(self) -> dict[str, str]:
+        """Why entries are not active, by their name."""
+        return {name: why for block in self.blocks for name, why in block.reasons.items()}
 
     def fixing(self, entries: Mapping[int, str]) -> Parameters:
         """Return the same packing with more entries fixed at their value, each for a reason."""

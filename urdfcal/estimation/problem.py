@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.estimation.blocks.arm import ARM, no_offsets
+from urdfcal.estimation.blocks.arm import ARM
 from urdfcal.estimation.blocks.base_pose import BASE
-from urdfcal.estimation.joint_models import JOINT_MODELS
+from urdfcal.estimation.joint_models import joint_models_of
 from urdfcal.estimation.links import Links
 from urdfcal.estimation.measurements import Measurement
 from urdfcal.estimation.observations import arrange
@@ -50,10 +50,9 @@ class Problem:
         """Take a session's measurements, or other tables of its poses."""
         if tables is None:
             tables = (table for table in session.measurements if isinstance(table, Measurement))
-        models = (model.of(session) for model in JOINT_MODELS)
         return cls(
             arm,
-            tuple(model for model in models if model is not None),
+            joint_models_of(session),
             session.attachments,
             tuple(arrange(session, table) for table in tables),
             session.noise.joint,
@@ -76,10 +75,6 @@ class Problem:
         """Return the arm's offsets (rows, columns), with what it can hold of the joint models. [rad, m]."""
         parts = [model.offsets(self.arm, state[model.key]) for model in self.joint_models if model.key in state]
         return sum(parts, start=state[ARM])
-
-    def nominal_offsets(self) -> Floats:
-        """Return offsets (rows, columns) of zero."""
-        return no_offsets(self.arm)
 
     def joint_values(self, readings: Readings, state: State) -> Floats:
         """Return the joints' true values (N, n): the readings, and what the joint models add. [rad or m]."""
@@ -109,11 +104,10 @@ class Problem:
 
     def suspect(self, observed: Observations, outlier: Sequence[Bools]) -> Bools:
         """Return which slots (N, m) concern an LED at a pose where a measurement of it is an outlier."""
-        marked = {
-            (int(pose), int(led))
-            for of, cut in zip(self.observations, outlier, strict=True)
-            if "led" in of.index
-            for pose, led in zip(of.pose[np.nonzero(cut)[0]], of.index["led"][cut], strict=True)
-        }
-        pairs = zip(np.repeat(observed.pose, observed.row.shape[1]), observed.index["led"].ravel(), strict=True)
-        return np.array([(int(pose), int(led)) in marked for pose, led in pairs], bool).reshape(observed.row.shape)
+        last = max(int(of.pose.max()) for of in (observed, *self.observations))
+        marked = np.zeros((1 + last, len(self.attachments.led)), dtype=bool)
+        for of, cut in zip(self.observations, outlier, strict=True):
+            if "led" in of.index:
+                marked[np.broadcast_to(of.pose[:, None], cut.shape)[cut], of.index["led"][cut]] = True
+        suspect: Bools = marked[observed.pose[:, None], observed.index["led"]]
+        return suspect

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from urdfcal.arrays import evenly
+from urdfcal.arrays import evenly, numbered
 from urdfcal.estimation.alignment import place_base
 from urdfcal.estimation.blocks.arm import ARM
 from urdfcal.estimation.blocks.base_pose import BASE
 from urdfcal.estimation.blocks.leds import LEDS, led_positions
-from urdfcal.estimation.joint_models import JOINT_MODELS
+from urdfcal.estimation.joint_models import joint_models_of
 from urdfcal.estimation.measurements import Measurement
 from urdfcal.estimation.state import Key, State
 from urdfcal.robot.kinematics import link_poses
@@ -72,7 +72,7 @@ def first_state(
         CalibrationError: too few measurements to place the base or a camera.
     """
     session = session.at(_selection(session))
-    models = [model for kind in JOINT_MODELS if (model := kind.of(session)) is not None]
+    models = joint_models_of(session)
     joints = {**{model.key: model.nominal for model in models}, **(known or {})}
     state = State({ARM: offsets, LEDS: led_positions(session.leds), **joints})
     at = Start.of(session, arm, offsets + sum(model.offsets(arm, joints[model.key]) for model in models))
@@ -113,9 +113,6 @@ def _selection(session: Session) -> Ints:
         return every
     chosen = [evenly(every, _POSES)]
     for table in session.measurements:
-        views = np.zeros(len(table), dtype=np.intp)
-        for key, column in table.index.items():
-            if key != "pose":
-                views = views * (1 + column.max()) + column
+        views = numbered(column for key, column in table.index.items() if key != "pose")
         chosen += [evenly(table.pose[views == view], _POSES) for view in np.unique(views)]
     return np.unique(np.concatenate(chosen))

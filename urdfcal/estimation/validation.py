@@ -58,7 +58,7 @@ def hold_out(problem: Problem, fit: Solution, seed: int) -> HeldOut:
     observations, poses = problem.observations, problem.poses
     count = min(FOLDS, len(poses))
     motion = max(observations, key=lambda observed: len(observed.pose)).readings.motion
-    fold_of_pose = motion.folds(np.searchsorted(poses, poses), count, seed)
+    fold_of_pose = motion.folds(len(poses), count, seed)
     fold_of = [fold_of_pose[np.searchsorted(poses, observed.pose)] for observed in observations]
     norms, residual, distance = ([np.zeros(observed.row.shape) for observed in observations] for _ in range(3))
     for fold in range(count):

@@ -21,8 +21,9 @@ from urdfcal.output.palette import (
 )
 from urdfcal.output.photographs import compressed, find_photographs
 from urdfcal.output.projection import arm_in_images, finite_pieces
-from urdfcal.output.stream import CORNER, placed, quaternions
+from urdfcal.output.stream import CORNER, placed
 from urdfcal.output.texts import ELLIPSOID
+from urdfcal.rotations import matrix_to_quaternion
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -169,7 +170,7 @@ def _log_ellipsoids(layer: Layer, scene: CalibrationScene) -> None:
     columns = rr.Ellipsoids3D.columns(
         centers=leds.measured[known],
         half_sizes=ELLIPSOID * scene.factor * np.sqrt(np.maximum(variances, 0.0)),
-        quaternions=quaternions(axes),
+        quaternions=matrix_to_quaternion(axes),
     )
     layer.each(columns, leds.pose[known])
 

@@ -7,38 +7,25 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from urdfcal.estimation.snapshot import Snapshot
+
 if TYPE_CHECKING:
     from urdfcal.arrays import Bools, Floats, Ints
-    from urdfcal.cameras.camera import Camera
-    from urdfcal.estimation.snapshot import Snapshot
     from urdfcal.estimation.state import State
     from urdfcal.result.fitted import FittedCalibration
 
-LENGTHS = ("d", "a", "x", "y", "z")
-"""Parameters in m; the others are in rad."""
-
 
 @dataclass(frozen=True, eq=False)
-class ArmEstimate:
-    """Robot, LEDs and cameras as one state of the estimate has them.
+class ArmEstimate(Snapshot):
+    """Robot, LEDs and cameras as one state of the estimate has them, and what follows for the joints.
 
     Attributes:
         placements: (n, 4, 4) of the joints. [m]
-        offsets: (rows, columns) of what was estimated of the arm. [rad, m]
         row_offsets: (R, 5) of the DH rows; zero where whole placements were estimated. [rad, m]
-        T_world_base: (4, 4) the base link in the world. [m]
-        leds: (L, 3) LEDs, each in the frame of what it is fastened to. [m]
-        cameras: the lenses; none where points were measured.
-        T_cam_frame: (C, 4, 4) in each camera the frame it is fixed in: the world, or its link. [m]
     """
 
     placements: Floats
-    offsets: Floats
     row_offsets: Floats
-    T_world_base: Floats
-    leds: Floats
-    cameras: tuple[Camera, ...]
-    T_cam_frame: Floats
 
 
 def calibrated(calibration: FittedCalibration) -> ArmEstimate:
@@ -60,13 +47,9 @@ def nominal(calibration: FittedCalibration, *, same_cameras: bool = False) -> Ar
 def _plain(calibration: FittedCalibration, state: Snapshot) -> ArmEstimate:
     geometry, table = calibration.geometry, calibration.table
     return ArmEstimate(
+        **vars(state),
         placements=geometry.placements(state.offsets),
-        offsets=state.offsets,
         row_offsets=state.offsets if geometry is table else np.zeros_like(table.nominal),
-        T_world_base=state.T_world_base,
-        leds=state.leds,
-        cameras=state.cameras,
-        T_cam_frame=state.T_cam_frame,
     )
 
 
@@ -77,7 +60,7 @@ def entries_of_rows(calibration: FittedCalibration) -> list[tuple[int, int]]:
 
 @dataclass(frozen=True, eq=False)
 class ResidualTable:
-    """ResidualTable of one kind as a table, one row each, ordered by pose.
+    """Measurements of one kind and their residuals, one row each, ordered by pose.
 
     Attributes:
         unit: of residuals: px for pixels, mm for points.

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pinocchio as pin
 import rerun as rr
+
+from urdfcal.rotations import matrix_to_quaternion
 
 if TYPE_CHECKING:
     from rerun import AsComponents, RecordingStream
@@ -52,14 +53,9 @@ class Layer:
 
     def moving(self, T: Floats) -> None:
         """Place the branch in its parent at every pose, (N, 4, 4)."""
-        self.each(rr.Transform3D.columns(translation=T[:, :3, 3], quaternion=quaternions(T[:, :3, :3])))
+        self.each(rr.Transform3D.columns(translation=T[:, :3, 3], quaternion=matrix_to_quaternion(T[:, :3, :3])))
 
 
 def placed(T: Floats, scale: tuple[float, ...] = (1.0, 1.0, 1.0)) -> rr.Transform3D:
     """A transform that does not change, (4, 4)."""
     return rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3] * scale)
-
-
-def quaternions(R: Floats) -> Floats:
-    """Turn rotation matrices (N, 3, 3) into quaternions (N, 4), x y z w."""
-    return np.array([pin.Quaternion(np.ascontiguousarray(R_k)).coeffs() for R_k in R]).reshape(-1, 4)

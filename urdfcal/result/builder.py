@@ -113,7 +113,7 @@ def _robot(chain: Mechanism, placements: Floats, urdf_reference: str) -> d.Robot
 
 def _rows(of: FittedCalibration) -> list[d.DHEntry]:
     sigmas, arm = of.sigmas(), of.geometry
-    reasons = {name: why for block in of.fit.parameters.blocks for name, why in block.reasons.items()}
+    reasons = of.fit.parameters.reasons
     nominal = of.table.nominal if arm is of.table else np.zeros_like(sigmas)
     entries = []
     for i, joint in enumerate(arm.labels):

@@ -43,8 +43,8 @@ class Motion(ABC):
         """Number the stretches (count,) whose errors are independent: what a bootstrap may resample."""
 
     @abstractmethod
-    def folds(self, poses: Ints, folds: int, seed: int) -> Ints:
-        """Divide poses (K,) into folds (K,) for cross-validation."""
+    def folds(self, count: int, folds: int, seed: int) -> Ints:
+        """Divide ``count`` poses into folds (count,) for cross-validation."""
 
 
 @dataclass(frozen=True)
@@ -74,10 +74,10 @@ class AtRest(Motion):
         """Number the poses: each is on its own."""
         return np.arange(count)
 
-    def folds(self, poses: Ints, folds: int, seed: int) -> Ints:
+    def folds(self, count: int, folds: int, seed: int) -> Ints:
         """Divide the poses at random."""
-        fold = np.empty(len(poses), dtype=np.intp)
-        fold[np.random.default_rng(seed).permutation(len(poses))] = np.arange(len(poses)) % folds
+        fold = np.empty(count, dtype=np.intp)
+        fold[np.random.default_rng(seed).permutation(count)] = np.arange(count) % folds
         return fold
 
 

@@ -142,9 +142,9 @@ class Trajectory(Motion):
         result: Ints = np.floor(self.time - self.time.min()).astype(np.intp)
         return result
 
-    def folds(self, poses: Ints, folds: int, seed: int) -> Ints:
+    def folds(self, count: int, folds: int, seed: int) -> Ints:
         """Divide the frames into stretches of time: to predict one from its neighbours would be no test."""
         del seed
-        fold = np.empty(len(poses), dtype=np.intp)
-        fold[np.argsort(self.time[poses], kind="stable")] = np.arange(len(poses)) * folds // len(poses)
+        fold = np.empty(count, dtype=np.intp)
+        fold[np.argsort(self.time, kind="stable")] = np.arange(count) * folds // count
         return fold

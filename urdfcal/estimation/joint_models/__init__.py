@@ -1,10 +1,24 @@
 """Joint models, one file for each: what lies between a joint reading and the joint's true value (METHOD 7)."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 from urdfcal.estimation.joint_models.base import JointModel, Readings
 from urdfcal.estimation.joint_models.time_offset import TimeOffsets
 from urdfcal.estimation.joint_models.zero_offset import ZeroOffsets
 
+if TYPE_CHECKING:
+    from urdfcal.session.model import Positions
+
 JOINT_MODELS: tuple[type[JointModel], ...] = (ZeroOffsets, TimeOffsets)
 """Every joint model there is. A new one is a file of its own and a name here."""
 
-__all__ = ["JOINT_MODELS", "JointModel", "Readings"]
+
+def joint_models_of(session: Positions) -> tuple[JointModel, ...]:
+    """Return the joint models that apply to a session, whether they are estimated or not."""
+    models = (kind.of(session) for kind in JOINT_MODELS)
+    return tuple(model for model in models if model is not None)
+
+
+__all__ = ["JOINT_MODELS", "JointModel", "Readings", "joint_models_of"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -33,7 +33,7 @@ class BlockSet:
         measured: (K,) whose prior is a measurement made beforehand and no tolerance; None where none is.
     """
 
-    blocks: tuple[Block, ...] = ()  # type: ignore[type-arg]
+    blocks: tuple[Block[Any], ...] = ()
     correlation: Floats | None = None
     measured: Bools | None = None
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -33,6 +33,9 @@ from urdfcal.estimation.measurements.point_geometry import (
 from urdfcal.estimation.measurements.points import TriangulatedPoints
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from urdfcal.cameras.camera import Camera
     from urdfcal.estimation.linearize import Jacobian
     from urdfcal.estimation.links import Links
     from urdfcal.estimation.model_spec import ModelSpec
@@ -190,9 +193,9 @@ class Detections(Measurement):
         return state.replace({**values, **camera_state(at.session, np.array(T_cam_frame))})
 
 
-def camera_state(session: Session, T_cam_frame: Floats) -> dict[Key, object]:  # type: ignore[type-arg]
+def camera_state(session: Session, T_cam_frame: Floats) -> dict[Key[Any], object]:
     """Return the values of all cameras' unknowns: lenses as given, and poses (C, 4, 4) of frames in cameras. [m]."""
-    values: dict[Key, object] = {}  # type: ignore[type-arg]
+    values: dict[Key[Any], object] = {}
     for c, lens in enumerate(session.rig.cameras):
         reference = int(session.attachments.reference[c])
         T = T_cam_frame[c] if reference == c else T_cam_frame[c] @ inverse(T_cam_frame[reference])
@@ -200,10 +203,10 @@ def camera_state(session: Session, T_cam_frame: Floats) -> dict[Key, object]:  #
     return values
 
 
-def nominal_cameras(session: Session, state: State) -> dict[Key, Floats]:  # type: ignore[type-arg]
+def nominal_cameras(session: Session, state: State) -> dict[Key[Any], Floats]:
     """Return the pose of each camera as given, as a value of its block; where none is given, the state's. [m]."""
     attachments = session.attachments
-    poses: dict[Key, Floats] = {}  # type: ignore[type-arg]
+    poses: dict[Key[Any], Floats] = {}
     for c, name in enumerate(attachments.cameras):
         given = attachments.T_cam_reference[c]
         if attachments.reference[c] == c:
@@ -219,22 +222,40 @@ def triangulate(session: Session) -> TriangulatedPoints | None:
     if detections is None or not len(cameras):
         return None
     rig = Rig(tuple(session.rig.cameras[c] for c in cameras), tuple(attachments.T_cam_frame[c] for c in cameras))
-    leds = int(detections.led.max()) + 1
-    rows = np.flatnonzero(np.isin(detections.camera, cameras))
-    key, group = np.unique(detections.pose[rows] * leds + detections.led[rows], return_inverse=True)
-    uv, sigma = np.full((len(key), len(cameras), 2), np.nan), np.ones((len(key), len(cameras)))
-    column = np.searchsorted(cameras, detections.camera[rows])
-    uv[group, column], sigma[group, column] = detections.uv[rows], detections.sigma[rows]
-    result = rig.triangulate(uv, sigma)
+    pose, led, uv, sigma = side_by_side(detections.index, detections.uv, detections.sigma, len(session.rig.cameras))
+    result = rig.triangulate(uv[:, cameras], sigma[:, cameras])
     good = np.isfinite(result.points[:, 0])
     if not np.any(good):
         return None
     covariance = result.covariances[good]
     spread = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 3.0)
-    return TriangulatedPoints(key[good] // leds, key[good] % leds, result.points[good], spread, covariance)
+    return TriangulatedPoints(pose[good], led[good], result.points[good], spread, covariance)
 
 
-def _cameras(attachments: Attachments, state: State):  # type: ignore[no-untyped-def]
+def side_by_side(
+    index: Mapping[str, Ints], uv: Floats, sigma: Floats, cameras: int
+) -> tuple[Ints, Ints, Floats, Floats]:
+    """Bring all cameras' detections of one LED in one pose side by side.
+
+    Args:
+        index: pose, camera and led of S detections.
+        uv: (S, 2). [px]
+        sigma: (S,). [px]
+        cameras: C, how many there are.
+
+    Returns:
+        Pose and LED (M,), uv (M, C, 2) with NaN where a camera does not see it, and sigma (M, C).
+    """
+    pose, camera, led = (index[key] for key in ("pose", "camera", "led"))
+    leds = led.max() + 1
+    key, group = np.unique(pose * leds + led, return_inverse=True)
+    wide, spread = np.full((len(key), cameras, 2), np.nan), np.ones((len(key), cameras))
+    wide[group, camera], spread[group, camera] = uv, sigma
+    return key // leds, key % leds, wide, spread
+
+
+def _cameras(attachments: Attachments, state: State) -> Iterator[tuple[Camera, Floats]]:
+    """Each camera's lens, and the frame it is fixed in (4, 4) in the camera."""
     return zip(camera_values(attachments, state), camera_poses(attachments, state), strict=True)
 
 

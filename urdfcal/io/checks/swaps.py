@@ -11,6 +11,7 @@ import numpy as np
 
 from urdfcal.cameras.rig import Rig
 from urdfcal.errors import SessionError
+from urdfcal.estimation.measurements.pixels import side_by_side
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -70,7 +71,7 @@ def check_names_by_rays(rig: Rig, table: MeasurementTable) -> tuple[Rays, list[s
         SessionError: an exchange makes the rays meet.
     """
     placed = [i for i, T in enumerate(rig.T_cam_world) if T is not None]
-    uv, sigma = _by_point(table, len(rig.cameras))
+    _, _, uv, sigma = side_by_side(table.index, table.values, table.sigma, len(rig.cameras))
     uv, sigma = uv[:, placed], sigma[:, placed]
     several = np.flatnonzero(np.isfinite(uv[:, :, 0]).sum(axis=1) > 1)
     if len(several) < _FEWEST:
@@ -98,15 +99,6 @@ def _exchanges(rig: Rig, uv: Floats, sigma: Floats) -> Iterator[tuple[str, Float
         order[list(pair)] = order[list(pair[::-1])]
         yield f"cameras {rig.names[pair[0]]!r} and {rig.names[pair[1]]!r}", uv[:, order], sigma[:, order]
     yield "u and v", uv[:, :, ::-1], sigma
-
-
-def _by_point(table: MeasurementTable, cameras: int) -> tuple[Floats, Floats]:
-    """Detections of one LED in one pose side by side: uv (M, C, 2) with NaN where unseen, sigma (M, C)."""
-    pose, camera, led = (table.index[key] for key in ("pose", "camera", "led"))
-    keys, point = np.unique(pose * (led.max() + 1) + led, return_inverse=True)
-    uv, sigma = np.full((len(keys), cameras, 2), np.nan), np.ones((len(keys), cameras))
-    uv[point, camera], sigma[point, camera] = table.values, table.sigma
-    return uv, sigma
 
 
 def _score(rig: Rig, uv: Floats, sigma: Floats) -> _Score:
