@@ -107,7 +107,10 @@ def test_anchors_are_followed(tmp_path: Path) -> None:
             LEAST + "joint_models: {time_ofset: true}\n",
             "session.yaml:6:16, key 'joint_models.time_ofset': 'time_ofset' is not 'zero_offset' or 'time_offset'",
         ),
-        (LEAST + "joint_models: {time_offset: 1}\n", "session.yaml:6:16, key 'joint_models.time_offset': "),
+        (
+            LEAST + "joint_models: {time_offset: 1}\n",
+            "session.yaml:6:16, key 'joint_models.time_offset': 1 stands where on or off belongs",
+        ),
         (LEAST + "joint_models: {time_offset: maybe}\n", "session.yaml:6:16, key 'joint_models.time_offset': "),
         (LEAST + "joint_models: [time_offset]\n", "key 'joint_models': ['time_offset'] stands where a mapping"),
         (LEAST.replace("tip}", "7}"), "key 'robot.tip_link': 7 stands where text belongs"),

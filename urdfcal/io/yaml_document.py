@@ -100,6 +100,7 @@ class Document:
 
 
 _NEEDED = {
+    "bool_type": "on or off",
     "float_type": "a number",
     "string_type": "text",
     "model_type": "a mapping of keys to values",
