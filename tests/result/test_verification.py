@@ -8,7 +8,7 @@ import pytest
 
 from urdfcal.errors import OutputError
 from urdfcal.pipeline import calibrate
-from urdfcal.result import verification
+from urdfcal.result import fitted
 from urdfcal.robot.dh import DHTable
 from urdfcal.session.knowledge import Estimate
 
@@ -34,17 +34,17 @@ def lifted(T: Floats, metres: float) -> Floats:
 def one_reader_errs(name: str, metres: float, patch: pytest.MonkeyPatch) -> None:
     """Make one of the three that are compared with the estimate see the tip elsewhere."""
     if name == "Pinocchio":
-        read = verification.read_mechanism
+        read = fitted.read_mechanism
 
         def wrong(*given: object) -> Mechanism:
             chain = read(*given)
             first = lifted(chain.placements[:1], metres)
             return chain.with_placements(np.concatenate([first, chain.placements[1:]]))
 
-        patch.setattr(verification, "read_mechanism", wrong)
+        patch.setattr(fitted, "read_mechanism", wrong)
     elif name == "yourdfpy":
-        links = verification._yourdfpy_links
-        patch.setattr(verification, "_yourdfpy_links", lambda *given: lifted(links(*given), metres))
+        links = fitted._yourdfpy_links
+        patch.setattr(fitted, "_yourdfpy_links", lambda *given: lifted(links(*given), metres))
     else:
         forward = DHTable.forward
         patch.setattr(DHTable, "forward", lambda *given: lifted(forward(*given), metres))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +19,7 @@ from urdfcal.estimation.measurements.pixels import triangulate
 from urdfcal.estimation.model_selection import Trial
 from urdfcal.estimation.observations import arrange
 from urdfcal.estimation.validation import rms_interval
-from urdfcal.result import document as d
+from urdfcal.result.document import FORMAT, ResultDocument
 from urdfcal.robot.mechanism import BASE as BASE_LINK
 from urdfcal.robot.urdf.origins import origins_of
 from urdfcal.rotations import matrix_to_rpy
@@ -26,174 +27,164 @@ from urdfcal.rotations import matrix_to_rpy
 if TYPE_CHECKING:
     from urdfcal.arrays import Floats
     from urdfcal.result.fitted import FittedCalibration
-    from urdfcal.robot.mechanism import Mechanism
+
+Entry = dict[str, Any]
 
 
-def build_document(of: FittedCalibration) -> d.ResultDocument:
+def build_document(of: FittedCalibration) -> ResultDocument:
     """Collect everything that a fitted calibration says."""
-    parameters = _parameters(of)
-    return d.ResultDocument(
-        format=d.FORMAT,
-        robot=_robot(of.chain, of.placements, of.session.urdf_reference),
-        dh=_rows(of),
-        placements=_placements(of),
-        T_world_base=of.estimate.T_world_base.tolist(),
-        T_world_base_sigma=_known(of.sigmas_of(BASE)),
-        leds=_leds(of),
-        cameras={camera.name: _camera(of, c) for c, camera in enumerate(of.estimate.cameras)},
-        **({"parameters": parameters} if parameters else {}),
-        fit=_fit(of),
-        verdict=d.VerdictSection(
-            level=of.assessment.level, sentence=of.assessment.sentence, reasons=list(of.assessment.reasons)
-        ),
-        validation=_validation(of),
-        models=[
-            d.ModelEntry(
-                model=str(attempt.spec),
-                parameters=attempt.fit.parameters.count,
-                seen_loss=attempt.seen_loss,
-                held_out_loss=attempt.loss if isinstance(attempt, Trial) else None,
-                chosen=attempt is of.comparison.chosen,
-            )
+    data = {
+        "format": FORMAT,
+        "robot": _robot(of),
+        "dh": _rows(of),
+        "placements": _placements(of),
+        "T_world_base": of.estimate.T_world_base,
+        "T_world_base_sigma": of.sigmas_of(BASE),
+        "leds": _leds(of),
+        "cameras": {camera.name: _camera(of, c) for c, camera in enumerate(of.estimate.cameras)},
+        "fit": _fit(of),
+        "verdict": _of(of.assessment, "level", "sentence", "reasons"),
+        "validation": _validation(of),
+        "models": [
+            {
+                "model": str(attempt.spec),
+                "parameters": attempt.fit.parameters.count,
+                "seen_loss": attempt.seen_loss,
+                "held_out_loss": attempt.loss if isinstance(attempt, Trial) else None,
+                "chosen": attempt is of.comparison.chosen,
+            }
             for attempt in of.comparison.attempts
         ],
-        identifiability=d.IdentifiabilitySection(
-            condition_number=of.identifiability.condition_number,
+        "identifiability": {
+            "condition_number": of.identifiability.condition_number,
             **{f"O{k}": value for k, value in enumerate(of.identifiability.observability, start=1)},
-            lost=list(of.identifiability.unidentifiable),
-        ),
-        solutions=[
-            d.SolutionEntry(cost=s.cost if np.isfinite(s.cost) else None, kept=s.kept, reason=s.reason)
-            for s in of.solutions
-        ],
-        outliers=_outliers(of),
-        warnings=list(of.assessment.warnings),
-        provenance=d.ProvenanceSection(
-            urdfcal=metadata.version("urdfcal"),
-            pinocchio=pin.__version__,
-            seed=of.seed,
-            sha256=dict(of.session.sha256),
-        ),
-    )
-
-
-def _robot(chain: Mechanism, placements: Floats, urdf_reference: str) -> d.RobotSection:
-    joints = {}
-    for joint, parent, nominal, calibrated in zip(
-        chain.joints, chain.parents, chain.placements, placements, strict=True
-    ):
-        mimic = joint.mimic
-        joints[joint.name] = d.JointEntry(
-            parent=None if parent == BASE_LINK else chain.names[parent],
-            type=joint.type,
-            axis=joint.axis.tolist(),
-            lower=joint.lower if np.isfinite(joint.lower) else None,
-            upper=joint.upper if np.isfinite(joint.upper) else None,
-            mimic=None
-            if mimic is None
-            else d.MimicEntry(joint=mimic.joint, multiplier=mimic.multiplier, offset=mimic.offset),
-            nominal=nominal.tolist(),
-            calibrated=calibrated.tolist(),
-        )
-    tips = {
-        tip.link: d.TipEntry(
-            joint=None if tip.joint == BASE_LINK else chain.names[tip.joint], T_joint_link=tip.T_joint_link.tolist()
-        )
-        for tip in chain.tips
+            "lost": of.identifiability.unidentifiable,
+        },
+        "solutions": [_of(solution, "cost", "kept", "reason") for solution in of.solutions],
+        "outliers": _outliers(of),
+        "warnings": of.assessment.warnings,
+        "provenance": {
+            "urdfcal": metadata.version("urdfcal"),
+            "pinocchio": pin.__version__,
+            "seed": of.seed,
+            "sha256": of.session.sha256,
+        },
     }
-    return d.RobotSection(
-        name=chain.name,
-        urdf=urdf_reference,
-        base_link=chain.base_link,
-        tip_link=chain.tip_link,
-        joints=joints,
-        tips=tips,
-    )
+    if parameters := _parameters(of):
+        data["parameters"] = parameters
+    return ResultDocument.model_validate(_plain(data))
 
 
-def _rows(of: FittedCalibration) -> list[d.DHEntry]:
+def _plain(value: Any) -> Any:
+    """Values as JSON has them: arrays as lists, and None where a number is not finite."""
+    if isinstance(value, Mapping):
+        return {key: _plain(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def _of(thing: object, *names: str) -> Entry:
+    return {name: getattr(thing, name) for name in names}
+
+
+def _robot(of: FittedCalibration) -> Entry:
+    chain = of.chain
+    names = {BASE_LINK: None} | dict(enumerate(chain.names))
+    of_joint = zip(chain.joints, chain.parents, chain.placements, of.placements, strict=True)
+    return {
+        **_of(chain, "name", "base_link", "tip_link"),
+        "urdf": of.session.urdf_reference,
+        "joints": {
+            joint.name: {
+                **_of(joint, "type", "axis", "lower", "upper"),
+                "parent": names[parent],
+                "mimic": joint.mimic and vars(joint.mimic),
+                "nominal": nominal,
+                "calibrated": calibrated,
+            }
+            for joint, parent, nominal, calibrated in of_joint
+        },
+        "tips": {tip.link: {"joint": names[tip.joint], "T_joint_link": tip.T_joint_link} for tip in chain.tips},
+    }
+
+
+def _rows(of: FittedCalibration) -> list[Entry]:
     sigmas, arm = of.sigmas(), of.geometry
-    reasons = of.fit.parameters.reasons
     nominal = of.table.nominal if arm is of.table else np.zeros_like(sigmas)
     entries = []
-    for i, joint in enumerate(arm.labels):
-        for k, name in enumerate(arm.columns):
-            estimated = bool(np.isfinite(sigmas[i, k]))
-            more: dict[str, Any] = (
-                {"sigma": float(sigmas[i, k]), "status": "estimated"}
-                if estimated
-                else {"status": "fixed", "reason": reasons.get(f"{joint}.{name}") or arm.reason(i, name)}
-            )
-            entries.append(
-                d.DHEntry(
-                    joint=joint,
-                    parameter=name,
-                    unit="m" if name in LENGTHS else "rad",
-                    nominal=float(nominal[i, k]),
-                    offset=float(of.estimate.offsets[i, k]),
-                    **more,
-                )
-            )
+    for (i, k), sigma in np.ndenumerate(sigmas):
+        joint, name = arm.labels[i], arm.columns[k]
+        entry = {
+            "joint": joint,
+            "parameter": name,
+            "unit": "m" if name in LENGTHS else "rad",
+            "nominal": nominal[i, k],
+            "offset": of.estimate.offsets[i, k],
+        }
+        if np.isfinite(sigma):
+            entry |= {"sigma": sigma, "status": "estimated"}
+        else:
+            reason = of.fit.parameters.reasons.get(f"{joint}.{name}") or arm.reason(i, name)
+            entry |= {"status": "fixed", "reason": reason}
+        entries.append(entry)
     return entries
 
 
-def _placements(of: FittedCalibration) -> dict[str, d.OriginEntry]:
+def _placements(of: FittedCalibration) -> Entry:
     """Each joint's origin in its parent link's frame, as the URDF will have it (xyz in m, rpy in rad)."""
     origins, urdf = dict(zip(of.chain.names, of.placements, strict=True)), of.session.urdf
     if urdf is not None:
         nominal = {name: urdf.joints[name].T_parent_joint for name in of.chain.names}
         origins = nominal | origins_of(urdf, of.chain, of.placements)
-    return {
-        name: d.OriginEntry(xyz=T[:3, 3].tolist(), rpy=matrix_to_rpy(T[:3, :3]).tolist()) for name, T in origins.items()
-    }
+    return {name: {"xyz": T[:3, 3], "rpy": matrix_to_rpy(T[:3, :3])} for name, T in origins.items()}
 
 
-def _parameters(of: FittedCalibration) -> list[d.ParameterEntry]:
+def _parameters(of: FittedCalibration) -> list[Entry]:
     """The coordinates of blocks that have no section of their own."""
     return [
-        d.ParameterEntry(**entry)
+        entry
         for block in of.fit.parameters.blocks
         for entry in block.document(of.fit.state[block.key], of.sigmas_of(block.key))
     ]
 
 
-def _leds(of: FittedCalibration) -> dict[str, d.LedEntry]:
-    result, attachments, sigmas = {}, of.session.attachments, of.sigmas_of(LEDS).reshape(-1, 3)
-    for i, led in enumerate(of.session.leds):
-        result[led.name] = d.LedEntry(
-            link=attachments.frames[attachments.led[i]],
-            position=of.estimate.leds[i].tolist(),
-            sigma=[0.0, 0.0, 0.0] if led.sigma == 0.0 else _known(sigmas[i]),
-        )
-    return result
+def _leds(of: FittedCalibration) -> Entry:
+    attachments, sigmas = of.session.attachments, of.sigmas_of(LEDS).reshape(-1, 3)
+    return {
+        led.name: {
+            "link": attachments.frames[attachments.led[i]],
+            "position": of.estimate.leds[i],
+            "sigma": np.zeros(3) if led.sigma == 0.0 else sigmas[i],
+        }
+        for i, led in enumerate(of.session.leds)
+    }
 
 
-def _camera(of: FittedCalibration, c: int) -> d.CameraEntry:
+def _camera(of: FittedCalibration, c: int) -> Entry:
     """A camera's lens, and its pose in the world or on its link; of an arm that moved its clock's time offset."""
     camera, T, attachments = of.estimate.cameras[c], of.estimate.T_cam_frame[c], of.session.attachments
     frame = int(attachments.camera[c])
-    pose = {"T_cam_world": T.tolist()} if frame == 0 else {"T_link_camera": inverse(T).tolist()}
+    pose = "T_link_camera" if frame else "T_cam_world"
     lens, moved = of.sigmas_of(lens_key(camera.name)), of.sigmas_of(pose_key(camera.name))
-    sigma = {"intrinsics": _known(lens[:4]), "distortion": _known(lens[4:])} if len(lens) else {}
+    sigma = {"intrinsics": lens[:4], "distortion": lens[4:]} if len(lens) else {}
     if len(moved):
-        sigma[next(iter(pose))] = _known(moved)
-    more: dict[str, Any] = dict(pose)
+        sigma[pose] = moved
+    entry = {
+        **_of(camera, "intrinsics", "distortion_model", "distortion"),
+        "link": attachments.frames[frame],
+        pose: inverse(T) if frame else T,
+        "sigma": sigma,
+    }
     if len(of.estimate.time_offsets):
         clocks = of.sigmas_of(TIME_OFFSETS)
-        more["time_offset"] = d.TimeOffsetEntry(
-            value=float(of.estimate.time_offsets[c]), sigma=_known(clocks[c : c + 1])[0] if len(clocks) else None
-        )
-    return d.CameraEntry(
-        intrinsics=camera.intrinsics.tolist(),
-        distortion_model=camera.distortion_model,
-        distortion=camera.distortion.tolist(),
-        link=attachments.frames[frame],
-        sigma=d.CameraSigmas(**sigma),
-        **more,
-    )
+        entry["time_offset"] = {"value": of.estimate.time_offsets[c], "sigma": clocks[c] if len(clocks) else None}
+    return entry
 
 
-def _fit(of: FittedCalibration) -> d.FitSection:
+def _fit(of: FittedCalibration) -> Entry:
     fit, rms = of.fit, {}
     found = triangulate(of.session) if of.estimate.cameras else None
     points = arrange(of.session, found) if found is not None else None
@@ -204,19 +195,18 @@ def _fit(of: FittedCalibration) -> d.FitSection:
         if points is not None:
             used = points.valid & ~of.problem.suspect(points, fit.outlier)
             rms[f"rms_{prefix}mm"] = 1e3 * _rms(of.problem.residual(points, solution.state)[used])
-    return d.FitSection(
-        poses=len(of.session.poses),
-        observations=fit.observations,
-        parameters=fit.parameters.count,
-        rank=of.identifiability.rank,
-        iterations=len(fit.history),
-        converged=fit.converged,
-        reduced_chi2=fit.reduced_chi2 if fit.freedom > 0 else None,
+    return {
+        "poses": len(of.session.poses),
+        **_of(fit, "observations", "converged"),
+        "parameters": fit.parameters.count,
+        "rank": of.identifiability.rank,
+        "iterations": len(fit.history),
+        "reduced_chi2": fit.reduced_chi2 if fit.freedom > 0 else None,
         **rms,
-    )
+    }
 
 
-def _validation(of: FittedCalibration) -> d.ValidationSection:
+def _validation(of: FittedCalibration) -> Entry:
     """Both arms with the same cameras; over measurements that are no outliers; for pixels the distance across the ray.
 
     Of an arm that moved the interval is of whole seconds: the errors of neighbouring frames are alike.
@@ -225,45 +215,35 @@ def _validation(of: FittedCalibration) -> d.ValidationSection:
     distance = 1e3 * chosen.residuals("distance")
     unit = of.session.motion.independent(len(of.session.poses))
     low, high = rms_interval(of.observations, chosen.fit.kept, chosen.held_out.distance, unit, of.seed)
-    pixels = {}
-    if of.estimate.cameras:
-        pixels = {
-            f"rms_{prefix}px": _rms(trial.residuals("residual")[:, None])
-            for prefix, trial in (("nominal_", nominal), ("", chosen))
-        }
-    return d.ValidationSection(
-        folds=chosen.held_out.folds,
-        rms_nominal_mm=1e3 * _rms(nominal.residuals("distance")[:, None]),
-        rms_mm=_rms(distance[:, None]),
-        interval_mm=[1e3 * low, 1e3 * high],
-        max_mm=float(distance.max()),
-        p95_mm=float(np.percentile(distance, 95)),
-        **pixels,
-    )
+    trials = (("nominal_", nominal), ("", chosen)) if of.estimate.cameras else ()
+    return {
+        "folds": chosen.held_out.folds,
+        "rms_nominal_mm": 1e3 * _rms(nominal.residuals("distance")[:, None]),
+        "rms_mm": _rms(distance[:, None]),
+        "interval_mm": [1e3 * low, 1e3 * high],
+        "max_mm": distance.max(),
+        "p95_mm": np.percentile(distance, 95),
+        **{f"rms_{prefix}px": _rms(trial.residuals("residual")[:, None]) for prefix, trial in trials},
+    }
 
 
-def _outliers(of: FittedCalibration) -> list[d.OutlierEntry]:
+def _outliers(of: FittedCalibration) -> list[Entry]:
     """The measurements taken out of the fit: pose, camera, LED and residual (px, or mm for points)."""
     found = []
     for block, cut, norms in zip(of.observations, of.fit.outlier, of.fit.norms, strict=True):
         residual, (_, scale) = of.problem.residual(block, of.fit.state), block.table.report
         cameras = block.index.get("camera")
-        for group, slot in np.argwhere(cut):
+        for at in map(tuple, np.argwhere(cut)):
             found.append(
-                d.OutlierEntry(
-                    pose=of.session.poses[block.pose[group]],
-                    camera=None if cameras is None else of.estimate.cameras[cameras[group, slot]].name,
-                    led=of.session.leds[block.index["led"][group, slot]].name,
-                    residual=scale * float(np.linalg.norm(residual[group, slot])),
-                    sigmas=float(norms[group, slot]),
-                )
+                {
+                    "pose": of.session.poses[block.pose[at[0]]],
+                    "camera": None if cameras is None else of.estimate.cameras[cameras[at]].name,
+                    "led": of.session.leds[block.index["led"][at]].name,
+                    "residual": scale * np.linalg.norm(residual[at]),
+                    "sigmas": norms[at],
+                }
             )
     return found
-
-
-def _known(sigmas: Floats) -> d.Sigmas:
-    """Standard deviations, None where a value was fixed."""
-    return [float(s) if np.isfinite(s) else None for s in sigmas]
 
 
 def _rms(residual: Floats) -> float:

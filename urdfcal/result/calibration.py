@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from abc import ABC, abstractmethod
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
@@ -27,42 +25,75 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from urdfcal.estimation.assessment import Assessment
-    from urdfcal.result.document import ResultDocument, RobotSection
+    from urdfcal.result.document import ResultDocument
     from urdfcal.robot.urdf.urdf import Urdf
 
 FILE_NAME = "calibration.json"
 
 
-class Calibration(ABC):
+class Calibration:
     """A calibrated robot: its nominal joints, their calibrated placements, and the result document.
 
     Immutable, so that threads may share it.
-
-    Attributes:
-        assessment: whether to trust it, and what speaks against it.
     """
 
-    assessment: Assessment
+    def __init__(self, document: ResultDocument) -> None:
+        """Start from everything that a calibration says."""
+        self._read = document
 
     @property
-    @abstractmethod
-    def chain(self) -> Mechanism:
-        """The nominal joints that were calibrated: a chain, or a tree of them."""
-
-    @property
-    @abstractmethod
-    def placements(self) -> Floats:
-        """(n, 4, 4) calibrated placement of each joint in the frame of its parent joint. [m]."""
-
-    @property
-    @abstractmethod
-    def dh_offsets(self) -> Floats | None:
-        """(rows, 5) added to the DH rows, columns as ``dh.PARAMETERS`` [rad, m]; None for whole placements."""
-
-    @property
-    @abstractmethod
     def document(self) -> ResultDocument:
         """Everything the calibration says: what ``calibration.json`` holds."""
+        return self._read
+
+    @cached_property
+    def assessment(self) -> Assessment:
+        """Whether to trust it, and what speaks against it: the verdict's reasons that are no warnings are failures."""
+        from urdfcal.estimation.assessment import Assessment
+
+        verdict, warnings = self.document.verdict, tuple(self.document.warnings)
+        count = len(verdict.reasons) - len(warnings)
+        return Assessment(verdict.level, verdict.sentence, tuple(verdict.reasons[:count]), warnings)
+
+    @cached_property
+    def chain(self) -> Mechanism:
+        """The nominal joints that were calibrated: a chain, or a tree of them."""
+        robot = self.document.robot
+        joints = tuple(
+            Joint(
+                name=name,
+                type=joint.type,
+                axis=frozen(joint.axis),
+                lower=-np.inf if joint.lower is None else joint.lower,
+                upper=np.inf if joint.upper is None else joint.upper,
+                mimic=None if joint.mimic is None else Mimic(**joint.mimic.model_dump()),
+            )
+            for name, joint in robot.joints.items()
+        )
+        index = {None: BASE} | {name: i for i, name in enumerate(robot.joints)}
+        parents = tuple(index[joint.parent] for joint in robot.joints.values())
+        tips = tuple(Tip(link, index[tip.joint], frozen(tip.T_joint_link)) for link, tip in robot.tips.items())
+        nominal = frozen([joint.nominal for joint in robot.joints.values()])
+        if len(tips) == 1:
+            return Chain(robot.name, robot.base_link, tips[0].link, joints, nominal, tips[0].T_joint_link)
+        return Tree(robot.name, robot.base_link, joints, parents, nominal, tips)
+
+    @cached_property
+    def placements(self) -> Floats:
+        """(n, 4, 4) calibrated placement of each joint in the frame of its parent joint. [m]."""
+        return frozen([joint.calibrated for joint in self.document.robot.joints.values()])
+
+    @cached_property
+    def dh_offsets(self) -> Floats | None:
+        """(rows, 5) added to the DH rows, columns as ``dh.PARAMETERS`` [rad, m]; None for whole placements."""
+        entries = [entry for entry in self.document.dh if entry.parameter in PARAMETERS]
+        if not entries:
+            return None
+        labels = rows_of(self.chain).labels
+        offsets = np.zeros((len(labels), len(PARAMETERS)))
+        for entry in entries:
+            offsets[labels.index(entry.joint), PARAMETERS.index(entry.parameter)] = entry.offset
+        return frozen(offsets)
 
     @property
     def failures(self) -> tuple[str, ...]:
@@ -106,8 +137,7 @@ class Calibration(ABC):
             raise OutputError(
                 f"cannot be read: {reason}", where=str(file), remedy="Name a folder that `urdfcal calibrate` wrote."
             ) from error
-        document = read_document(text, str(file))
-        return _Loaded(document, document.assessment)
+        return Calibration(read_document(text, str(file)))
 
     def save(self, path: str | Path) -> None:
         """Write the result as JSON, format ``urdfcal/2``; numbers read back exactly."""
@@ -168,59 +198,7 @@ class Calibration(ABC):
         return compensate(self.chain, self.calibrated, q)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class _Loaded(Calibration):
-    """A calibration that was read from its file."""
-
-    read: ResultDocument
-    assessment: Assessment
-
-    @property
-    def document(self) -> ResultDocument:
-        return self.read
-
-    @cached_property
-    def chain(self) -> Mechanism:
-        return _mechanism(self.read.robot)
-
-    @cached_property
-    def placements(self) -> Floats:
-        return frozen([joint.calibrated for joint in self.read.robot.joints.values()])
-
-    @cached_property
-    def dh_offsets(self) -> Floats | None:
-        entries = [entry for entry in self.read.dh if entry.parameter in PARAMETERS]
-        if not entries:
-            return None
-        labels = rows_of(self.chain).labels
-        offsets = np.zeros((len(labels), len(PARAMETERS)))
-        for entry in entries:
-            offsets[labels.index(entry.joint), PARAMETERS.index(entry.parameter)] = entry.offset
-        return frozen(offsets)
-
-
 def corrected_name(urdf_reference: str) -> str:
     """Return the file name of the corrected URDF: the nominal one's with ``_calibrated``."""
     nominal = PurePosixPath(urdf_reference)
     return f"{nominal.stem}_calibrated{nominal.suffix}"
-
-
-def _mechanism(robot: RobotSection) -> Mechanism:
-    joints = tuple(
-        Joint(
-            name=name,
-            type=joint.type,
-            axis=frozen(joint.axis),
-            lower=-np.inf if joint.lower is None else joint.lower,
-            upper=np.inf if joint.upper is None else joint.upper,
-            mimic=None if joint.mimic is None else Mimic(**joint.mimic.model_dump()),
-        )
-        for name, joint in robot.joints.items()
-    )
-    index = {None: BASE} | {name: i for i, name in enumerate(robot.joints)}
-    parents = tuple(index[joint.parent] for joint in robot.joints.values())
-    tips = tuple(Tip(link, index[tip.joint], frozen(tip.T_joint_link)) for link, tip in robot.tips.items())
-    nominal = frozen([joint.nominal for joint in robot.joints.values()])
-    if len(tips) == 1:
-        return Chain(robot.name, robot.base_link, tips[0].link, joints, nominal, tips[0].T_joint_link)
-    return Tree(robot.name, robot.base_link, joints, parents, nominal, tips)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -11,10 +11,8 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from urdfcal.errors import OutputError
 from urdfcal.robot.tree_dh import MOUNT
 
-if TYPE_CHECKING:
-    from urdfcal.estimation.assessment import Assessment
-
-FORMAT: Literal["urdfcal/2"] = "urdfcal/2"
+FORMAT, FORMAT_1 = "urdfcal/2", "urdfcal/1"
+"""What is written, and what earlier versions wrote."""
 
 # Rotations are written with all their digits.
 _RIGID = 1e-9
@@ -292,14 +290,6 @@ class ResultDocument(_Section):
                 raise ValueError(f"dh names joint {row.joint!r}, which the robot has not")
         return self
 
-    @property
-    def assessment(self) -> Assessment:
-        """The verdict; its reasons that are no warnings are failures."""
-        from urdfcal.estimation.assessment import Assessment
-
-        verdict, count = self.verdict, len(self.verdict.reasons) - len(self.warnings)
-        return Assessment(verdict.level, verdict.sentence, tuple(verdict.reasons[:count]), tuple(self.warnings))
-
     def to_dict(self) -> dict[str, Any]:
         """Return plain data, as JSON has it."""
         return self.model_dump(exclude_unset=True)
@@ -319,8 +309,6 @@ def read_document(text: str, where: str) -> ResultDocument:
     Raises:
         OutputError: it is no JSON, of another format, or a key is missing, unknown or makes no sense.
     """
-    from urdfcal.result.format_1 import FORMAT_1, from_format_1
-
     try:
         data = json.loads(text, parse_constant=_no_number)
     except ValueError as error:
@@ -333,7 +321,7 @@ def read_document(text: str, where: str) -> ResultDocument:
             remedy="Read it with the urdfcal that wrote it, or calibrate again.",
         )
     try:
-        return ResultDocument.model_validate(from_format_1(data) if found == FORMAT_1 else data)
+        return ResultDocument.model_validate(_from_format_1(data) if found == FORMAT_1 else data)
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
@@ -345,3 +333,26 @@ def read_document(text: str, where: str) -> ResultDocument:
 
 def _no_number(constant: str) -> float:
     raise ValueError(f"{constant} is no number")
+
+
+def _from_format_1(data: dict[str, Any]) -> dict[str, Any]:
+    """Convert plain data of format ``urdfcal/1`` to ``urdfcal/2``; what is malformed stays so, for the reader to name.
+
+    Placements ``drawn`` and ``built`` become ``nominal`` and ``calibrated``. There was no verdict: failures and
+    warnings stood in one list, so that a result is called doubtful where it has any.
+    """
+    robot, warnings = data.get("robot"), data.get("warnings")
+    joints = robot.get("joints") if isinstance(robot, dict) else None
+    if isinstance(robot, dict) and isinstance(joints, dict):
+        data = {**data, "robot": {**robot, "joints": {name: _renamed(joint) for name, joint in joints.items()}}}
+    verdict = {
+        "level": "doubtful" if warnings else "good",
+        "sentence": "Check the warnings first." if warnings else "There are no warnings.",
+        "reasons": warnings,
+    }
+    return {**data, "verdict": verdict, "format": FORMAT}
+
+
+def _renamed(joint: Any) -> Any:
+    names = {"drawn": "nominal", "built": "calibrated"}
+    return {names.get(key, key): value for key, value in joint.items()} if isinstance(joint, dict) else joint

@@ -1,8 +1,8 @@
-"""A calibration with the session and the estimate that it came from."""
+"""A calibration with the session and the estimate that it came from; its corrected URDF, read again and compared."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,10 @@ from urdfcal.estimation.joint_models.zero_offset import ZERO_OFFSETS
 from urdfcal.estimation.snapshot import Snapshot
 from urdfcal.estimation.uncertainty import tip_covariance
 from urdfcal.result.calibration import Calibration, corrected_name
+from urdfcal.robot.chain import read_mechanism
+from urdfcal.robot.dh import DHTable
+from urdfcal.robot.kinematics import link_poses
+from urdfcal.robot.urdf.urdf import Urdf
 
 if TYPE_CHECKING:
     from urdfcal.estimation.assessment import Assessment
@@ -27,10 +31,13 @@ if TYPE_CHECKING:
     from urdfcal.estimation.solver import Solution
     from urdfcal.estimation.state import Key, State
     from urdfcal.result.document import ResultDocument
-    from urdfcal.robot.dh import DHTable
     from urdfcal.robot.mechanism import Mechanism
     from urdfcal.robot.tree_dh import TreeTable
     from urdfcal.session.model import Session
+
+# Forward kinematics of the URDF that was written against the estimate. [m, entries of the rotation]
+_AGREEMENT = 1e-9
+_CHECK_POSES = 20
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -53,7 +60,7 @@ class FittedCalibration(Calibration):
     comparison: Comparison
     solutions: tuple[Minimum, ...]
     seed: int
-    assessment: Assessment
+    assessment: Assessment = field()  # the inherited one is no default
 
     @property
     def nominal_fit(self) -> Solution:
@@ -94,7 +101,7 @@ class FittedCalibration(Calibration):
         """The calibrated arm, LEDs and cameras."""
         return self.snapshot(self.fit.state)
 
-    @property
+    @cached_property
     def chain(self) -> Mechanism:
         """The nominal joints that were calibrated."""
         return self.table.chain
@@ -104,7 +111,7 @@ class FittedCalibration(Calibration):
         """(n, 4, 4) calibrated placement of each joint in the frame of its parent joint. [m]."""
         return frozen(self.geometry.placements(self.estimate.offsets))
 
-    @property
+    @cached_property
     def dh_offsets(self) -> Floats | None:
         """(rows, 5) added to the DH rows, columns as ``dh.PARAMETERS`` [rad, m]; None for whole placements."""
         return self.estimate.offsets if self.geometry is self.table else None
@@ -141,13 +148,24 @@ class FittedCalibration(Calibration):
             OutputError: the session has no URDF, or the result, read again by Pinocchio and by yourdfpy,
                 does not move as the estimate does.
         """
-        from urdfcal.result.verification import verify_urdf
-
-        urdf = self.session.urdf
-        if urdf is None:
+        if self.session.urdf is None:
             raise OutputError("the session was built without a URDF", remedy="Use Calibration.apply on the model.")
-        data = self.apply_to_urdf(urdf)
-        verify_urdf(data, self)
+        data = self.apply_to_urdf(self.session.urdf)
+        chain, table = self.chain, self.table
+        q = chain.random_values(_CHECK_POSES, np.random.default_rng(self.seed))
+        expected = np.array(link_poses(chain, q, chain.tips, self.placements))
+        again = read_mechanism(Urdf.parse(data), [tip.link for tip in chain.tips], chain.base_link)
+        tips = {"Pinocchio": np.array(link_poses(again, q, again.tips)), "yourdfpy": _yourdfpy_links(data, chain, q)}
+        if self.geometry is table and isinstance(table, DHTable):
+            tips["the DH rows"] = np.array([[table.forward(q_k, self.estimate.offsets) for q_k in q]])
+        for reader, T in tips.items():
+            error = float(np.abs(T - expected).max())
+            if not error <= _AGREEMENT:
+                raise OutputError(
+                    f"the corrected URDF moves differently when read by {reader}: {error:.1e} m or in the rotation",
+                    where=self.session.urdf_reference,
+                    remedy="This is a defect of urdfcal; please report it with the URDF.",
+                )
         return data
 
     def sigmas(self) -> Floats:
@@ -179,3 +197,23 @@ class FittedCalibration(Calibration):
     def _sigma(self) -> Floats:
         """Standard deviation of every entry of the full parameter vector; NaN where it is fixed."""
         return self.fit.parameters.sigmas(self.fit.covariance)
+
+
+def _yourdfpy_links(data: bytes, chain: Mechanism, q: Floats) -> Floats:
+    """T_base_link (tips, N, 4, 4) by yourdfpy, which shares no code with Pinocchio."""
+    import io
+
+    import yourdfpy
+
+    robot = yourdfpy.URDF.load(io.BytesIO(data), load_meshes=False, build_scene_graph=True)
+    for joint in robot.joint_map.values():  # it takes a sliding joint's axis as long as it is written
+        if joint.axis is not None and np.any(joint.axis):
+            joint.axis = np.asarray(joint.axis) / np.linalg.norm(joint.axis)
+    names = [joint.name for joint in robot.actuated_joints]
+    result = np.empty((len(chain.tips), len(q), 4, 4))
+    for k, q_k in enumerate(q):
+        values = dict(zip(chain.names, q_k, strict=True))
+        robot.update_cfg([values.get(name, 0.0) for name in names])
+        for i, tip in enumerate(chain.tips):
+            result[i, k] = robot.get_transform(tip.link, chain.base_link)
+    return result
