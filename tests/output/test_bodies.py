@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from urdfcal.output.bodies import visible_links
+from urdfcal.output.arms import visible_links
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.urdf.urdf import Urdf
 

@@ -5,7 +5,7 @@ import pytest
 
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
-from urdfcal.output.placing import branches_of, dh_frames, joint_frames, row_corners, row_lines
+from urdfcal.output.placing import branches_of, joint_frames, place_rows
 from urdfcal.robot.dh import PARAMETERS
 from urdfcal.robot.kinematics import link_poses
 from urdfcal.robot.tree_dh import MOUNT, rows_of
@@ -28,7 +28,7 @@ def built(request):
 
 def test_every_joint_turns_about_the_z_axis_that_its_row_starts_from(built):
     table, offsets, _, frames = built
-    dh = dh_frames(table, offsets, frames)
+    dh = place_rows(table, offsets, frames).frames
     chain = table.chain
     for j, joint in enumerate(chain.joints):
         F, L = dh[:, table.labels.index(joint.name)], frames[:, j + 1]
@@ -41,7 +41,7 @@ def test_every_joint_turns_about_the_z_axis_that_its_row_starts_from(built):
 
 def test_stretches_are_as_long_as_d_and_a(built):
     table, offsets, q, frames = built
-    corners = row_corners(table, offsets, frames, dh_frames(table, offsets, frames))
+    corners = place_rows(table, offsets, frames).corners
     lengths = np.linalg.norm(np.diff(corners, axis=2), axis=-1)
     values = np.broadcast_to(table.nominal + offsets, (len(q), *offsets.shape)).copy()
     for j, joint in enumerate(table.chain.joints):
@@ -53,7 +53,7 @@ def test_stretches_are_as_long_as_d_and_a(built):
 
 def test_every_branch_is_one_line_from_its_link_to_its_tip(built):
     table, offsets, q, frames = built
-    chain, lines = table.chain, row_lines(table, offsets, frames)
+    chain, lines = table.chain, place_rows(table, offsets, frames).lines
     assert len(lines) == len(branches_of(table)) == 1 + sum(label.endswith(MOUNT) for label in table.labels)
     tips = link_poses(chain, q, chain.tips, table.placements(offsets))
     for branch, line in zip(branches_of(table), lines, strict=True):

@@ -5,9 +5,9 @@ import pytest
 
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
+from urdfcal.output.images import arm_in_image, draw_image, skeleton
 from urdfcal.output.palette import CALIBRATED, NOMINAL
-from urdfcal.output.placing import joint_frames
-from urdfcal.output.projection import arm_in_image, draw_image, skeleton
+from urdfcal.output.placing import joint_frames, place_rows
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.simulation.simulate import simulate
@@ -33,7 +33,7 @@ def test_the_line_ends_at_the_projected_tip(calibration, nominal, camera):
 def test_the_skeleton_passes_the_dh_product_and_its_stretches_are_d_and_a(calibration):
     table, offsets = calibration.table, calibration.estimate.offsets
     q = calibration.session.q
-    corners = skeleton(table, offsets, joint_frames(table.chain, calibration.placements, q))
+    corners = skeleton(place_rows(table, offsets, joint_frames(table.chain, calibration.placements, q)).lines)
     for k in (0, 5):
         frames = table.frames(q[k], offsets)
         np.testing.assert_allclose(corners[k, 1:-1:2], frames[:, :3, 3], atol=1e-12)
@@ -48,7 +48,7 @@ def test_a_lens_bends_the_line():
     calibration = calibrate(simulate(read_rig(find_rig("elbow3r")), seed=1, poses=12).session)
     uv = arm_in_image(calibration, calibration.session.q[0])
     frames = joint_frames(calibration.chain, calibration.placements, calibration.session.q[:1])
-    corners = skeleton(calibration.table, calibration.estimate.offsets, frames)[0]
+    corners = skeleton(place_rows(calibration.table, calibration.estimate.offsets, frames).lines)[0]
     per_stretch = (len(uv) - 1) // (len(corners) - 1)
     longest = int(np.argmax(np.linalg.norm(np.diff(corners, axis=0), axis=1)))
     stretch = uv[longest * per_stretch : (longest + 1) * per_stretch + 1]

@@ -18,9 +18,8 @@ from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.output import arms
 from urdfcal.output.findings import Overview, headline
-from urdfcal.output.overlay import overlays
+from urdfcal.output.images import arm_in_image, overlays
 from urdfcal.output.palette import CALIBRATED
-from urdfcal.output.projection import arm_in_image
 from urdfcal.output.recording import LiveView, write_recording
 from urdfcal.output.scene import build_scene
 from urdfcal.output.stream import CORNER

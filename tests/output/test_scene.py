@@ -10,7 +10,7 @@ from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.output.blueprint import viewpoint
 from urdfcal.output.palette import by_sigma
-from urdfcal.output.placing import dh_frames, joint_frames, link_frames
+from urdfcal.output.placing import joint_frames, link_frames, place_rows
 from urdfcal.output.scene import build_scene, exaggerated, magnification
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.dh import PARAMETERS, DHTable
@@ -36,7 +36,8 @@ def test_frames_agree_with_the_dh_product_and_the_tip(rig):
             offsets[i, PARAMETERS.index(name)] = rng.normal(0, 0.01)
     q = chain.random_values(5, rng)
     frames = joint_frames(chain, table.placements(offsets), q)
-    np.testing.assert_allclose(dh_frames(table, offsets, frames), [table.frames(q_k, offsets) for q_k in q], atol=1e-12)
+    dh = place_rows(table, offsets, frames).frames
+    np.testing.assert_allclose(dh, [table.frames(q_k, offsets) for q_k in q], atol=1e-12)
     tips = tip_poses(chain, q, table.placements(offsets))
     np.testing.assert_allclose(link_frames(frames, chain.tips[0]), tips, atol=1e-12)
 

@@ -5,9 +5,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from urdfcal.output.chart import Chart, Mark, Scale
+from urdfcal.output.chart import Chart, Mark, Scale, svg
 from urdfcal.output.palette import CALIBRATED
-from urdfcal.output.svg import svg
 
 
 def drawn(*marks: Mark, **changes: object) -> ElementTree.Element:

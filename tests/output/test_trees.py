@@ -13,11 +13,9 @@ from urdfcal.arrays import inverse
 from urdfcal.cameras.rig import Rig
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
-from urdfcal.output import fitted
 from urdfcal.output.findings import Overview
-from urdfcal.output.overlay import overlays
+from urdfcal.output.images import arm_in_image, overlays
 from urdfcal.output.placing import RobotPoses
-from urdfcal.output.projection import arm_in_image
 from urdfcal.output.recording import write_recording
 from urdfcal.output.report import write_report
 from urdfcal.output.scene import build_scene
@@ -73,8 +71,7 @@ def recorded(calibration, overview, tmp_path_factory):
 @pytest.mark.parametrize("which", ["estimate", "nominal"])
 def test_leds_and_cameras_are_where_the_estimate_has_them(calibration, which):
     state, (block,) = getattr(calibration, which), calibration.observations
-    arm = fitted.nominal(calibration) if which == "nominal" else fitted.calibrated(calibration)
-    places = RobotPoses.of(calibration.session, arm, calibration.session.q)
+    places = RobotPoses.of(calibration, state, calibration.session.q)
     camera = block.index["camera"]
     T = inverse(places.T_base_cam[camera, block.pose[:, None]])
     p_base = places.leds[block.pose[:, None], block.index["led"]]
@@ -89,7 +86,7 @@ def test_leds_and_cameras_are_where_the_estimate_has_them(calibration, which):
 
 def test_the_drawn_leds_are_as_their_camera_sees_them(calibration):
     scene, drawn = build_scene(calibration), calibration.snapshot(calibration.comparison.nominal_arm.fit.state)
-    places = RobotPoses.of(calibration.session, fitted.nominal(calibration, same_cameras=True), calibration.session.q)
+    places = RobotPoses.of(calibration, drawn, calibration.session.q)
     pixels = scene.pixels
     for s in range(0, len(pixels.pose), 7):
         pose, led, camera = pixels.pose[s], pixels.led[s], pixels.camera[s]

@@ -21,7 +21,7 @@ def command(output: Path, web: bool, port: int, overlay: str | None, save: Path 
 
     recording = find_recording(output)
     if overlay is not None:
-        from urdfcal.output.overlay import write_overlay
+        from urdfcal.output.images import write_overlay
 
         path = save or recording.with_name(f"overlay_{Path(overlay).name}.png")
         write_overlay(path, recording, overlay)

@@ -1,30 +1,50 @@
-"""The arm in a recording: its links' shapes, or a stick figure, and its DH frames."""
+"""The arm in a recording: its links' shapes, or a stick figure, and its DH frames.
+
+yourdfpy reads the shapes; rerun's own loader takes all limbs or none, and neither names the meshes that it does not
+find nor looks for them where ``package://`` is looked for elsewhere in urdfcal.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import io
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import rerun as rr
 
-from urdfcal.output.bodies import MESH_FORMATS, visible_links
+from urdfcal.arrays import Floats, frozen
+from urdfcal.errors import RobotError
 from urdfcal.output.palette import CALIBRATED, GHOST, NOMINAL, PARAMETER_COLORS
 from urdfcal.output.placing import link_frames
 from urdfcal.output.stream import placed
+from urdfcal.robot.urdf.urdf import find_urdf
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
     from rerun import AsComponents
 
-    from urdfcal.arrays import Floats
-    from urdfcal.output.bodies import Shape, VisibleLink
     from urdfcal.output.scene import CalibrationScene
     from urdfcal.output.stream import Layer
     from urdfcal.robot.dh import DHTable
     from urdfcal.robot.mechanism import Mechanism
     from urdfcal.robot.tree_dh import TreeTable
+    from urdfcal.robot.urdf.urdf import Urdf
     from urdfcal.session.model import Session
 
 Tint = tuple[int, ...]
+Rgba = tuple[float, ...]
+MESH_FORMATS = {
+    ".stl": "model/stl",
+    ".dae": "model/vnd.collada+xml",
+    ".obj": "model/obj",
+    ".glb": "model/gltf-binary",
+    ".gltf": "model/gltf+json",
+    ".ply": "application/x-ply",
+}
+"""Media types of the mesh files that can be shown, by file suffix."""
 # Lengths below this share of the reach are corrections, too small to be seen.
 _NO_LENGTH = 2e-3
 
@@ -42,13 +62,11 @@ def log_arms(layer: Layer, session: Session, scene: CalibrationScene) -> tuple[s
         for body in bodies:
             _log_body(arm.at(body.link), body, frames, tint)
         if warnings or not bodies:
-            strips = _sticks(session.chain, frames)
-            stick = arm.at("stick figure")
-            stick.fixed(rr.LineStrips3D.from_fields(colors=line, radii=0.006 * session.chain.reach))
-            columns = rr.LineStrips3D.columns(
-                strips=[strip[k].astype(np.float32) for k in range(layer.poses) for strip in strips]
-            )
-            stick.each(columns.partition([len(strips)] * layer.poses))
+            sticks = _sticks(session.chain, frames)
+            strips = [stick[k].astype(np.float32) for k in range(layer.poses) for stick in sticks]
+            pose = np.repeat(np.arange(layer.poses), len(sticks))
+            radius = 0.006 * session.chain.reach
+            arm.at("stick figure").each(rr.LineStrips3D, {"strips": strips}, pose, colors=line, radii=radius)
     return warnings
 
 
@@ -68,26 +86,23 @@ def log_dh(layer: Layer, table: DHTable | TreeTable, scene: CalibrationScene) ->
     Rows are numbered as in the table beside them, from 1.
     """
     length = 0.08 * table.chain.reach
-    for i in range(scene.dh.shape[1]):
-        layer.at(f"F{i}").moving(scene.dh[:, i])
+    rows = scene.rows
+    for i in range(rows.frames.shape[1]):
+        layer.at(f"F{i}").moving(rows.frames[:, i])
         layer.at(f"F{i}").fixed(rr.TransformAxes3D(axis_length=length))
     sliding = {joint.name for joint in table.chain.joints if joint.prismatic}
-    for i, (joint, values) in enumerate(zip(table.labels, table.nominal + scene.arm.row_offsets, strict=True)):
-        for name, value, stretch in (
-            ("d", values[1], scene.corners[:, i, :2]),
-            ("a", values[2], scene.corners[:, i, 1:]),
-        ):
+    for i, (joint, values) in enumerate(zip(table.labels, rows.values, strict=True)):
+        for k, (name, value) in enumerate(zip("da", values[1:3], strict=True)):
             if abs(value) < _NO_LENGTH * table.chain.reach and joint not in sliding:
                 continue
-            row = layer.at("rows", f"{name}{i + 1}")
-            label = f"{name}{i + 1} {1e3 * value:.1f} mm"
-            color = PARAMETER_COLORS[name]
-            row.fixed(
-                rr.LineStrips3D.from_fields(
-                    colors=color, radii=0.004 * table.chain.reach, labels=label, show_labels=False
-                )
+            layer.at("rows", f"{name}{i + 1}").each(
+                rr.LineStrips3D,
+                {"strips": rows.corners[:, i, k : k + 2].astype(np.float32)},
+                colors=PARAMETER_COLORS[name],
+                radii=0.004 * table.chain.reach,
+                labels=f"{name}{i + 1} {1e3 * value:.1f} mm",
+                show_labels=False,
             )
-            row.each(rr.LineStrips3D.columns(strips=stretch.astype(np.float32)))
 
 
 def _log_body(layer: Layer, body: VisibleLink, frames: Floats, tint: Tint | None) -> None:
@@ -114,3 +129,116 @@ def _visual(shape: Shape, tint: Tint | None) -> AsComponents:
     if shape.kind == "cylinder":
         return rr.Cylinders3D(radii=shape.size[0], lengths=shape.size[1], colors=color, fill_mode=fill)
     return rr.Ellipsoids3D(half_sizes=[shape.size * 3], colors=color, fill_mode=fill)
+
+
+@dataclass(frozen=True)
+class Shape:
+    """One visual element of a link.
+
+    Attributes:
+        kind: what ``size`` means.
+        size: box: lengths along x, y, z; cylinder: radius, length along z; sphere: radius [m];
+            mesh: scales along x, y, z.
+        T_link_shape: (4, 4) its frame in the link's. [m]
+        mesh: the file, for a mesh.
+        color: red, green, blue, alpha in 0 ... 1, where the URDF names one.
+    """
+
+    kind: Literal["mesh", "box", "cylinder", "sphere"]
+    size: Rgba
+    T_link_shape: Floats
+    mesh: Path | None = None
+    color: Rgba | None = None
+
+
+@dataclass(frozen=True)
+class VisibleLink:
+    """A link that moves with a joint.
+
+    Attributes:
+        link: its name.
+        frame: 0 for the base link's frame, i + 1 for joint i's.
+        T_frame_link: (4, 4) the link in that frame. [m]
+        shapes: what of it can be seen.
+    """
+
+    link: str
+    frame: int
+    T_frame_link: Floats
+    shapes: tuple[Shape, ...]
+
+
+def visible_links(urdf: Urdf, chain: Mechanism) -> tuple[tuple[VisibleLink, ...], tuple[str, ...]]:
+    """Collect the links of the arm that have something to show.
+
+    These are the links that its joints carry, what is fixed to them, and everything beyond the last joints (a gripper's
+    fingers, at zero joint values); other limbs of a larger robot are left out.
+
+    Returns:
+        The links, and warnings about shapes that cannot be shown.
+    """
+    import yourdfpy
+
+    try:
+        robot = yourdfpy.URDF.load(io.BytesIO(urdf.data), load_meshes=False, build_scene_graph=False).robot
+    except ValueError as error:  # a word that should be a number, or a shape that is none
+        return (), (f"The recording does not show the robot's shapes: {error}.",)
+    visuals = {link.name: link.visuals for link in robot.links}
+    # A material is known by its name everywhere, wherever it is given its colour.
+    materials = [*robot.materials, *(visual.material for found in visuals.values() for visual in found)]
+    colors = {
+        material.name: tuple(material.color.rgba.tolist()) for material in materials if material and material.color
+    }
+    shown, missing = [], []
+    for link, frame, T in _carried_links(urdf, chain):
+        shapes = []
+        for visual in visuals[link]:
+            try:
+                shapes.append(_shape(urdf, visual, colors))
+            except (RobotError, ValueError) as error:
+                missing.append(str(error))
+        if shapes:
+            shown.append(VisibleLink(link, frame, frozen(T), tuple(shapes)))
+    count = "1 shape" if len(missing) == 1 else f"{len(missing)} shapes"
+    warnings = (f"The recording does not show {count} of the robot: {missing[0]}",) if missing else ()
+    return tuple(shown), warnings
+
+
+def _carried_links(urdf: Urdf, chain: Mechanism) -> list[tuple[str, int, Floats]]:
+    frame_of = {name: i + 1 for i, name in enumerate(chain.names)}
+    last = set(range(1, len(chain.joints) + 1)) - {parent + 1 for parent in chain.parents}
+    carried = [(chain.base_link, 0, np.eye(4))]
+    for link, frame, T in carried:  # grows while it is walked: parents come before children
+        for joint in urdf.joints.values():
+            if joint.parent != link:
+                continue
+            if joint.name in frame_of:
+                carried.append((joint.child, frame_of[joint.name], np.eye(4)))
+            elif joint.type == "fixed" or frame in last:
+                carried.append((joint.child, frame, T @ joint.T_parent_joint))
+    return carried
+
+
+def _shape(urdf: Urdf, visual: Any, colors: Mapping[str, Rgba]) -> Shape:
+    """Bring one of yourdfpy's visuals into a shape.
+
+    Raises:
+        RobotError: its mesh is not found.
+        ValueError: its mesh has another format, or its numbers are too few.
+    """
+    T = np.eye(4) if visual.origin is None else visual.origin
+    color, geometry = colors.get(visual.material.name) if visual.material else None, visual.geometry
+    if geometry.mesh is not None:
+        folder = urdf.path.parent if urdf.path else None
+        path = find_urdf(geometry.mesh.filename.removeprefix("file://"), relative_to=folder)
+        if path.suffix.lower() not in MESH_FORMATS:
+            raise ValueError(f"{path.name} is not one of {', '.join(MESH_FORMATS)}")
+        scale = np.broadcast_to(1.0 if geometry.mesh.scale is None else geometry.mesh.scale, 3)
+        return Shape("mesh", tuple(scale.tolist()), T, path, color)
+    if geometry.box is not None:
+        if len(geometry.box.size) != 3:
+            raise ValueError(f"the size of a box is {geometry.box.size.tolist()}, not 3 numbers")
+        return Shape("box", tuple(geometry.box.size.tolist()), T, color=color)
+    if geometry.cylinder is not None:
+        return Shape("cylinder", (geometry.cylinder.radius, geometry.cylinder.length), T, color=color)
+    return Shape("sphere", (geometry.sphere.radius,), T, color=color)

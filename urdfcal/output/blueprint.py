@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from urdfcal.arrays import Floats
     from urdfcal.output.chart import Chart
     from urdfcal.output.findings import Overview
-    from urdfcal.output.fitted import ResidualTable
-    from urdfcal.output.scene import CalibrationScene
+    from urdfcal.output.scene import CalibrationScene, ResidualTable
 
 # rerun's eye opens 55 degrees high; on a laptop's screen the view is at least so much wider than high.
 _HALF_VIEW = np.radians(55 / 2)
@@ -39,7 +38,9 @@ def layout(root: str, overview: Overview, active: int = 0) -> rrb.Blueprint:
     """
     scene, calibration = overview.scene, overview.calibration
     parent = f"{root}/charts"
-    images = [f"{root}/cameras/{rr.escape_entity_path_part(camera.name)}/image" for camera in scene.arm.cameras]
+    images = [
+        f"{root}/cameras/{rr.escape_entity_path_part(camera.name)}/image" for camera in calibration.estimate.cameras
+    ]
     arm = rrb.Horizontal(_arm(root, images, scene), _beside_arm(root, scene), column_shares=[3, 1])
     tabs: list[rrb.Container | rrb.View] = [
         rrb.Vertical(_banner(root, overview), arm, row_shares=[1, 13], name="Arm"),
@@ -146,7 +147,7 @@ def _grid(root: str, name: str, shown: list[Chart]) -> rrb.Container:
 
 def _images(images: list[str], overview: Overview, pixels: ResidualTable) -> list[rrb.View]:
     """The residuals of all poses, nominal above and calibrated below, with the arm of this pose."""
-    scene, cameras = overview.scene, overview.scene.arm.cameras
+    scene, cameras = overview.scene, overview.calibration.estimate.cameras
     views: list[rrb.View] = []
     for what, factor, hidden in (
         ("nominal", scene.pixel_factor, ("field", "arm/calibrated", "predicted")),

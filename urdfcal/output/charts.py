@@ -7,24 +7,35 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.estimation.blocks.arm import LENGTHS
-from urdfcal.output.chart import Chart, Mark, Scale
-from urdfcal.output.fitted import convergence_of, entries_of_rows
-from urdfcal.output.palette import CALIBRATED, COMPONENTS, INK, NOMINAL, PARAMETER_COLORS
+from urdfcal.output.chart import Chart, Mark, Scale, svg
+from urdfcal.output.palette import (
+    CALIBRATED,
+    COMPONENTS,
+    FAINT,
+    INK,
+    OF_ARM,
+    OUTLIER,
+    PARAMETER_COLORS,
+    by_sigma,
+    viridis,
+)
+from urdfcal.output.scene import image_range
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
     from urdfcal.arrays import Floats
-    from urdfcal.output.chart import Color
-    from urdfcal.output.findings import Overview
-    from urdfcal.output.fitted import ResidualTable
-    from urdfcal.output.scene import Workspace
+    from urdfcal.cameras.camera import Camera
+    from urdfcal.output.findings import Overview, Workspace
+    from urdfcal.output.scene import CalibrationScene, ResidualTable
     from urdfcal.result.fitted import FittedCalibration
 
 # Residuals in standard deviations beyond this are off the charts.
 _SIGMAS = 6.0
 _BINS = 8
-_BOTH = (NOMINAL, CALIBRATED)
+_CELLS = 24
+# A portrait image as wide as half the page would fill it.
+_TALLEST = 380.0
 SYMBOLS = {"theta": "\u03b8", "alpha": "\u03b1", "beta": "\u03b2"}
 
 RESIDUALS = """\
@@ -33,6 +44,7 @@ RESIDUALS = """\
 Against distance and joints: calibrated, in units of the declared noise; {parts}. Lines are means of bins: noise keeps
 them near zero, a trend is an effect that the model lacks.
 """
+_COURSES = {"cost": "cost", "damping": "damping", "step": "step, in standard deviations of the estimate"}
 PART_COLORS = ("light blue", "orange", "violet")
 CONVERGENCE = """\
 **Convergence**, iteration by iteration (0: nominal). Each joint's offsets in mm and mrad; light blue: theta, dark
@@ -55,9 +67,9 @@ def all_charts(overview: Overview) -> list[Chart]:
 def residual_charts(overview: Overview) -> list[Chart]:
     """Residuals by pose and camera, against the declared noise, the distance, and every joint."""
     scene, calibration, table = overview.scene, overview.calibration, overview.scene.tables[0]
-    charts = [by_pose(table), spread(table)]
+    charts = [_by_pose(table), _spread(table)]
     if scene.pixels is not None:
-        charts.insert(1, _by_camera(scene.pixels, [camera.name for camera in scene.arm.cameras]))
+        charts.insert(1, _by_camera(scene.pixels, [camera.name for camera in calibration.estimate.cameras]))
         distance = np.linalg.norm(scene.rays[:, 1] - scene.rays[:, 0], axis=1)
         charts.append(_against("distance", "Distance to the camera [m]", distance, scene.pixels))
     for j, joint in enumerate(calibration.chain.joints):
@@ -67,19 +79,19 @@ def residual_charts(overview: Overview) -> list[Chart]:
     return charts
 
 
-def by_pose(table: ResidualTable) -> Chart:
+def _by_pose(table: ResidualTable) -> Chart:
     """The rms residual of each pose, nominal and calibrated."""
-    (pose, before), (_, after) = (table.rms_by_pose(predicted) for predicted in (table.nominal, table.predicted))
+    rms = {name: table.rms_by(table.pose, predicted) for name, predicted in table.by_arm.items()}
+    pose = rms["nominal"][0]
     x = Scale.holding(pose + 1, whole=True)
     return Chart(
         "by pose",
         f"rms of each pose [{table.unit}]",
         x,
-        Scale.holding(before, after, table.noise, logarithmic=True),
+        Scale.holding(*(of_pose for _, of_pose in rms.values()), table.noise, logarithmic=True),
         [
             Mark("lines", "declared", [x.low, x.high], [table.noise, table.noise], INK),
-            Mark("dots", "nominal", pose + 1, before, NOMINAL),
-            Mark("dots", "calibrated", pose + 1, after, CALIBRATED),
+            *(Mark("dots", name, pose + 1, of_pose, OF_ARM[name]) for name, (_, of_pose) in rms.items()),
         ],
         x_label="pose",
         legend=("nominal", "calibrated", "declared"),
@@ -88,26 +100,18 @@ def by_pose(table: ResidualTable) -> Chart:
 
 
 def _by_camera(pixels: ResidualTable, names: list[str]) -> Chart:
-    camera = pixels.camera[pixels.used]
-    index = np.arange(float(len(names)))
-    with np.errstate(invalid="ignore"):
-        before, after = (
-            np.sqrt(
-                np.bincount(camera, np.sum((predicted - pixels.measured)[pixels.used] ** 2, axis=1), len(names))
-                / np.bincount(camera, minlength=len(names))
-            )
-            for predicted in (pixels.nominal, pixels.predicted)
-        )
+    marks, tallest = [], 0.0
+    for side, (name, predicted) in zip((-0.15, 0.15), pixels.by_arm.items(), strict=True):
+        camera, rms = pixels.rms_by(pixels.camera, predicted)
+        marks.append(Mark("lines", name, *_bars(side + camera.astype(float), rms, 0.1), OF_ARM[name]))
+        tallest = max(tallest, float(np.nanmax(rms, initial=0.0)))
     return Chart(
         "by camera",
         "By camera [px]",
         Scale(-0.7, len(names) - 0.3),
-        Scale(0.0, 1.1 * float(np.nanmax(np.append(before, after)))),
-        [
-            Mark("lines", "nominal", *_bars(index - 0.15, before, 0.1), NOMINAL),
-            Mark("lines", "calibrated", *_bars(index + 0.15, after, 0.1), CALIBRATED),
-        ],
-        x_names=dict(zip(index.tolist(), names, strict=True)),
+        Scale(0.0, 1.1 * tallest),
+        marks,
+        x_names={float(c): name for c, name in enumerate(names)},
     )
 
 
@@ -118,16 +122,16 @@ def _bars(at: Floats, length: Floats, half: float) -> tuple[Floats, Floats]:
     return across, np.stack([zero, length, length, zero], axis=-1)
 
 
-def spread(table: ResidualTable) -> Chart:
+def _spread(table: ResidualTable) -> Chart:
     """How the residuals are distributed, beside the normal distribution that was declared."""
     edges, x = np.linspace(-_SIGMAS, _SIGMAS, 49), np.linspace(-_SIGMAS, _SIGMAS, 121)
     bell = np.exp(-(x**2) / 2) / np.sqrt(2 * np.pi)
     marks = [Mark("lines", "declared", x, bell, INK)]
     tallest = float(bell.max())
-    for name, predicted, color in zip(("nominal", "calibrated"), (table.nominal, table.predicted), _BOTH, strict=True):
+    for name, predicted in table.by_arm.items():
         sigmas = table.sigmas(predicted).ravel()
         share = np.histogram(sigmas, edges)[0] / max(len(sigmas), 1) / np.diff(edges)
-        marks.append(Mark("lines", name, np.repeat(edges, 2)[1:-1], np.repeat(share, 2), color))
+        marks.append(Mark("lines", name, np.repeat(edges, 2)[1:-1], np.repeat(share, 2), OF_ARM[name]))
         tallest = max(tallest, float(share.max()))
     return Chart(
         "spread",
@@ -158,20 +162,19 @@ def _against(name: str, title: str, value: Floats, table: ResidualTable) -> Char
 
 def parameter_charts(calibration: FittedCalibration) -> list[Chart]:
     """Corrections of the arm's rows as bars with their 95 % intervals, lengths and angles apart."""
-    offsets, sigmas = convergence_of(calibration).offsets[-1], calibration.sigmas()
+    offsets, sigmas = 1e3 * calibration.estimate.offsets, 1e3 * calibration.sigmas()
     columns, labels = calibration.geometry.columns, calibration.geometry.labels
     charts = []
     for kind, unit in (("lengths", "mm"), ("angles", "mrad")):
-        entries = [(row, k) for row, k in entries_of_rows(calibration) if (columns[k] in LENGTHS) == (unit == "mm")]
-        if not entries:
+        of_kind = np.isfinite(sigmas) & [(name in LENGTHS) == (unit == "mm") for name in columns]
+        if not of_kind.any():
             continue
-        value, margin = (np.array([of[i] for i in entries]) for of in (offsets, 1.96e3 * sigmas))
-        known = np.isfinite(margin)
-        y = np.arange(len(entries), 0.0, -1.0)
-        ends = np.stack([value - margin, value + margin], axis=-1)[known]
-        across, along = _bars(y[known], value[known], 0.25)
-        names = [f"{labels[row]} {SYMBOLS.get(columns[k], columns[k])}" for row, k in entries]
-        height = Scale(0.2, len(entries) + 0.8)
+        value, margin = offsets[of_kind], 1.96 * sigmas[of_kind]
+        y = np.arange(len(value), 0.0, -1.0)
+        ends = np.stack([value - margin, value + margin], axis=-1)
+        across, along = _bars(y, value, 0.25)
+        names = [f"{labels[row]} {SYMBOLS.get(columns[k], columns[k])}" for row, k in np.argwhere(of_kind)]
+        height = Scale(0.2, len(value) + 0.8)
         charts.append(
             Chart(
                 kind,
@@ -180,9 +183,8 @@ def parameter_charts(calibration: FittedCalibration) -> list[Chart]:
                 height,
                 [
                     Mark("lines", "offsets", along, across, CALIBRATED),
-                    Mark("lines", "intervals", ends, np.stack([y[known], y[known]], axis=-1), INK),
+                    Mark("lines", "intervals", ends, np.stack([y, y], axis=-1), INK),
                     Mark("hairlines", "zero", [0.0, 0.0], [height.low, height.high], INK),
-                    Mark("dots", "fixed", value[~known], y[~known], NOMINAL),
                 ],
                 y_names=dict(zip(y.tolist(), names, strict=True)),
             )
@@ -190,53 +192,133 @@ def parameter_charts(calibration: FittedCalibration) -> list[Chart]:
     return charts
 
 
+def paths(calibration: FittedCalibration) -> Floats:
+    """The arm's offsets (I + 1, rows, columns) at the nominal arm and after each step of the solver. [mrad, mm]."""
+    return 1e3 * np.array([calibration.problem.offsets(state) for state in calibration.states])
+
+
 def convergence_charts(calibration: FittedCalibration) -> list[Chart]:
     """Cost, damping and step of every iteration, and how each joint's parameters converged."""
-    way = convergence_of(calibration)
-    number = np.arange(1.0, len(way.cost) + 1)
-    return [
-        _course("cost", "cost", number, way.cost),
-        _course("damping", "damping", number, way.damping),
-        _course("step", "step, in standard deviations of the estimate", number, way.step),
-        *_paths(calibration, way.offsets),
-    ]
-
-
-def _course(name: str, title: str, number: Floats, values: Floats) -> Chart:
-    marks = [Mark("lines", "line", number, values, CALIBRATED), Mark("dots", "dots", number, values, CALIBRATED)]
-    x, y = Scale.holding(number, whole=True), Scale.holding(values, logarithmic=True)
-    return Chart(name, title, x, y, marks, x_label="iteration")
-
-
-def _paths(calibration: FittedCalibration, paths: Floats) -> Iterable[Chart]:
-    sigmas = 1e3 * calibration.sigmas()
-    number = np.arange(paths.shape[0], dtype=float)
-    columns = calibration.geometry.columns
+    charts, history, courses = [], calibration.fit.history, paths(calibration)
+    number = np.arange(0.0, len(courses))
+    for name, title in _COURSES.items():
+        values = [getattr(step, name) for step in history]
+        marks = [
+            Mark("lines", "line", number[1:], values, CALIBRATED),
+            Mark("dots", "dots", number[1:], values, CALIBRATED),
+        ]
+        x, y = Scale.holding(number[1:], whole=True), Scale.holding(values, logarithmic=True)
+        charts.append(Chart(name, title, x, y, marks, x_label="iteration"))
+    sigmas, columns = 1e3 * calibration.sigmas(), calibration.geometry.columns
     for i, joint in enumerate(calibration.geometry.labels):
         marks = []
         for k in np.flatnonzero(np.isfinite(sigmas[i])):
-            color, ends = PARAMETER_COLORS[columns[k]], paths[-1, i, k] + sigmas[i, k] * np.array([[-1.0], [1.0]])
+            color, ends = PARAMETER_COLORS[columns[k]], courses[-1, i, k] + sigmas[i, k] * np.array([[-1.0], [1.0]])
             band = np.repeat(ends, 2, axis=1)
             marks.append(Mark("hairlines", f"{columns[k]} band", [[number[0], number[-1]]] * 2, band, color))
-            marks.append(Mark("lines", columns[k], number, paths[:, i, k], color))
+            marks.append(Mark("lines", columns[k], number, courses[:, i, k], color))
         if marks:
             y = Scale.holding(*(mark.y for mark in marks))
-            yield Chart(f"path of {joint}", f"{joint} [mm, mrad]", Scale.holding(number, whole=True), y, marks)
+            charts.append(Chart(f"path of {joint}", f"{joint} [mm, mrad]", Scale.holding(number, whole=True), y, marks))
+    return charts
 
 
 def workspace_chart(workspace: Workspace) -> Chart:
     """The share of the workspace that has a tip error below a value."""
-    errors: Sequence[tuple[str, Floats, Color]] = (
-        ("nominal", workspace.before, NOMINAL),
-        ("calibrated", workspace.after, CALIBRATED),
-    )
     share = np.linspace(0.0, 100.0, len(workspace.tip))
     return Chart(
         "shares",
         "% of the workspace below",
         Scale.holding(1e3 * workspace.before, 1e3 * workspace.after, logarithmic=True),
         Scale(0.0, 100.0),
-        [Mark("lines", name, 1e3 * np.sort(error), share, color) for name, error, color in errors],
+        [Mark("lines", name, 1e3 * np.sort(error), share, OF_ARM[name]) for name, error in workspace.errors.items()],
         x_label="tip error [mm]",
         legend=("nominal", "calibrated"),
     )
+
+
+def figures(overview: Overview) -> dict[str, str]:
+    """Draw the figures of a report.
+
+    Returns:
+        SVG elements by name; those that the calibration has nothing for are left out.
+    """
+    scene, workspace, table = overview.scene, overview.workspace, overview.scene.tables[0]
+    corrections = parameter_charts(overview.calibration)
+    cost, _, step, *_ = convergence_charts(overview.calibration)
+    maps = [_map(name, workspace.tip, 1e3 * error) for name, error in workspace.errors.items()]
+    found = {
+        "residuals": svg([[_by_pose(table), _spread(table)]], 230),
+        "workspace": svg([[*maps, workspace_chart(workspace)]], 250),
+        "convergence": svg([[cost, step]], 180),
+    }
+    if corrections:
+        found["corrections"] = svg([corrections], 100)
+    if scene.pixels is not None:
+        found["field"] = _fields(scene, scene.pixels, overview.calibration.estimate.cameras)
+    return found
+
+
+def _map(name: str, tip: Floats, error: Floats) -> Chart:
+    """The median tip error over the distance from the base's axis and the height."""
+    radius, height = np.hypot(tip[:, 0], tip[:, 1]), tip[:, 2]
+    size = max(np.ptp(radius), np.ptp(height)) / _CELLS
+    column, row = ((values - values.min()) // size for values in (radius, height))
+    cells, cell = np.unique(np.stack([column, row], axis=1), axis=0, return_inverse=True)
+    order = np.argsort(cell, kind="stable")
+    groups = np.split(error[order], np.cumsum(np.bincount(cell))[:-1])
+    median = np.array([np.median(group) for group in groups])
+    colors = Scale.holding(median, room=0.0)
+    x, y = radius.min() + (cells[:, 0] + 0.5) * size, height.min() + (cells[:, 1] + 0.5) * size
+    return Chart(
+        name,
+        f"{name} [mm]",
+        Scale(float(x.min() - size), float(x.max() + size)),
+        Scale(float(y.min() - size), float(y.max() + size)),
+        [Mark("cells", "error", x, y, viridis(colors.share(median)), size)],
+        x_label="from the base's z axis [m]",
+        equal=True,
+        colors=colors,
+    )
+
+
+def _fields(scene: CalibrationScene, pixels: ResidualTable, cameras: Sequence[Camera]) -> str:
+    """What is left of the residuals over each camera's image: a bent field means a wrong lens."""
+    fields = [_field(scene, pixels, c, camera) for c, camera in enumerate(cameras)]
+    columns = max(min(3, len(fields)), 2)
+    shape = max((field.y.high - field.y.low) / (field.x.high - field.x.low) for field in fields)
+    fields += [_NOTHING] * (-len(fields) % columns)
+    rows = [fields[first : first + columns] for first in range(0, len(fields), columns)]
+    return svg(rows, min((720 / columns - 30) * shape, _TALLEST) + 26)
+
+
+def _field(scene: CalibrationScene, pixels: ResidualTable, c: int, camera: Camera) -> Chart:
+    mine = pixels.camera == c
+    used, cut = mine & pixels.used & np.isfinite(pixels.predicted[:, 0]), pixels.measured[mine & pixels.outlier]
+    start, residual = pixels.measured[used], (pixels.predicted - pixels.measured)[used]
+    arrow = scene.field_factor * residual
+    across = 0.2 * np.column_stack([-arrow[:, 1], arrow[:, 0]])
+    end, neck = start + arrow, start + 0.7 * arrow
+    # Pixels are counted from the top: the vertical axis is turned round.
+    arrows = np.stack([start, end, neck + across, end, neck - across], axis=1) * [1.0, -1.0]
+    (left, right), (top, bottom) = image_range(camera.resolution, pixels.measured[mine])
+    width, height = camera.resolution
+    rms = np.sqrt(np.mean(np.sum(residual**2, axis=1))) if len(residual) else np.nan
+    colors = (0.8 * by_sigma(pixels.size[used])).astype(np.uint8)
+    border = np.array([[0, 0], [width, 0], [width, -height], [0, -height], [0, 0]])
+    return Chart(
+        camera.name,
+        f"{camera.name}: {rms:.3g} px rms, arrows {scene.field_factor:g} x",
+        Scale(left, right),
+        Scale(-bottom, -top),
+        [
+            Mark("hairlines", "border", border[:, 0], border[:, 1], FAINT),
+            Mark("lines", "residuals", arrows[..., 0], arrows[..., 1], colors),
+            Mark("dots", "outliers", cut[:, 0], -cut[:, 1], OUTLIER),
+        ],
+        equal=True,
+        axes=False,
+    )
+
+
+_NOTHING = Chart("", "", Scale(0.0, 1.0), Scale(0.0, 1.0), [], axes=False)

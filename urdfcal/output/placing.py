@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -15,10 +15,10 @@ from urdfcal.robot.tree_dh import Branch
 from urdfcal.session.attachments import WORLD
 
 if TYPE_CHECKING:
-    from urdfcal.output.fitted import ArmEstimate
+    from urdfcal.estimation.snapshot import Snapshot
+    from urdfcal.result.fitted import FittedCalibration
     from urdfcal.robot.mechanism import Mechanism
     from urdfcal.robot.tree_dh import TreeTable
-    from urdfcal.session.model import Setup
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,25 +30,45 @@ class RobotPoses:
         T_base_frame: (F, N, 4, 4) what LEDs and cameras are fastened to: the world, then links. [m]
         leds: (N, L, 3) LEDs. [m]
         T_base_cam: (C, N, 4, 4) cameras. [m]
+        rows: the DH rows; the nominal ones where whole placements were estimated.
     """
 
     frames: Floats
     T_base_frame: Floats
     leds: Floats
     T_base_cam: Floats
+    rows: PlacedRows
 
     @classmethod
-    def of(cls, setup: Setup, arm: ArmEstimate, q: Floats) -> RobotPoses:
-        """Run an arm's forward kinematics at joint values (N, n), in rad or m."""
-        fastened = setup.attachments
-        frames = joint_frames(setup.chain, arm.placements, q)
+    def of(cls, calibration: FittedCalibration, arm: Snapshot, q: Floats) -> RobotPoses:
+        """Run the forward kinematics of one of a calibration's arms at joint values (N, n), in rad or m."""
+        fastened, table = calibration.session.attachments, calibration.table
+        frames = joint_frames(calibration.chain, calibration.geometry.placements(arm.offsets), q)
         # The world is a link of the base here: it moves with no joint.
         tips = (Tip(WORLD, BASE, inverse(arm.T_world_base)), *fastened.tips)
         T_base_frame = np.array([link_frames(frames, tip) for tip in tips])
         T_base_carrier = np.swapaxes(T_base_frame[fastened.led], 0, 1)
         leds = (T_base_carrier[..., :3, :3] @ arm.leds[..., None])[..., 0] + T_base_carrier[..., :3, 3]
-        seats = T_base_frame[fastened.camera[: len(arm.cameras)]]
-        return cls(frames, T_base_frame, leds, seats @ inverse(arm.T_cam_frame)[:, None])
+        T_base_cam = T_base_frame[fastened.camera[: len(arm.cameras)]] @ inverse(arm.T_cam_frame)[:, None]
+        offsets = arm.offsets if calibration.geometry is table else np.zeros_like(table.nominal)
+        return cls(frames, T_base_frame, leds, T_base_cam, place_rows(table, offsets, frames))
+
+
+class PlacedRows(NamedTuple):
+    """R DH rows at N poses, in the base link's frame.
+
+    Attributes:
+        frames: (N, R + 1, 4, 4) the DH frames F_0 ... F_R: row i leads to F_i+1. [m]
+        corners: (N, R, 3, 3) where each row starts, where its common normal leaves its axis, where it ends: from start
+            to foot is d, from foot to end is a. [m]
+        lines: (N, K, 3) along each branch's rows: from the carrying link over F_0, foot, F_1, ... to the tip. [m]
+        values: (R, 5) the rows with their offsets. [rad, m]
+    """
+
+    frames: Floats
+    corners: Floats
+    lines: list[Floats]
+    values: Floats
 
 
 def joint_frames(mechanism: Mechanism, placements: Floats, q: Floats) -> Floats:
@@ -70,8 +90,8 @@ def branches_of(table: DHTable | TreeTable) -> tuple[Branch, ...]:
     return table.branches
 
 
-def dh_frames(table: DHTable | TreeTable, offsets: Floats, frames: Floats) -> Floats:
-    """T_base_F of the DH frames F_0 ... F_R at every pose, (N, R + 1, 4, 4) in m: row i leads to F_i+1.
+def place_rows(table: DHTable | TreeTable, offsets: Floats, frames: Floats) -> PlacedRows:
+    """Find the DH frames at every pose, and the rows between them.
 
     F_i moves with its joint's link: F_i = L_i K_i^-1 B_i, the joint variable's own offset being part of L_i already. A
     mount's row leads to the first frame of the branch that it carries.
@@ -81,80 +101,33 @@ def dh_frames(table: DHTable | TreeTable, offsets: Floats, frames: Floats) -> Fl
         offsets: (R, 5) added to them.
         frames: (N, n + 1, 4, 4) joint frames.
     """
-    T = np.empty((len(frames), len(offsets) + 1, 4, 4))
-    end = 0
-    for branch in branches_of(table):
-        carrier, mount = _carrier(table, branch, frames), branch.mount
-        if mount is None:
-            T[:, end] = carrier @ branch.table.base
-        else:
-            end += 1
-            T[:, end] = carrier @ mount.T_link_start @ row_transform(mount.values + offsets[end - 1]) @ mount.T_end_F0
-        for joint, row, K in zip(branch.joints, branch.table.rows, branch.table.K, strict=True):
-            own = np.where([p == row.variable for p in PARAMETERS], 0.0, offsets[end])
-            end += 1
-            T[:, end] = frames[:, joint + 1] @ inverse(K) @ row_transform(np.add(row.values, own))
-    return T
-
-
-def row_corners(table: DHTable | TreeTable, offsets: Floats, frames: Floats, dh: Floats) -> Floats:
-    """Where every row starts, where its common normal leaves its own axis, and where it ends.
-
-    From start to foot is d, from foot to end is a.
-
-    Args:
-        table: the R nominal rows.
-        offsets: (R, 5) added to them.
-        frames: (N, n + 1, 4, 4) joint frames.
-        dh: (N, R + 1, 4, 4) DH frames with these offsets.
-
-    Returns:
-        (N, R, 3, 3) three corners each, in m in the base link's frame.
-    """
     values = table.nominal + offsets
-    starts, ends = dh[:, :-1].copy(), dh[:, 1:].copy()
-    first = 0
-    for branch in branches_of(table):
-        if branch.mount is not None:
-            starts[:, first] = _carrier(table, branch, frames) @ branch.mount.T_link_start
-            ends[:, first] = starts[:, first] @ row_transform(values[first])
-            first += 1
-        first += len(branch.joints)
-    back = np.array([inverse(row_transform([0.0, 0.0, *row[2:]])) for row in values])
-    return np.stack([T[..., :3, 3] for T in (starts, ends @ back, ends)], axis=2)
+    dh: list[Floats] = []
+    corners: list[Floats] = []
+    lines: list[Floats] = []
 
+    def row_between(start: Floats, end: Floats) -> Floats:
+        """Add the next row's corners, (N, 3, 3); the last two are its way along the line."""
+        foot = end @ inverse(row_transform([0.0, 0.0, *values[len(corners), 2:]]))
+        corners.append(np.stack([T[:, :3, 3] for T in (start, foot, end)], axis=1))
+        return corners[-1][:, 1:]
 
-def row_lines(table: DHTable | TreeTable, offsets: Floats, frames: Floats) -> list[Floats]:
-    """A line along each branch's rows: from the carrying link over F_0, foot, F_1, ... to the tip.
-
-    Args:
-        table: the R nominal rows.
-        offsets: (R, 5) added to them.
-        frames: (N, n + 1, 4, 4) joint frames.
-
-    Returns:
-        (N, K, 3) for each branch, in m in the base link's frame.
-    """
-    dh = dh_frames(table, offsets, frames)
-    corners = row_corners(table, offsets, frames, dh)
-    lines = []
-    first = 0
     for branch in branches_of(table):
         # The link's origin is where a mount starts; its foot and end come before F_0.
-        parts = [_carrier(table, branch, frames)[:, None, :3, 3]]
-        if branch.mount is not None:
-            parts.append(corners[:, first, 1:])
-            first += 1
-        last = first + len(branch.joints)
-        parts.append(dh[:, first, None, :3, 3])
-        parts.append(corners[:, first:last, 1:].reshape(len(dh), -1, 3))
-        parts.append((frames[:, branch.joints[-1] + 1] @ branch.table.chain.T_last_tip)[:, None, :3, 3])
-        lines.append(np.concatenate(parts, axis=1))
-        first = last
-    return lines
-
-
-def _carrier(table: DHTable | TreeTable, branch: Branch, frames: Floats) -> Floats:
-    """T_base_link (N, 4, 4) of the link that carries a branch."""
-    result: Floats = frames[:, table.chain.parents[branch.joints[0]] + 1]
-    return result
+        carrier = frames[:, table.chain.parents[branch.joints[0]] + 1]
+        line = [carrier[:, None, :3, 3]]
+        if branch.mount is None:
+            dh.append(carrier @ branch.table.base)
+        else:
+            start = carrier @ branch.mount.T_link_start
+            end = start @ row_transform(values[len(corners)])
+            line.append(row_between(start, end))
+            dh.append(end @ branch.mount.T_end_F0)
+        line.append(dh[-1][:, None, :3, 3])
+        for joint, row, K in zip(branch.joints, branch.table.rows, branch.table.K, strict=True):
+            own = np.where([p == row.variable for p in PARAMETERS], row.values, values[len(corners)])
+            dh.append(frames[:, joint + 1] @ inverse(K) @ row_transform(own))
+            line.append(row_between(dh[-2], dh[-1]))
+        line.append((frames[:, branch.joints[-1] + 1] @ branch.table.chain.T_last_tip)[:, None, :3, 3])
+        lines.append(np.concatenate(line, axis=1))
+    return PlacedRows(np.stack(dh, axis=1), np.stack(corners, axis=1), lines, values)

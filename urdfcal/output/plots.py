@@ -8,8 +8,8 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from urdfcal.output.fitted import convergence_of, rms_by_iteration
-from urdfcal.output.palette import BACKGROUND, CALIBRATED, FAINT, GRID, INK, NOMINAL, PARAMETER_COLORS
+from urdfcal.output.charts import paths
+from urdfcal.output.palette import BACKGROUND, CALIBRATED, FAINT, GRID, INK, OF_ARM, PARAMETER_COLORS
 from urdfcal.output.stream import ITERATION
 
 if TYPE_CHECKING:
@@ -73,14 +73,11 @@ def _beside(chart: Chart) -> float:
 def log_residuals(base: Layer, scene: CalibrationScene) -> None:
     """Log the rms residual of every pose, nominal and calibrated, in px or mm, without outliers."""
     for table in scene.tables:
-        for name, predicted, color in (
-            ("nominal", table.nominal, NOMINAL),
-            ("calibrated", table.predicted, CALIBRATED),
-        ):
-            pose, rms = table.rms_by_pose(predicted)
+        for name, predicted in table.by_arm.items():
+            pose, rms = table.rms_by(table.pose, predicted)
             plot = base.at("plots", f"residual_{table.unit}", name)
-            plot.fixed(rr.SeriesLines(colors=color, names=f"{name} [{table.unit}]", widths=1.5))
-            plot.each(rr.Scalars.columns(scalars=rms), pose)
+            plot.fixed(rr.SeriesLines(colors=OF_ARM[name], names=f"{name} [{table.unit}]", widths=1.5))
+            plot.each(rr.Scalars, {"scalars": rms}, pose)
 
 
 def log_convergence(base: Layer, calibration: FittedCalibration, scene: CalibrationScene) -> None:
@@ -88,21 +85,24 @@ def log_convergence(base: Layer, calibration: FittedCalibration, scene: Calibrat
 
     A parameter comes with its final value minus and plus one standard deviation. [mm, mrad]
     """
-    plots, way = base.at("plots"), convergence_of(calibration)
+    plots, problem = base.at("plots"), calibration.problem
     for name in ("cost", "damping", "step"):
-        _log_iterations(plots.at(name), 1, getattr(way, name))
-    for unit, rms in rms_by_iteration(calibration, scene.tables).items():
-        _log_iterations(plots.at(f"rms_{unit}"), 0, rms)
-    paths, sigmas = way.offsets, 1e3 * calibration.sigmas()
+        _log_iterations(plots.at(name), 1, np.array([getattr(step, name) for step in calibration.fit.history]))
+    for block, outlier, table in zip(calibration.observations, calibration.fit.outlier, scene.tables, strict=True):
+        used = block.valid & ~outlier
+        residuals = (problem.residual(block, state)[used] for state in calibration.states)
+        rms = table.scale * np.sqrt([np.mean(np.sum(r**2, axis=1)) for r in residuals])
+        _log_iterations(plots.at(f"rms_{table.unit}"), 0, rms)
+    way, sigmas = paths(calibration), 1e3 * calibration.sigmas()
     for i, k in np.argwhere(np.isfinite(sigmas)):
         joint, name = calibration.geometry.labels[i], calibration.geometry.columns[k]
-        band = np.repeat([paths[-1, i, k] + sigmas[i, k] * np.array([-1.0, 1.0])], len(paths), axis=0)
+        band = np.repeat([way[-1, i, k] + sigmas[i, k] * np.array([-1.0, 1.0])], len(way), axis=0)
         series = rr.SeriesLines(
             colors=[PARAMETER_COLORS[name]] * 3,
             widths=[2.0, 0.7, 0.7],
             names=[name, f"{name} - sigma", f"{name} + sigma"],
         )
-        _log_iterations(plots.at("parameters", joint, name), 0, np.column_stack([paths[:, i, k], band]), series)
+        _log_iterations(plots.at("parameters", joint, name), 0, np.column_stack([way[:, i, k], band]), series)
 
 
 def _log_iterations(plot: Layer, first: int, values: Floats, series: rr.SeriesLines | None = None) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from urdfcal import files
 from urdfcal.estimation.blocks.arm import LENGTHS
-from urdfcal.output import charts, figures
+from urdfcal.output import charts
 from urdfcal.output.findings import HEADLINE, Overview, look_up
 from urdfcal.output.palette import SIGMA_LEGEND
 from urdfcal.output.texts import MOUNTS, fastening_sentences, fixed_parameters, listed
@@ -47,7 +47,7 @@ def write_report(path: Path, calibration: FittedCalibration, overview: Overview 
 
     overview = overview or Overview.of(calibration)
     document = overview.document
-    svgs = figures.draw(overview)
+    svgs = charts.figures(overview)
     outliers = document["outliers"]
     largest = sorted(range(len(outliers)), key=lambda i: -outliers[i]["sigmas"])[:_OUTLIERS_SHOWN]
     environment = jinja2.Environment(

@@ -1,4 +1,4 @@
-"""What a calibration shows in space, as arrays in the base link's frame: LEDs, cameras, both arms, the workspace."""
+"""What a calibration shows, as arrays: its residuals, and LEDs, cameras and both arms in the base link's frame."""
 
 from __future__ import annotations
 
@@ -8,20 +8,112 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
-from urdfcal.arrays import Bools, Floats, Ints, frozen, inverse
+from urdfcal.arrays import Bools, Floats, Ints, inverse
 from urdfcal.cameras.rig import Rig
-from urdfcal.estimation.alignment import kabsch
-from urdfcal.output import fitted
-from urdfcal.output.placing import RobotPoses, dh_frames, row_corners
-from urdfcal.robot.kinematics import tip_poses
+from urdfcal.output.placing import RobotPoses
 
 if TYPE_CHECKING:
-    from urdfcal.output.fitted import ArmEstimate, ResidualTable
+    from urdfcal.estimation.snapshot import Snapshot
+    from urdfcal.output.placing import PlacedRows
     from urdfcal.result.fitted import FittedCalibration
     from urdfcal.session.attachments import Attachments
 
-# Enough for a map of 20 x 20 cells; drawing more takes longer and shows the same.
-_SAMPLES = 1500
+
+@dataclass(frozen=True, eq=False)
+class ResidualTable:
+    """Measurements of one kind and their residuals, one row each, ordered by pose.
+
+    Attributes:
+        unit: of residuals: px for pixels, mm for points.
+        scale: what residuals are multiplied by to be in that unit.
+        components: the name of each component.
+        by_camera: whether cameras measured; else it is in the world.
+        pose: (S,) index of the pose.
+        led: (S,) index of the LED.
+        camera: (S,) index of the camera; -1 for points.
+        measured: (S, D) in px of the camera, or m in the world.
+        sigma: (S,) standard deviation of each component.
+        predicted: (S, D) by the calibrated arm.
+        nominal: (S, D) by the nominal arm.
+        size: (S,) rms of the whitened residual's components after calibration: about 1 where the noise is as declared.
+        size_nominal: (S,) the same for the nominal arm.
+        outlier: (S,) whether it was taken out of the fit.
+    """
+
+    unit: str
+    scale: float
+    components: tuple[str, ...]
+    by_camera: bool
+    pose: Ints
+    led: Ints
+    camera: Ints
+    measured: Floats
+    sigma: Floats
+    predicted: Floats
+    nominal: Floats
+    size: Floats
+    size_nominal: Floats
+    outlier: Bools
+
+    @property
+    def used(self) -> Bools:
+        """(S,) whether it took part in the fit."""
+        return ~self.outlier
+
+    @property
+    def by_arm(self) -> dict[str, Floats]:
+        """(S, D) by the nominal and by the calibrated arm."""
+        return {"nominal": self.nominal, "calibrated": self.predicted}
+
+    @property
+    def noise(self) -> float:
+        """The declared noise as the rms length of a residual, in ``unit``."""
+        return float(self.scale * np.sqrt(len(self.components)) * np.median(self.sigma))
+
+    def sigmas(self, predicted: Floats) -> Floats:
+        """Residuals (used, D) of a prediction (S, D) in units of the declared noise, outliers left out."""
+        return ((predicted - self.measured) / self.sigma[:, None])[self.used]
+
+    def rms_by(self, index: Ints, predicted: Floats) -> tuple[Ints, Floats]:
+        """The indices (of poses, of cameras) that have residuals, and their root mean square length in ``unit``.
+
+        Args:
+            index: (S,) of each row.
+            predicted: (S, D) by one of the arms.
+        """
+        square = np.sum((self.scale * (predicted - self.measured)[self.used]) ** 2, axis=1)
+        count = np.bincount(index[self.used])
+        found = np.flatnonzero(count)
+        return found, np.sqrt(np.bincount(index[self.used], square)[found] / count[found])
+
+
+def measurements_of(calibration: FittedCalibration) -> tuple[ResidualTable, ...]:
+    """Bring the calibration's blocks of observations, and what became of them, into tables."""
+    fit, tables = calibration.fit, []
+    for index, block in enumerate(calibration.observations):
+        rows, (unit, scale) = block.valid, block.table.report
+        size, size_nominal = (
+            solution.norms[index][rows] / np.sqrt(block.dimension) for solution in (fit, calibration.nominal_fit)
+        )
+        tables.append(
+            ResidualTable(
+                unit=unit,
+                scale=scale,
+                components=block.table.columns,
+                by_camera="camera" in block.index,
+                pose=np.broadcast_to(block.pose[:, None], rows.shape)[rows],
+                led=block.index["led"][rows],
+                camera=block.index.get("camera", np.full_like(block.row, -1))[rows],
+                measured=block.value[rows],
+                sigma=np.sqrt(block.covariance[rows][:, 0, 0]),
+                predicted=calibration.problem.predict(block, fit.state)[rows],
+                nominal=calibration.problem.predict(block, calibration.nominal_fit.state)[rows],
+                size=size,
+                size_nominal=size_nominal,
+                outlier=fit.outlier[index][rows],
+            )
+        )
+    return tuple(tables)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,14 +148,12 @@ class LedTable:
 
 @dataclass(frozen=True, eq=False)
 class CalibrationScene:
-    """A calibration in the base link's frame, at N poses of n joints with R DH rows.
+    """A calibration in the base link's frame, at N poses of n joints.
 
     Attributes:
-        arm: the calibrated arm, LEDs and cameras.
         frames: (N, n + 1, 4, 4) base link and joint frames of the calibrated arm. [m]
         ghost: (N, n + 1, 4, 4) those of the nominal arm, their deviation from the calibrated arm enlarged. [m]
-        dh: (N, R + 1, 4, 4) DH frames F_0 ... F_R of the calibrated arm. [m]
-        corners: (N, R, 3, 3) where each row starts, where its common normal leaves its axis, where it ends. [m]
+        rows: the DH rows of the calibrated arm.
         views: (C, N, 4, 4) camera frames. [m]
         links: (C,) for each camera the link that it is on, None where it is fixed in the world.
         leds: where the LEDs were measured and predicted.
@@ -76,11 +166,9 @@ class CalibrationScene:
         field_factor: how many times those of the calibrated arm are.
     """
 
-    arm: ArmEstimate
     frames: Floats
     ghost: Floats
-    dh: Floats
-    corners: Floats
+    rows: PlacedRows
     views: Floats
     links: tuple[str | None, ...]
     leds: LedTable
@@ -94,31 +182,29 @@ class CalibrationScene:
 
 def build_scene(calibration: FittedCalibration) -> CalibrationScene:
     """Work out where everything of a calibration is, in the base link's frame."""
-    session, table = calibration.session, calibration.table
-    arm = fitted.calibrated(calibration)
-    poses = RobotPoses.of(session, arm, session.q)
+    session, arm = calibration.session, calibration.estimate
+    poses = RobotPoses.of(calibration, arm, session.q)
     # The two arms are compared in what they share, the world or the link that carries the camera, seen by the same
     # cameras (wrong lenses would put the nominal arm anywhere); the calibrated base carries the view.
-    other = RobotPoses.of(session, fitted.nominal(calibration, same_cameras=True), session.q)
+    nominal_arm = calibration.snapshot(calibration.comparison.nominal_arm.fit.state)
+    other = RobotPoses.of(calibration, nominal_arm, session.q)
     T_base_other = poses.T_base_frame @ inverse(other.T_base_frame)
     nominal = T_base_other[0, :, None] @ other.frames
     nominal_leds = np.einsum("fnij,nlj->fnli", T_base_other[..., :3, :3], other.leds) + T_base_other[:, :, None, :3, 3]
-    tables = fitted.measurements_of(calibration)
+    tables = measurements_of(calibration)
     pixels = next((table for table in tables if table.by_camera), None)
     rays = _rays(pixels, arm, poses) if pixels else np.zeros((0, 2, 3))
     parts = [_leds(block, arm, session.attachments, rays, poses, nominal_leds) for block in tables]
-    leds = parts[0] if len(parts) == 1 else _merged(parts)
+    columns = [np.concatenate(column) for column in zip(*(vars(part).values() for part in parts), strict=True)]
+    leds = LedTable(*(column[np.argsort(columns[0], kind="stable")] for column in columns))
     apart = np.linalg.norm(nominal[..., :3, 3] - poses.frames[..., :3, 3], axis=-1).mean(axis=0).max()
-    dh = dh_frames(table, arm.row_offsets, poses.frames)
-    factor = magnification(max(float(apart), _typical(leds.nominal - leds.measured)), 0.1 * table.chain.reach)
+    factor = magnification(max(float(apart), _typical(leds.nominal - leds.measured)), 0.1 * calibration.chain.reach)
     width = float(np.mean([camera.resolution[0] for camera in arm.cameras])) if pixels else 0.0
     names = session.attachments.frames
     return CalibrationScene(
-        arm=arm,
         frames=poses.frames,
         ghost=exaggerated(poses.frames, nominal, factor),
-        dh=dh,
-        corners=row_corners(table, arm.row_offsets, poses.frames, dh),
+        rows=poses.rows,
         views=poses.T_base_cam,
         links=tuple(names[frame] if frame else None for frame in session.attachments.camera[: len(arm.cameras)]),
         leds=leds,
@@ -159,7 +245,7 @@ def _typical(vectors: Floats) -> float:
     return float(np.nanmedian(np.linalg.norm(vectors, axis=-1)))
 
 
-def _rays(pixels: ResidualTable, arm: ArmEstimate, poses: RobotPoses) -> Floats:
+def _rays(pixels: ResidualTable, arm: Snapshot, poses: RobotPoses) -> Floats:
     T = poses.T_base_cam[pixels.camera, pixels.pose]
     depth = np.einsum("si,si->s", T[:, :3, 2], poses.leds[pixels.pose, pixels.led] - T[:, :3, 3])
     ray = np.empty((len(T), 3))
@@ -170,7 +256,7 @@ def _rays(pixels: ResidualTable, arm: ArmEstimate, poses: RobotPoses) -> Floats:
 
 
 def _leds(
-    block: ResidualTable, arm: ArmEstimate, fastened: Attachments, rays: Floats, poses: RobotPoses, nominal: Floats
+    block: ResidualTable, arm: Snapshot, fastened: Attachments, rays: Floats, poses: RobotPoses, nominal: Floats
 ) -> LedTable:
     """Gather detections of an LED at a pose; nominal LEDs (F, N, L, 3) as seen from each frame that cameras are in."""
     view = fastened.camera[block.camera] if block.by_camera else np.zeros_like(block.camera)
@@ -207,7 +293,7 @@ def _leds(
 
 
 def _triangulated(
-    pixels: ResidualTable, arm: ArmEstimate, fastened: Attachments, poses: RobotPoses, row: Ints, pose: Ints, view: Ints
+    pixels: ResidualTable, arm: Snapshot, fastened: Attachments, poses: RobotPoses, row: Ints, pose: Ints, view: Ints
 ) -> tuple[Floats, Floats]:
     """Points (M, 3) and covariances, in the base link's frame, each by the cameras that are in one frame; else NaN."""
     uv = np.full((len(pose), len(arm.cameras), 2), np.nan)
@@ -231,41 +317,3 @@ def _moved(T_a_b: Floats, points: Floats, covariances: Floats) -> tuple[Floats, 
     """Points (M, 3) with covariances (M, 3, 3) by transforms (M, 4, 4)."""
     R = T_a_b[:, :3, :3]
     return (R @ points[..., None])[..., 0] + T_a_b[:, :3, 3], R @ covariances @ np.swapaxes(R, 1, 2)
-
-
-def _merged(parts: list[LedTable]) -> LedTable:
-    order = np.argsort(np.concatenate([part.pose for part in parts]), kind="stable")
-    columns = zip(*(vars(part).values() for part in parts), strict=True)
-    return LedTable(*(np.concatenate(column)[order] for column in columns))
-
-
-@dataclass(frozen=True, eq=False)
-class Workspace:
-    """Tip errors at joint values drawn at random within the joints' limits.
-
-    Attributes:
-        tip: (M, 3) of the calibrated arm in the base link's frame. [m]
-        before: (M,) distance of the nominal arm's tip, after the best rigid alignment at the base. [m]
-        after: (M,) predicted standard deviation of the calibrated tip's place, aligned likewise. [m]
-    """
-
-    tip: Floats
-    before: Floats
-    after: Floats
-
-    @property
-    def range(self) -> tuple[float, float]:
-        """Smallest and largest error before and after. [m]."""
-        both = np.concatenate([self.before, self.after])
-        return float(both.min()), float(both.max())
-
-
-def sample_workspace(calibration: FittedCalibration) -> Workspace:
-    """Sample the workspace with the calibration's own seed."""
-    chain = calibration.chain
-    q = chain.random_values(_SAMPLES, np.random.default_rng(calibration.seed))
-    tip = tip_poses(chain, q, calibration.placements)[:, :3, 3]
-    nominal = tip_poses(chain, q)[:, :3, 3]
-    T = kabsch(nominal, tip)
-    before = np.linalg.norm(nominal @ T[:3, :3].T + T[:3, 3] - tip, axis=1)
-    return Workspace(frozen(tip), frozen(before), frozen(calibration.tip_sigma(q)))

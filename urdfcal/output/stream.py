@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import rerun as rr
@@ -11,8 +11,9 @@ import rerun as rr
 from urdfcal.rotations import matrix_to_quaternion
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from rerun import AsComponents, RecordingStream
-    from rerun._baseclasses import ComponentColumnList
 
     from urdfcal.arrays import Floats, Ints
 
@@ -44,16 +45,27 @@ class Layer:
         """Log what is the same at all poses."""
         self.stream.log(self.path, *what, static=True)
 
-    def each(self, columns: ComponentColumnList, pose: Ints | None = None) -> None:
-        """Log one row a pose; with ``pose`` given, (M,) and ascending, as many instances as it names the pose."""
+    def each(self, kind: Any, columns: Mapping[str, Any], pose: Ints | None = None, **same: Any) -> None:
+        """Log one row a pose.
+
+        Args:
+            kind: what rerun calls it.
+            columns: its components, an instance each.
+            pose: (M,) ascending, of each instance; without, each pose has one.
+            same: components that are the same at all poses.
+        """
+        if same:
+            self.fixed(kind.from_fields(**same))
+        found = kind.columns(**columns)
         if pose is not None:
-            columns = columns.partition(np.bincount(pose, minlength=self.poses))
+            found = found.partition(np.bincount(pose, minlength=self.poses))
         rows = rr.TimeColumn(POSE, sequence=np.arange(self.poses))
-        rr.send_columns(self.path, [rows], columns, recording=self.stream)
+        rr.send_columns(self.path, [rows], found, recording=self.stream)
 
     def moving(self, T: Floats) -> None:
         """Place the branch in its parent at every pose, (N, 4, 4)."""
-        self.each(rr.Transform3D.columns(translation=T[:, :3, 3], quaternion=matrix_to_quaternion(T[:, :3, :3])))
+        columns = {"translation": T[:, :3, 3], "quaternion": matrix_to_quaternion(T[:, :3, :3])}
+        self.each(rr.Transform3D, columns)
 
 
 def placed(T: Floats, scale: tuple[float, ...] = (1.0, 1.0, 1.0)) -> rr.Transform3D:

@@ -43,8 +43,7 @@ def log_texts(base: Layer, overview: Overview) -> None:
     banner = f"{overview.assessment.sentence}   {headline(overview.document)}, {HEADLINE}"
     base.at("banner").fixed(rr.Points2D([[0.0, 0.0]], radii=0.0, labels=banner, show_labels=False))
     texts = base.at("texts")
-    texts.at("about").fixed(rr.TextDocument.from_fields(media_type=rr.MediaType.MARKDOWN))
-    texts.at("about").each(rr.TextDocument.columns(text=_about(overview)))
+    texts.at("about").each(rr.TextDocument, {"text": _about(overview)}, media_type=rr.MediaType.MARKDOWN)
     colored = zip(PART_COLORS, overview.scene.tables[0].components, strict=False)
     parts = ", ".join(f"{color}: {name}" for color, name in colored)
     for name, text in (

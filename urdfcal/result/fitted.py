@@ -91,6 +91,11 @@ class FittedCalibration(Calibration):
         """Return the values of a state under plain names."""
         return Snapshot.of(self.problem, state)
 
+    @property
+    def states(self) -> list[State]:
+        """The solver's way: the nominal arm, and what each of its steps came to."""
+        return [self.nominal_fit.state, *(step.state for step in self.fit.history)]
+
     @cached_property
     def nominal(self) -> Snapshot:
         """The nominal arm, with everything else fitted."""
@@ -178,12 +183,6 @@ class FittedCalibration(Calibration):
                 for place, value in zip(zero_rows(self.geometry).values(), self.sigmas_of(block.key), strict=True):
                     result[place] = value
         return result
-
-    @property
-    def corrected(self) -> tuple[tuple[int, str], ...]:
-        """(row, parameter) of the arm that were estimated."""
-        rows, columns = np.nonzero(np.isfinite(self.sigmas()))
-        return tuple((int(row), self.geometry.columns[k]) for row, k in zip(rows, columns, strict=True))
 
     def sigmas_of(self, key: Key[Any]) -> Floats:
         """Return the standard deviations (k,) of a block's coordinates, NaN where fixed; (0,) of one that has no part.

@@ -16,6 +16,7 @@ import yourdfpy
 from urdfcal.errors import OutputError
 from urdfcal.estimation.measurements import Detections
 from urdfcal.output.exports.frames import found_frames, static_transforms, urdf_with_frames
+from urdfcal.result.calibration import Calibration
 from urdfcal.result.document import read_document
 from urdfcal.robot.urdf.urdf import Urdf
 
@@ -90,7 +91,7 @@ def test_names_that_are_taken_or_none_are_refused(results: Callable) -> None:
     document = result.calibration.to_dict()
     document["leds"] = {"the led": document["leds"]["led"]}
     with pytest.raises(OutputError, match="'the led' is no name"):
-        found_frames(replace(result.calibration, read=read_document(json.dumps(document), "calibration.json")))
+        found_frames(Calibration(read_document(json.dumps(document), "calibration.json")))
     document["leds"] = {"tool0": result.calibration.to_dict()["leds"]["led"]}
     with pytest.raises(OutputError, match="'tool0' is a link of the robot"):
-        found_frames(replace(result.calibration, read=read_document(json.dumps(document), "calibration.json")))
+        found_frames(Calibration(read_document(json.dumps(document), "calibration.json")))

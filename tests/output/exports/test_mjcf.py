@@ -12,6 +12,7 @@ import pytest
 from urdfcal.arrays import inverse
 from urdfcal.errors import OutputError, RobotError
 from urdfcal.output.exports.mjcf import mjcf
+from urdfcal.result.calibration import Calibration
 from urdfcal.robot.chain import Tree
 from urdfcal.robot.kinematics import joint_motion, tip_poses
 from urdfcal.robot.mechanism import BASE, Tip
@@ -281,7 +282,7 @@ def test_a_defect_shows_where_something_is_fixed_to_the_base_link(
     )
     path = tmp_path / "arm.xml"
     path.write_text(Model(chain, np.random.default_rng(4), as_quat).text)
-    calibration = replace(result.calibration)
+    calibration = Calibration(result.calibration.document)
     calibration.__dict__["chain"] = tree  # in place of what the cached property would give
     q = chain.random_values(5, np.random.default_rng(3))
     (data,) = mjcf(calibration, result.urdf, path).values()

@@ -1,0 +1,282 @@
+"""The cameras' images: photographs, and the arm drawn by its joint values alone (Rossi, Savino et al., eq. 22)."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from urdfcal.arrays import inverse
+from urdfcal.errors import OutputError, SessionError
+from urdfcal.files import write_bytes
+from urdfcal.output.palette import MEASURED, OF_ARM
+from urdfcal.output.placing import RobotPoses
+from urdfcal.output.stream import CORNER, POSE
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+    from pathlib import Path
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from urdfcal.arrays import Floats
+    from urdfcal.cameras.camera import Camera
+    from urdfcal.estimation.snapshot import Snapshot
+    from urdfcal.result.fitted import FittedCalibration
+    from urdfcal.session.model import Session
+
+# A lens bends straight lines: each is projected at so many points.
+_POINTS = 5
+# So many images aside nothing is drawn: next to the plane of the lens pixels go to 1e13, which no viewer can take.
+_FARTHEST = 100.0
+# Subpixel bits of OpenCV's drawing.
+_SHIFT = 4
+_COLORS = {name: color[::-1] for name, color in (OF_ARM | {"detected": MEASURED}).items()}
+_FOLDER = "images"
+# A 1.3-megapixel image takes about 100 kB then.
+_QUALITY = 80
+_GAP = 8
+_ARMS = (("nominal", "arm/nominal"), ("calibrated", "arm/calibrated"))
+_LEDS = (("detected", "sighted"), ("nominal", "nominal"), ("calibrated", "predicted"))
+
+
+def arm_in_image(calibration: FittedCalibration, q: ArrayLike, camera: int = 0, *, nominal: bool = False) -> Floats:
+    """The pixels of the arm's axes and common normals at given joint values.
+
+    Args:
+        calibration: whose robot, base and cameras.
+        q: (N, n) or (n,) joint values. [rad or m]
+        camera: index.
+        nominal: the nominal arm, placed to fit the measurements best, instead of the calibrated one.
+
+    Returns:
+        (N, P, 2) or (P, 2): a line from the base over all DH rows to the tip, in px; NaN behind the camera, and between
+        the lines of an arm that branches.
+    """
+    q = np.asarray(q, dtype=float)
+    arm = calibration.nominal if nominal else calibration.estimate
+    uv = arm_in_images(calibration, arm, np.atleast_2d(q))[camera]
+    return uv if q.ndim == 2 else uv[0]
+
+
+def arm_in_images(calibration: FittedCalibration, arm: Snapshot, q: Floats) -> list[Floats]:
+    """The line (N, P, 2) of :func:`arm_in_image` in each camera, at joint values (N, n)."""
+    poses = RobotPoses.of(calibration, arm, q)
+    corners = skeleton(poses.rows.lines)
+    return [project_line(camera, T, corners) for camera, T in zip(arm.cameras, poses.T_base_cam, strict=True)]
+
+
+def project_line(camera: Camera, T_base_cam: Floats, corners: Floats) -> Floats:
+    """Project lines into a camera's images, bent by the lens.
+
+    Args:
+        camera: the lens.
+        T_base_cam: (N, 4, 4) where it is at each pose. [m]
+        corners: (N, K, 3) in the base link's frame. [m]
+
+    Returns:
+        (N, P, 2) px; NaN behind the camera, and far outside of its image.
+    """
+    along = np.linspace(0.0, 1.0, _POINTS)[:-1, None]
+    points = (1 - along) * corners[:, :-1, None] + along * corners[:, 1:, None]
+    points = np.concatenate([points.reshape(len(corners), -1, 3), corners[:, -1:]], axis=1)
+    T = inverse(T_base_cam)
+    uv: Floats = camera.project(points @ np.swapaxes(T[:, :3, :3], 1, 2) + T[:, None, :3, 3])
+    uv[np.abs(uv).max(axis=-1) > _FARTHEST * max(camera.resolution)] = np.nan
+    return uv
+
+
+def skeleton(lines: Sequence[Floats]) -> Floats:
+    """Corners of the arm's DH rows, (N, 2 n + 3, 3) in m in the base link's frame: base, F_0, foot, F_1, ..., tip.
+
+    Of an arm that branches one such line (N, K, 3) after the other, NaN in between.
+    """
+    gap = np.full((len(lines[0]), 1, 3), np.nan)
+    return np.concatenate([part for line in lines for part in (gap, line)][1:], axis=1)
+
+
+def finite_pieces(uv: Floats) -> list[Floats]:
+    """The stretches of a line (P, 2) that are in front of the camera."""
+    ends = np.flatnonzero(np.diff(np.isfinite(uv).all(axis=1).astype(int))) + 1
+    return [piece for piece in np.split(uv, ends) if len(piece) > 1 and np.isfinite(piece).all()]
+
+
+def draw_image(
+    image: NDArray[np.uint8] | tuple[int, int],
+    lines: Sequence[tuple[str, Floats]],
+    leds: Sequence[tuple[str, Floats]],
+) -> NDArray[np.uint8]:
+    """Draw arms and LEDs over a camera's image.
+
+    Args:
+        image: (h, w) or (h, w, 3), or only its (width, height).
+        lines: kind (``nominal`` or ``calibrated``) and (P, 2) pixels, NaN where there are none.
+        leds: kind (``detected``, ``nominal`` or ``calibrated``) and (K, 2) pixels.
+
+    Returns:
+        (h, w, 3) blue, green, red, as OpenCV writes it.
+    """
+    import cv2
+
+    if isinstance(image, tuple):
+        canvas = np.full((image[1], image[0], 3), 16, dtype=np.uint8)
+    else:
+        canvas = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
+    size = max(canvas.shape) / 1000
+    thickness = max(1, round(2 * size))
+    for kind, uv in lines:
+        for piece in finite_pieces(uv):
+            cv2.polylines(canvas, [_fixed_point(piece)], False, _COLORS[kind], thickness, cv2.LINE_AA, _SHIFT)
+    for kind, uv in leds:
+        for centre in _fixed_point(uv[np.isfinite(uv).all(axis=-1)]):
+            radius = round((9 if kind == "detected" else 5) * size * 2**_SHIFT)
+            cv2.circle(canvas, centre.tolist(), radius, _COLORS[kind], thickness, cv2.LINE_AA, _SHIFT)
+    return canvas
+
+
+def _fixed_point(uv: Floats) -> NDArray[np.int32]:
+    # Far outside of the image OpenCV's integers would overflow.
+    result: NDArray[np.int32] = np.round(np.clip(uv, -(2.0**15), 2.0**15) * 2**_SHIFT).astype(np.int32)
+    return result
+
+
+def find_photographs(session: Session) -> tuple[dict[int, Path], ...]:
+    """For each camera the image of each pose, that of the first LED where several are lit one by one."""
+    folder = session.folder / _FOLDER if session.folder is not None else None
+    none: tuple[dict[int, Path], ...] = ({},) * len(session.attachments.camera)
+    if folder is None or not folder.is_dir() or not none:
+        return none
+    from urdfcal.detection.image_index import read_index
+    from urdfcal.images.video import Video
+
+    try:
+        index = read_index(folder, session)
+    except SessionError:  # a folder of other images: nothing that a calibration from tables should fail for
+        return none
+    # Videos stay where they are: every frame as an image of its own would be a hundred times their size.
+    return tuple(
+        {}
+        if isinstance(images, Video)
+        else {shot.pose: image.path for shot, image in reversed(list(zip(shots, images, strict=True)))}
+        for shots, images in zip(index.shots, index.images, strict=True)
+    )
+
+
+def compressed(paths: Iterable[Path]) -> list[bytes]:
+    """Images as 8-bit JPEG, several at a time."""
+    with ThreadPoolExecutor() as pool:
+        return list(pool.map(_compressed, paths))
+
+
+def _compressed(path: Path) -> bytes:
+    import cv2
+
+    image = cv2.imdecode(np.frombuffer(path.read_bytes(), dtype=np.uint8), cv2.IMREAD_ANYCOLOR)
+    done, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    return data.tobytes() if done else b""
+
+
+def decompressed(data: bytes) -> NDArray[np.uint8]:
+    """An image from a recording, (h, w, 3), blue first."""
+    import cv2
+
+    return np.asarray(cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR), dtype=np.uint8)
+
+
+def write_overlay(path: Path, recording: Path, pose: str) -> None:
+    """Draw the arm, nominal and calibrated, and the LEDs into every camera's image at a pose; write a PNG.
+
+    Args:
+        path: the PNG; replaced in one step.
+        recording: ``calibration.rrd``.
+        pose: its label.
+
+    Raises:
+        OutputError: there is no such pose, or no camera.
+    """
+    import cv2
+
+    images = overlays(recording, pose)
+    height = max(image.shape[0] for image in images.values())
+    parts = [np.pad(image, ((0, height - len(image)), (0, _GAP), (0, 0))) for image in images.values()]
+    done, data = cv2.imencode(".png", np.hstack(parts)[:, :-_GAP])
+    if not done:
+        raise OutputError("OpenCV cannot encode this image", where=str(path))
+    write_bytes(path, data.tobytes())
+
+
+def overlays(recording: Path, pose: str) -> dict[str, NDArray[np.uint8]]:
+    """The images of :func:`write_overlay`, (h, w, 3) blue first, by camera.
+
+    Raises:
+        OutputError: there is no such pose, or no camera.
+    """
+    found = _Recorded(recording)
+    poses = [str(label) for label in found.fixed("/base/texts/poses", "poses") or []]
+    if pose not in poses:
+        shown = ", ".join(poses[:5]) + (", ..." if len(poses) > 5 else "")
+        raise OutputError(f"there is no pose {pose!r}", where=str(recording), remedy=f"There are: {shown}.")
+    images = sorted(entity for entity in found.entities if entity.endswith("/image") and "/cameras/" in entity)
+    if not images:
+        raise OutputError(
+            "no camera took part", where=str(recording), remedy="A tracker's points have no images to draw into."
+        )
+    at = poses.index(pose)
+    return {image.split("/")[-2].replace("\\", ""): _overlay(found, image, at) for image in images}
+
+
+def _overlay(found: _Recorded, image: str, at: int) -> NDArray[np.uint8]:
+    width, height = (int(side) for side in (found.fixed(image, "Pinhole:resolution") or [[0, 0]])[0])
+    photograph = found.row(image, "EncodedImage:blob", at)
+    background = decompressed(bytes(photograph[0])) if photograph else (width, height)
+    lines = [
+        (kind, _pixels(strip))
+        for kind, name in _ARMS
+        for strip in found.row(f"{image}/{name}", "LineStrips2D:strips", at)
+    ]
+    leds = [(kind, _pixels(found.row(f"{image}/{name}", "Points2D:positions", at))) for kind, name in _LEDS]
+    return draw_image(background, lines, leds)
+
+
+def _pixels(values: Any) -> Floats:
+    return np.asarray(values, dtype=float).reshape(-1, 2) - CORNER
+
+
+class _Recorded:
+    """The columns of a recording, by entity and component."""
+
+    def __init__(self, path: Path) -> None:
+        from rerun.chunk import RrdReader
+
+        self._columns: dict[tuple[str, str], tuple[Any, Any]] = {}
+        try:
+            chunks = list(RrdReader(path).stream())
+        except RuntimeError as error:
+            raise OutputError(
+                "the recording cannot be read: it is damaged", where=str(path), remedy="Calibrate again."
+            ) from error
+        for chunk in chunks:
+            if "/cameras/" not in chunk.entity_path and "/texts/" not in chunk.entity_path:
+                continue
+            batch = chunk.to_record_batch()
+            times = None if chunk.is_static else batch.column(POSE) if POSE in batch.schema.names else None
+            if chunk.is_static or times is not None:
+                for name in batch.schema.names:
+                    self._columns[chunk.entity_path, name] = (times, batch.column(name))
+
+    @property
+    def entities(self) -> set[str]:
+        return {entity for entity, _ in self._columns}
+
+    def fixed(self, entity: str, component: str) -> Any:
+        """The value at all poses, or None."""
+        times, column = self._columns.get((entity, component), (None, None))
+        return column[0].as_py() if column is not None and times is None else None
+
+    def row(self, entity: str, component: str, at: int) -> Any:
+        """The instances at a pose; an empty list where there are none."""
+        times, column = self._columns.get((entity, component), (None, None))
+        if column is None or times is None or at not in (rows := times.to_pylist()):
+            return []
+        return column[rows.index(at)].as_py() or []
