@@ -40,12 +40,12 @@ def main() -> int:
     overview = Overview.of(calibration)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "calibration.rrd"
-        write_recording(path, calibration, overview)
+        write_recording(path, overview)
         size = path.stat().st_size / 1e6
         plain = [_plain(chunk) for chunk in RrdReader(path).stream() if not chunk.entity_path.startswith("/__")]
         ours, bare = [], []
         for _ in range(_REPEATS):  # in turn, as the machine's load varies
-            ours.append(_timed(lambda: write_recording(path, calibration, overview)))
+            ours.append(_timed(lambda: write_recording(path, overview)))
             bare.append(_timed(lambda: _write(Path(folder) / "bare.rrd", plain)))
         ratio = float(np.median(ours) / np.median(bare))
         bare_size = (Path(folder) / "bare.rrd").stat().st_size / 1e6

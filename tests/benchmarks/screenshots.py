@@ -81,7 +81,7 @@ def _tabs(calibration: FittedCalibration, folder: Path, stem: Path) -> list[str]
         path = folder / f"{tab}.rrd"
         blueprint.layout = lambda root, what, active=index: layout(root, what, active)
         try:
-            write_recording(path, calibration, overview)
+            write_recording(path, overview)
         finally:
             blueprint.layout = layout
         png, found = _shown(path)
@@ -136,7 +136,7 @@ def _connected(port: int) -> ViewerClient:
 
 def _report(calibration: FittedCalibration, folder: Path, path: Path) -> None:
     page, png = folder / "report.html", folder / "report.png"
-    write_report(page, calibration)
+    write_report(page, Overview.of(calibration))
     options = ["--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", f"--user-data-dir={folder / 'home'}"]
     subprocess.run(
         ["chromium", *options, f"--screenshot={png}", "--window-size=1280,1500", page.as_uri()],

@@ -12,8 +12,7 @@ import urdfcal
 from urdfcal.cli import run
 from urdfcal.errors import CalibrationError
 from urdfcal.output.blueprint import _banner
-from urdfcal.output.findings import Overview
-from urdfcal.output.texts import _about
+from urdfcal.output.findings import Overview, pose_texts
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -62,7 +61,7 @@ def test_all_outputs_show_one_assessment_and_each_reason_once(
 
     page = " ".join(html.unescape(re.sub(r"<[^>]*>", " ", (out / "report.html").read_text())).split())
     overview = Overview.of(calibration)
-    for text in (" ".join(summary.split()), page, " ".join(_about(overview)[0].split())):
+    for text in (" ".join(summary.split()), page, " ".join(pose_texts(overview)[0].split())):
         for reason in said.reasons:
             assert text.count(" ".join(reason.split())) == 1
     assert summary.splitlines()[0] == f"elbow3r: {said.sentence}"

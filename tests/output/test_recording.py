@@ -90,7 +90,7 @@ def recorded(calibration, tmp_path_factory):
     path = tmp_path_factory.mktemp("recording") / "calibration.rrd"
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # rerun only warns when it cannot log something
-        assert write_recording(path, calibration) == ()
+        assert write_recording(path, Overview.of(calibration)) == ()
     assert [file.name for file in path.parent.iterdir()] == ["calibration.rrd"]
     return Recorded(path)
 
@@ -209,7 +209,7 @@ def test_a_trackers_points_are_recorded_without_cameras(calibration, tmp_path):
     pose, led = np.divmod(np.arange(2 * POSES), 2)
     points = Points(pose, led, xyz + np.random.default_rng(0).normal(0, 1e-4, xyz.shape), 1e-4)
     tracked = calibrate(make_session(leds=(Led("a"), Led("b")), rig=Rig(), measurements=(points,)))
-    write_recording(tmp_path / "points.rrd", tracked)
+    write_recording(tmp_path / "points.rrd", Overview.of(tracked))
     recorded = Recorded(tmp_path / "points.rrd")
     assert not [entity for entity in recorded.entities if entity.startswith(("/base/cameras", "/base/rays"))]
     measured = recorded.all_rows("/base/led/measured", "Points3D:positions")
@@ -232,7 +232,7 @@ def test_an_arm_without_shapes_is_a_stick_figure(calibration, tmp_path):
     bare = re.sub(rb"<visual.*?</visual>", b"", calibration.session.urdf.data, flags=re.DOTALL)
     urdf = Urdf.parse(bare)
     stick = calibrate(make_session(urdf=urdf, chain=Chain.from_urdf(urdf, calibration.chain.tip_link)))
-    assert write_recording(tmp_path / "stick.rrd", stick) == ()
+    assert write_recording(tmp_path / "stick.rrd", Overview.of(stick)) == ()
     recorded = Recorded(tmp_path / "stick.rrd")
     strips = recorded.all_rows("/base/calibrated/stick\\ figure", "LineStrips3D:strips")
     tips = tip_poses(stick.chain, stick.session.q, stick.placements)
@@ -244,7 +244,7 @@ def test_meshes_are_recorded_once_an_arm_and_missing_ones_are_named(tmp_path):
     data = find_urdf("package://example-robot-data/robots/ur_description/urdf/ur5_robot.urdf").read_bytes()
     urdf = Urdf.parse(data.replace(b"ur5/visual/forearm.dae", b"ur5/visual/lost.dae"))
     broken = calibrate(make_session("ur5", urdf=urdf))
-    (warning,) = write_recording(tmp_path / "ur5.rrd", broken)
+    (warning,) = write_recording(tmp_path / "ur5.rrd", Overview.of(broken))
     assert "1 shape " in warning
     assert "lost.dae" in warning
     recorded = Recorded(tmp_path / "ur5.rrd")
@@ -326,7 +326,7 @@ def test_verdict_table_and_workspace_are_there(calibration, recorded):
 
 def test_whole_placements_are_recorded_too(tmp_path):
     full = calibrate(make_session(estimate=Estimate(geometry="full")), force=True)
-    assert write_recording(tmp_path / "full.rrd", full) == ()
+    assert write_recording(tmp_path / "full.rrd", Overview.of(full)) == ()
     recorded = Recorded(tmp_path / "full.rrd")
     tips = tip_poses(full.chain, full.session.q, full.placements)[:, :3, 3]
     strips = recorded.all_rows("/base/cameras/cam0/image/arm/calibrated", "LineStrips2D:strips")
@@ -346,7 +346,7 @@ def test_photographs_and_overlay(calibration, tmp_path):
         image = np.full(camera.resolution[::-1], 90, dtype=np.uint8)
         cv2.imwrite(str(folder / f"{session.poses[2]}.png"), image)
     seen = replace(calibration, session=replace(session, folder=tmp_path))
-    write_recording(tmp_path / "calibration.rrd", seen)
+    write_recording(tmp_path / "calibration.rrd", Overview.of(seen))
     recorded = Recorded(tmp_path / "calibration.rrd")
     blobs = recorded.rows("/base/cameras/cam0/image", "EncodedImage:blob")
     assert [k for k, row in blobs.items() if len(row)] == [2]
@@ -370,7 +370,7 @@ def test_the_solver_can_be_watched(calibration):
         view.step(1, cost)
     before = memory.num_msgs()
     assert before >= 4
-    view.finish(calibration)
+    view.finish(Overview.of(calibration))
     assert memory.num_msgs() > before + 50
 
 
@@ -391,6 +391,6 @@ def test_a_failed_recording_leaves_nothing_behind(calibration, tmp_path, monkeyp
     path = tmp_path / "calibration.rrd"
     path.write_bytes(b"earlier")
     with pytest.raises(RuntimeError, match="stop"):
-        write_recording(path, calibration)
+        write_recording(path, Overview.of(calibration))
     assert [file.name for file in tmp_path.iterdir()] == ["calibration.rrd"]
     assert path.read_bytes() == b"earlier"

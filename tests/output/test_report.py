@@ -69,7 +69,7 @@ def calibration():
 @pytest.fixture(scope="module")
 def path(calibration, tmp_path_factory):
     path = tmp_path_factory.mktemp("report") / "report.html"
-    write_report(path, calibration)
+    write_report(path, Overview.of(calibration))
     calibration.save(path.with_name("calibration.json"))
     return path
 
@@ -134,7 +134,7 @@ def test_a_wrong_lens_does_not_get_a_good_verdict(tmp_path):
     session = a_session(lens=1.02)
     doubtful = calibrate(replace(session, estimate=Estimate("dh", "fixed")), force=True)
     assert doubtful.assessment.level == "bad"
-    write_report(tmp_path / "report.html", doubtful)
+    write_report(tmp_path / "report.html", Overview.of(doubtful))
     page = Page((tmp_path / "report.html").read_text())
     assert ("section", "verdict bad") in page.elements
     for sentence in (doubtful.assessment.sentence, *doubtful.assessment.reasons):
@@ -161,7 +161,7 @@ def test_held_out_figures_are_the_headline_with_their_interval(calibration, tmp_
     document = {**overview.document, "validation": validation}
     assert headline(document) == "1.5 -> 0.25 mm"
     overview = replace(overview, document=document)
-    write_report(tmp_path / "report.html", calibration, overview)
+    write_report(tmp_path / "report.html", overview)
     page = Page((tmp_path / "report.html").read_text())
     assert "1.5 → 0.25 mm (95 %: 0.2 to 0.3 )" in page.text
     assert "held-out poses, 95 % below" in page.text
@@ -170,7 +170,7 @@ def test_held_out_figures_are_the_headline_with_their_interval(calibration, tmp_
 def test_names_are_text_and_no_markup(tmp_path):
     session = a_session()
     leds = tuple(replace(led, name="<b>&") for led in session.leds)
-    write_report(tmp_path / "report.html", calibrate(replace(session, leds=leds)))
+    write_report(tmp_path / "report.html", Overview.of(calibrate(replace(session, leds=leds))))
     text = (tmp_path / "report.html").read_text()
     assert "<b>&<" not in text
     assert "&lt;b&gt;&amp;" in text
@@ -217,7 +217,7 @@ def test_a_nominal_arm_that_is_kept_has_a_report_too(tmp_path):
     """Its error against itself is zero everywhere, and there is nothing to correct."""
     session = replace(simulate(read_rig(find_rig("elbow3r")), seed=1, poses=12).session, estimate=Estimate("none"))
     kept = calibrate(session, force=True)
-    write_report(tmp_path / "report.html", kept)
+    write_report(tmp_path / "report.html", Overview.of(kept))
     page = (tmp_path / "report.html").read_text()
     assert "Corrections with 95 % intervals" not in page
     assert not re.search(r"\bnan\b", page, re.IGNORECASE)

@@ -4,7 +4,7 @@ import pytest
 
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
-from urdfcal.output.texts import fastening_sentences, listed
+from urdfcal.output.findings import fastening_sentences, listed
 
 
 @pytest.mark.parametrize("rig", ["ur5", "stanford"])

@@ -64,7 +64,7 @@ def recorded(calibration, overview, tmp_path_factory):
     path = tmp_path_factory.mktemp("recording") / "calibration.rrd"
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # rerun only warns when it cannot log something
-        assert write_recording(path, calibration, overview) == ()
+        assert write_recording(path, overview) == ()
     return Recorded(path)
 
 
@@ -168,9 +168,9 @@ def test_the_arm_in_the_pictures_is_cut_where_no_camera_sees_it(calibration, rec
 
 def test_overlay_and_report_are_written(calibration, overview, recorded, tmp_path):
     path = tmp_path / "calibration.rrd"
-    write_recording(path, calibration, overview)
+    write_recording(path, overview)
     assert list(overlays(path, calibration.session.poses[3])) == [c.name for c in calibration.estimate.cameras]
-    write_report(tmp_path / "report.html", calibration, overview)
+    write_report(tmp_path / "report.html", overview)
     text = (tmp_path / "report.html").read_text()
     for label in calibration.geometry.labels:
         assert label in text
@@ -182,7 +182,7 @@ def test_overlay_and_report_are_written(calibration, overview, recorded, tmp_pat
 
 def test_a_robot_without_meshes_is_a_stick_figure_with_all_its_limbs(calibration, overview, tmp_path):
     bare = replace(calibration, session=replace(calibration.session, urdf=None))
-    write_recording(tmp_path / "stick.rrd", bare, replace(overview, calibration=bare))
+    write_recording(tmp_path / "stick.rrd", replace(overview, calibration=bare))
     recorded = Recorded(tmp_path / "stick.rrd")
     tips = link_poses(bare.chain, bare.session.q, bare.chain.tips, bare.placements)
     for pose, limbs in strips(recorded, "/base/calibrated/stick\\ figure", "LineStrips3D:strips").items():

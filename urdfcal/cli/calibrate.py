@@ -129,9 +129,9 @@ def run(
             raise
         say("writing URDF, report and recording")
         overview = Overview.of(calibration)
-        paths, remarks = write_results(calibration, output, overview)
+        paths, remarks = write_results(overview, output)
         if view is not None:
-            view.finish(calibration, overview)
+            view.finish(overview)
     if report == "json":
         files = {path.suffix[1:]: str(path) for path in paths}
         click.echo(json.dumps({**overview.document, "files": files}, indent=2))

@@ -9,9 +9,9 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from urdfcal.output import charts
+from urdfcal.output.entities import chart_view
 from urdfcal.output.findings import HEADLINE, headline
 from urdfcal.output.palette import BACKGROUND, VERDICT_COLORS
-from urdfcal.output.plots import chart_view
 from urdfcal.output.scene import image_range
 from urdfcal.output.stream import POSE
 

@@ -1,44 +1,88 @@
-"""What a recording shows besides the arm: cameras, LEDs, residuals, workspace, and texts."""
+"""Everything that a recording shows: the arms, and here cameras, LEDs, residuals, workspace, charts and texts."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import rerun as rr
+import rerun.blueprint as rrb
 
+from urdfcal.output import arms
 from urdfcal.output.chart import Scale
+from urdfcal.output.charts import CONVERGENCE, PART_COLORS, RESIDUALS, all_charts, paths
+from urdfcal.output.findings import ELLIPSOID, HEADLINE, headline, parameter_text, pose_texts
 from urdfcal.output.images import arm_in_images, compressed, find_photographs, finite_pieces
 from urdfcal.output.palette import (
+    BACKGROUND,
     CALIBRATED,
     FAINT,
+    GRID,
     INK,
     MEASURED,
     NOMINAL,
     OF_ARM,
     OUTLIER,
+    PARAMETER_COLORS,
     by_sigma,
     viridis,
 )
-from urdfcal.output.stream import CORNER, placed
-from urdfcal.output.texts import ELLIPSOID
+from urdfcal.output.stream import CORNER, ITERATION, Layer, placed
 from urdfcal.rotations import matrix_to_quaternion
 
 if TYPE_CHECKING:
+    from rerun import RecordingStream
+
     from urdfcal.arrays import Floats, Ints
     from urdfcal.cameras.camera import Camera
-    from urdfcal.output.findings import Workspace
+    from urdfcal.output.chart import Chart
+    from urdfcal.output.findings import Overview, Workspace
     from urdfcal.output.scene import CalibrationScene, ResidualTable
-    from urdfcal.output.stream import Layer
     from urdfcal.result.fitted import FittedCalibration
 
+# Size of the plotted area; only its shape is seen.
+_WIDTH, _HEIGHT = 150.0, 105.0
+# Rows with names need so much height each, lest the names overlap; beyond the limit they had better.
+_ROW, _TALLEST = 7.0, 205.0
+# Room for tick labels: numbers and names to the left, and right, above and below.
+_NUMBERS, _NAMES, _RIGHT, _ABOVE, _BELOW = 24.0, 75.0, 8.0, 6.0, 16.0
 # rerun takes negative radii as points on the screen instead of metres.
 _DOT, _SMALL_DOT, _THIN, _LINE, _ARROW = -4.0, -2.0, -0.8, -1.5, -3.0
+_HAIR, _NONE = -0.5, 0.0
+_RADII = {"dots": -2.0, "lines": -0.9, "hairlines": _HAIR}
 # Below a nanometre an error is none. [m]
 _SMALLEST = 1e-9
 
 
-def log_cameras(base: Layer, calibration: FittedCalibration, scene: CalibrationScene) -> None:
+def log_overview(stream: RecordingStream, overview: Overview, entity_path: str) -> tuple[str, ...]:
+    """Log what was worked out of a calibration into a rerun stream.
+
+    Args:
+        stream: the caller's recording.
+        overview: what to show.
+        entity_path: where in it; the base link's frame.
+
+    Returns:
+        Warnings, such as meshes that were not found.
+    """
+    calibration, scene = overview.calibration, overview.scene
+    session = calibration.session
+    base = Layer(stream, entity_path, len(session.q))
+    base.fixed(rr.ViewCoordinates.RIGHT_HAND_Z_UP, rr.TransformAxes3D(axis_length=0.1 * session.chain.reach))
+    warnings = arms.log_arms(base, session, scene)
+    arms.log_dh(base.at("dh"), calibration.table, scene)
+    _log_cameras(base, calibration, scene)
+    _log_leds(base, scene)
+    _log_workspace(base.at("workspace"), overview.workspace)
+    _log_residuals(base, scene)
+    _log_convergence(base, calibration, scene)
+    for chart in all_charts(overview):
+        _log_chart(base.at("charts"), chart)
+    _log_texts(base, overview)
+    return warnings
+
+
+def _log_cameras(base: Layer, calibration: FittedCalibration, scene: CalibrationScene) -> None:
     """Log the cameras' poses and frusta, their rays to the LEDs, their images, and the arm drawn into these."""
     photographs = find_photographs(calibration.session)
     arms = {
@@ -122,7 +166,7 @@ def _log_image(image: Layer, scene: CalibrationScene, pixels: ResidualTable, see
     image.at("outliers").fixed(rr.Points2D(detected[cut], colors=OUTLIER, radii=_DOT))
 
 
-def log_leds(base: Layer, scene: CalibrationScene) -> None:
+def _log_leds(base: Layer, scene: CalibrationScene) -> None:
     """Log where the LEDs were measured and predicted, and the enlarged residuals between them."""
     leds, factor = scene.leds, scene.factor
     for name, places, color in (
@@ -156,10 +200,112 @@ def log_leds(base: Layer, scene: CalibrationScene) -> None:
     base.at("residuals", "field").fixed(field)
 
 
-def log_workspace(layer: Layer, workspace: Workspace) -> None:
+def _log_workspace(layer: Layer, workspace: Workspace) -> None:
     """Log the tip's places over the workspace, coloured by how far it is off, on one scale before and after."""
     smallest, largest = workspace.range
     scale = Scale(max(smallest, _SMALLEST), max(largest, 2.0 * _SMALLEST), logarithmic=True)
     for name, error in workspace.errors.items():
         colors = viridis(scale.share(np.maximum(error, _SMALLEST)))
         layer.at(name).fixed(rr.Points3D(workspace.tip, colors=colors, radii=_SMALL_DOT))
+
+
+def _log_residuals(base: Layer, scene: CalibrationScene) -> None:
+    """Log the rms residual of every pose, nominal and calibrated, in px or mm, without outliers."""
+    for table in scene.tables:
+        for name, predicted in table.by_arm.items():
+            pose, rms = table.rms_by(table.pose, predicted)
+            plot = base.at("plots", f"residual_{table.unit}", name)
+            plot.fixed(rr.SeriesLines(colors=OF_ARM[name], names=f"{name} [{table.unit}]", widths=1.5))
+            plot.each(rr.Scalars, {"scalars": rms}, pose)
+
+
+def _log_convergence(base: Layer, calibration: FittedCalibration, scene: CalibrationScene) -> None:
+    """Log cost, damping, step, the rms residual (from the nominal arm's on) and every parameter, step by step.
+
+    A parameter comes with its final value minus and plus one standard deviation. [mm, mrad]
+    """
+    plots, problem = base.at("plots"), calibration.problem
+    for name in ("cost", "damping", "step"):
+        _log_iterations(plots.at(name), 1, np.array([getattr(step, name) for step in calibration.fit.history]))
+    for block, outlier, table in zip(calibration.observations, calibration.fit.outlier, scene.tables, strict=True):
+        used = block.valid & ~outlier
+        residuals = (problem.residual(block, state)[used] for state in calibration.states)
+        rms = table.scale * np.sqrt([np.mean(np.sum(r**2, axis=1)) for r in residuals])
+        _log_iterations(plots.at(f"rms_{table.unit}"), 0, rms)
+    way, sigmas = paths(calibration), 1e3 * calibration.sigmas()
+    for i, k in np.argwhere(np.isfinite(sigmas)):
+        joint, name = calibration.geometry.labels[i], calibration.geometry.columns[k]
+        band = np.repeat([way[-1, i, k] + sigmas[i, k] * np.array([-1.0, 1.0])], len(way), axis=0)
+        series = rr.SeriesLines(
+            colors=[PARAMETER_COLORS[name]] * 3,
+            widths=[2.0, 0.7, 0.7],
+            names=[name, f"{name} - sigma", f"{name} + sigma"],
+        )
+        _log_iterations(plots.at("parameters", joint, name), 0, np.column_stack([way[:, i, k], band]), series)
+
+
+def _log_iterations(plot: Layer, first: int, values: Floats, series: rr.SeriesLines | None = None) -> None:
+    plot.fixed(series or rr.SeriesLines(colors=CALIBRATED))
+    rows = rr.TimeColumn(ITERATION, sequence=np.arange(first, first + len(values)))
+    columns = rr.Scalars.columns(scalars=values.ravel())
+    if values.ndim == 2:
+        columns = columns.partition([values.shape[1]] * len(values))
+    rr.send_columns(plot.path, [rows], columns, recording=plot.stream)
+
+
+def chart_view(chart: Chart, parent: str) -> rrb.View:
+    """The view of a chart whose entity is a child of ``parent``."""
+    name = f"{chart.title}, by {chart.x_label}" if chart.x_label else chart.title
+    return rrb.Spatial2DView(
+        origin=f"{parent}/{rr.escape_entity_path_part(chart.name)}",
+        name=f"{name} (blue: nominal, green: calibrated)" if chart.legend else name,
+        visual_bounds=rrb.VisualBounds2D(
+            x_range=[-_beside(chart), _WIDTH + _RIGHT], y_range=[-_ABOVE, _height(chart) + _BELOW]
+        ),
+        background=BACKGROUND,
+    )
+
+
+def _log_chart(parent: Layer, chart: Chart) -> None:
+    """Draw a chart at a child of ``parent``."""
+    layer, height = parent.at(chart.name), _height(chart)
+    x = _WIDTH * chart.x.share(list(chart.x_ticks))
+    y = height * (1.0 - chart.y.share(list(chart.y_ticks)))
+    grid = [[[0.0, v], [_WIDTH, v]] for v in y]
+    layer.at("grid").fixed(rr.LineStrips2D(grid, colors=GRID, radii=_HAIR, draw_order=-1.0))
+    frame = [[0.0, 0.0], [0.0, height], [_WIDTH, height]]
+    layer.at("frame").fixed(rr.LineStrips2D([frame], colors=FAINT, radii=_HAIR))
+    # rerun writes labels centred below their points.
+    ticks = [*([u, height] for u in x), *([-_beside(chart) / 2, v - 5.0] for v in y)]
+    names = [*chart.x_ticks.values(), *chart.y_ticks.values()]
+    layer.at("ticks").fixed(rr.Points2D(ticks, radii=_NONE, labels=names, colors=INK, show_labels=True))
+    for order, mark in enumerate(chart.marks):
+        shapes, colors = chart.shapes(mark, _WIDTH, height)
+        kind: Any = rr.Points2D if mark.kind == "dots" else rr.LineStrips2D
+        layer.at(mark.name).fixed(kind(shapes, radii=_RADII[mark.kind], colors=colors, draw_order=float(order)))
+
+
+def _height(chart: Chart) -> float:
+    return max(_HEIGHT, min(_ROW * len(chart.y_names or ()), _TALLEST))
+
+
+def _beside(chart: Chart) -> float:
+    return _NUMBERS if chart.y_names is None else _NAMES
+
+
+def _log_texts(base: Layer, overview: Overview) -> None:
+    """Log the verdict, what there is to see at each pose, the table of the DH rows, and the poses' names."""
+    session = overview.calibration.session
+    banner = f"{overview.assessment.sentence}   {headline(overview.document)}, {HEADLINE}"
+    base.at("banner").fixed(rr.Points2D([[0.0, 0.0]], radii=0.0, labels=banner, show_labels=False))
+    texts = base.at("texts")
+    texts.at("about").each(rr.TextDocument, {"text": pose_texts(overview)}, media_type=rr.MediaType.MARKDOWN)
+    colored = zip(PART_COLORS, overview.scene.tables[0].components, strict=False)
+    parts = ", ".join(f"{color}: {name}" for color, name in colored)
+    for name, text in (
+        ("parameters", parameter_text(overview.document)),
+        ("residuals", RESIDUALS.format(parts=parts)),
+        ("convergence", CONVERGENCE),
+    ):
+        texts.at(name).fixed(rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
+    texts.at("poses").fixed(rr.AnyValues(poses=session.poses))

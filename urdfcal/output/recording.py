@@ -21,15 +21,12 @@ ROOT = "base"
 REPORT, RECORDING = "report.html", "calibration.rrd"
 
 
-def write_results(
-    calibration: FittedCalibration, folder: Path, overview: Overview | None = None
-) -> tuple[tuple[Path, ...], tuple[str, ...]]:
+def write_results(overview: Overview, folder: Path) -> tuple[tuple[Path, ...], tuple[str, ...]]:
     """Write corrected URDF, calibration.json, report and recording, all of them or nothing.
 
     Args:
-        calibration: the result.
+        overview: of the result.
         folder: where to; made if need be. Results of an earlier run are replaced.
-        overview: ``Overview.of(calibration)``, if it is there already.
 
     Returns:
         The files written, and notes such as meshes that the recording could not find.
@@ -39,24 +36,23 @@ def write_results(
     """
     from urdfcal.output.report import write_report
 
+    calibration = overview.calibration
     urdf = calibration.calibrated_urdf()
-    overview = overview or Overview.of(calibration)
     with files.staged(folder) as stage:
         files.write_bytes(stage / calibration.urdf_name, urdf)
         calibration.save(stage / FILE_NAME)
-        write_report(stage / REPORT, calibration, overview)
-        notes = write_recording(stage / RECORDING, calibration, overview)
+        write_report(stage / REPORT, overview)
+        notes = write_recording(stage / RECORDING, overview)
         names = sorted(path.name for path in stage.iterdir())
     return tuple(folder / name for name in names), notes
 
 
-def write_recording(path: Path, calibration: FittedCalibration, overview: Overview | None = None) -> tuple[str, ...]:
+def write_recording(path: Path, overview: Overview) -> tuple[str, ...]:
     """Write a calibration as a rerun recording that brings its own layout of views.
 
     Args:
         path: the file, ``.rrd``; replaced in one step.
-        calibration: what to show.
-        overview: ``Overview.of(calibration)``, if it is there already.
+        overview: what to show.
 
     Returns:
         Warnings, such as meshes that were not found.
@@ -67,14 +63,14 @@ def write_recording(path: Path, calibration: FittedCalibration, overview: Overvi
     import rerun as rr
 
     from urdfcal.output.blueprint import layout
+    from urdfcal.output.entities import log_overview
 
-    overview = overview or Overview.of(calibration)
     with files.replacing(path) as temporary:
         stream = rr.RecordingStream("urdfcal")
         try:
             stream.save(temporary, default_blueprint=layout(ROOT, overview))
-            stream.send_recording_name(calibration.session.chain.name)
-            return log_overview(stream, overview)
+            stream.send_recording_name(overview.calibration.chain.name)
+            return log_overview(stream, overview, ROOT)
         finally:
             stream.disconnect()
 
@@ -92,31 +88,9 @@ def log_calibration(
     Returns:
         Warnings, such as meshes that were not found.
     """
+    from urdfcal.output.entities import log_overview
+
     return log_overview(stream, Overview.of(calibration), entity_path)
-
-
-def log_overview(stream: RecordingStream, overview: Overview, entity_path: str = ROOT) -> tuple[str, ...]:
-    """Log what was worked out of a calibration; see :func:`log_calibration`."""
-    import rerun as rr
-
-    from urdfcal.output import arms, charts, entities, plots, texts
-    from urdfcal.output.stream import Layer
-
-    calibration, scene = overview.calibration, overview.scene
-    session = calibration.session
-    base = Layer(stream, entity_path, len(session.q))
-    base.fixed(rr.ViewCoordinates.RIGHT_HAND_Z_UP, rr.TransformAxes3D(axis_length=0.1 * session.chain.reach))
-    warnings = arms.log_arms(base, session, scene)
-    arms.log_dh(base.at("dh"), calibration.table, scene)
-    entities.log_cameras(base, calibration, scene)
-    entities.log_leds(base, scene)
-    entities.log_workspace(base.at("workspace"), overview.workspace)
-    plots.log_residuals(base, scene)
-    plots.log_convergence(base, calibration, scene)
-    for chart in charts.all_charts(overview):
-        plots.log_chart(base.at("charts"), chart)
-    texts.log_texts(base, overview)
-    return warnings
 
 
 class LiveView:
@@ -159,12 +133,12 @@ class LiveView:
         self._stream.set_time(ITERATION, sequence=self._steps)
         self._stream.log("live/cost", rr.Scalars(cost))
 
-    def finish(self, calibration: FittedCalibration, overview: Overview | None = None) -> None:
+    def finish(self, overview: Overview) -> None:
         """Show the result."""
         from urdfcal.output.blueprint import layout
+        from urdfcal.output.entities import log_overview
 
-        overview = overview or Overview.of(calibration)
         self._stream.reset_time()
-        log_overview(self._stream, overview)
+        log_overview(self._stream, overview, ROOT)
         self._stream.send_blueprint(layout(ROOT, overview))
         self._stream.flush()

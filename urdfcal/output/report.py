@@ -12,9 +12,8 @@ import numpy as np
 from urdfcal import files
 from urdfcal.estimation.blocks.arm import LENGTHS
 from urdfcal.output import charts
-from urdfcal.output.findings import HEADLINE, Overview, look_up
+from urdfcal.output.findings import HEADLINE, MOUNTS, fastening_sentences, fixed_parameters, listed, look_up
 from urdfcal.output.palette import SIGMA_LEGEND
-from urdfcal.output.texts import MOUNTS, fastening_sentences, fixed_parameters, listed
 from urdfcal.robot.tree_dh import MOUNT
 
 if TYPE_CHECKING:
@@ -23,21 +22,19 @@ if TYPE_CHECKING:
 
     from markupsafe import Markup
 
-    from urdfcal.output.findings import ResultData
-    from urdfcal.result.fitted import FittedCalibration
+    from urdfcal.output.findings import Overview, ResultData
 
 _TEMPLATE = "report.html.jinja"
 _OUTLIERS_SHOWN = 25
 _MINUS = "\N{MINUS SIGN}"
 
 
-def write_report(path: Path, calibration: FittedCalibration, overview: Overview | None = None) -> None:
+def write_report(path: Path, overview: Overview) -> None:
     """Write a calibration as one HTML page: verdict first, figures inside, no scripts, nothing fetched.
 
     Args:
         path: the file; replaced in one step.
-        calibration: what to report.
-        overview: ``Overview.of(calibration)``, if it is there already.
+        overview: what to report.
 
     Raises:
         OutputError: the file cannot be written.
@@ -45,8 +42,7 @@ def write_report(path: Path, calibration: FittedCalibration, overview: Overview 
     import jinja2
     from markupsafe import Markup
 
-    overview = overview or Overview.of(calibration)
-    document = overview.document
+    calibration, document = overview.calibration, overview.document
     svgs = charts.figures(overview)
     outliers = document["outliers"]
     largest = sorted(range(len(outliers)), key=lambda i: -outliers[i]["sigmas"])[:_OUTLIERS_SHOWN]
