@@ -61,27 +61,27 @@ def command(
 def _files(
     result: Path, beside: Path, target: str, *, link_keys: bool, add_frames: bool, model: Path | None
 ) -> Mapping[str, str | bytes]:
-    from urdfcal.output.exports import frames, mjcf, origins, tables
+    from urdfcal.output.exports import frames, mjcf, tables
     from urdfcal.result.calibration import Calibration
 
     calibration = Calibration.load(result)
 
     def urdf() -> Urdf:
-        return origins.corrected_urdf(calibration, beside)
+        return tables.corrected_urdf(calibration, beside)
 
     def keys() -> Mapping[str, str]:
-        return origins.link_keys(calibration, urdf()) if link_keys else origins.joint_keys(calibration)
+        return tables.link_keys(calibration, urdf()) if link_keys else tables.joint_keys(calibration)
 
     def found() -> Mapping[str, str | bytes]:
         own = frames.found_frames(calibration)
         return frames.urdf_with_frames(urdf(), own) if add_frames else frames.static_transforms(own)
 
     exports: dict[str, Callable[[], Mapping[str, str | bytes]]] = {
-        "ros-kinematics": lambda: origins.ros_kinematics(calibration, keys()),
+        "ros-kinematics": lambda: tables.ros_kinematics(calibration, keys()),
         "ros-static-tf": found,
         "mjcf": lambda: mjcf.mjcf(calibration, urdf(), model or Path()),
         "offsets": lambda: tables.joint_offsets(calibration, urdf()),
         "dh-csv": lambda: tables.dh_csv(calibration),
-        "xacro-patch": lambda: origins.xacro_patch(calibration),
+        "xacro-patch": lambda: tables.xacro_patch(calibration),
     }
     return exports[target]()

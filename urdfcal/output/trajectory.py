@@ -12,6 +12,7 @@ from urdfcal.errors import SessionError
 from urdfcal.io.csv_table import Table
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
     from pathlib import Path
 
     from urdfcal.robot.mechanism import Mechanism
@@ -52,7 +53,14 @@ class CommandTable:
                     remedy="Leave its column out.",
                 )
         q = frozen(table.numbers(chain.actuated))
-        _check_limits(table, chain, q)
+        if outside := chain.outside_limits(q):
+            first = outside[0]
+            more = f" (and {len(outside) - 1} more commands)" if len(outside) > 1 else ""
+            raise SessionError(
+                f"{first}{more}",
+                where=table.place(first.pose, first.joint.name),
+                remedy="Commands are in radians and metres, of the robot that was calibrated.",
+            )
         return cls(table, chain.actuated, q)
 
     def line(self, pose: int) -> int:
@@ -64,20 +72,13 @@ class CommandTable:
         columns = dict(self.table.columns)
         for name, values in zip(self.joints, q.T.tolist(), strict=True):
             columns[name] = [repr(value) for value in values]
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(columns)
-        writer.writerows(zip(*columns.values(), strict=True))
-        return text.getvalue()
+        return csv_text(columns, zip(*columns.values(), strict=True))
 
 
-def _check_limits(table: Table, chain: Mechanism, q: Floats) -> None:
-    if not (outside := chain.outside_limits(q)):
-        return
-    first = outside[0]
-    more = f" (and {len(outside) - 1} more commands)" if len(outside) > 1 else ""
-    raise SessionError(
-        f"{first}{more}",
-        where=table.place(first.pose, first.joint.name),
-        remedy="Commands are in radians and metres, of the robot that was calibrated.",
-    )
+def csv_text(header: Iterable[str], rows: Iterable[Sequence[object]]) -> str:
+    """A CSV file of its header and its rows."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+    return text.getvalue()

@@ -9,7 +9,7 @@ import pytest
 import urdfcal
 from tests.io.making import write_valid
 from urdfcal.io.folder import read_session
-from urdfcal.output.exports.origins import corrected_urdf
+from urdfcal.output.exports.tables import corrected_urdf
 from urdfcal.pipeline import calibrate
 from urdfcal.session.knowledge import Estimate
 

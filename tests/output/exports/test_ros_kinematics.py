@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import yaml
 
-from urdfcal.output.exports.origins import joint_keys, link_keys, ros_kinematics
+from urdfcal.output.exports.tables import joint_keys, link_keys, ros_kinematics
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.robot.urdf.origins import rewrite_origins

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from urdfcal.errors import OutputError
-from urdfcal.output.exports.origins import corrected_urdf
+from urdfcal.output.exports.tables import corrected_urdf
 
 if TYPE_CHECKING:
     from collections.abc import Callable

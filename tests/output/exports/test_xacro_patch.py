@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import xacro
 
-from urdfcal.output.exports.origins import xacro_patch
+from urdfcal.output.exports.tables import xacro_patch
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.robot.urdf.urdf import Urdf

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 _NAME = re.compile(r"\w[\w.-]*", re.ASCII)
 # What angles round to.
 _READ_BACK = 1e-12
+_NUMBERS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 LAUNCH = "static_transforms.launch.xml"
 
 
@@ -44,6 +45,11 @@ class FixedFrame:
     parent: str
     T_parent_frame: Floats
 
+    @property
+    def joint(self) -> str:
+        """The joint that fixes it, in a URDF."""
+        return f"{self.name}_joint"
+
 
 def found_frames(calibration: Calibration) -> tuple[FixedFrame, ...]:
     """The cameras' optical frames (z forward, x right, y down) and the LEDs', each in that of the link it is fixed to.
@@ -54,22 +60,19 @@ def found_frames(calibration: Calibration) -> tuple[FixedFrame, ...]:
     Raises:
         OutputError: a name is none for a frame, that of a link, or two frames have one name.
     """
-    document, chain = calibration.to_dict(), calibration.chain
-    T_base_world = inverse(np.array(document["T_world_base"]))
-
-    def fixed(name: str, link: str, T: Floats) -> FixedFrame:
-        if link == WORLD:
-            return FixedFrame(name, chain.base_link, frozen(T_base_world @ T))
-        return FixedFrame(name, link, frozen(T))
-
-    frames = []
-    for name, camera in document["cameras"].items():
-        T = inverse(np.array(camera["T_cam_world"])) if "T_cam_world" in camera else np.array(camera["T_link_camera"])
-        frames.append(fixed(f"{name}_optical_frame", camera["link"], T))
-    for name, led in document["leds"].items():
+    document, chain = calibration.document, calibration.chain
+    T_base_world, found = inverse(np.array(document.T_world_base)), []
+    for name, camera in document.cameras.items():
+        T = np.array(camera.T_link_camera) if camera.T_cam_world is None else inverse(np.array(camera.T_cam_world))
+        found.append((f"{name}_optical_frame", camera.link, T))
+    for name, led in document.leds.items():
         T = np.eye(4)
-        T[:3, 3] = led["position"]
-        frames.append(fixed(name, led["link"], T))
+        T[:3, 3] = led.position
+        found.append((name, led.link, T))
+    frames = []
+    for name, link, T in found:
+        parent, T_parent_frame = (chain.base_link, T_base_world @ T) if link == WORLD else (link, T)
+        frames.append(FixedFrame(name, parent, frozen(T_parent_frame)))
     names = [frame.name for frame in frames]
     links = (chain.base_link, *(tip.link for tip in chain.tips))
     for i, name in enumerate(names):
@@ -91,23 +94,16 @@ def static_transforms(frames: Sequence[FixedFrame]) -> dict[str, str]:
     Returns:
         The launch file, by name.
     """
-    lines = [_node(frame) for frame in frames]
+    lines = []
+    for frame in frames:
+        T = frame.T_parent_frame
+        numbers = zip(_NUMBERS, [*T[:3, 3], *pin.Quaternion(T[:3, :3]).coeffs()], strict=True)
+        words = [f"--{name} {float(value) + 0.0!r}" for name, value in numbers]
+        arguments = " ".join([*words, f"--frame-id {frame.parent} --child-frame-id {frame.name}"])
+        node = f"{frame.name}_publisher".replace("-", "_").replace(".", "_")
+        lines.append(f'  <node pkg="tf2_ros" exec="static_transform_publisher" name={quoteattr(node)}')
+        lines.append(f"        args={quoteattr(arguments)}/>")
     return {LAUNCH: "\n".join(["<launch>", *lines, "</launch>", ""])}
-
-
-def _node(frame: FixedFrame) -> str:
-    T = frame.T_parent_frame
-    quaternion = pin.Quaternion(T[:3, :3]).coeffs()
-    names = ("x", "y", "z", "qx", "qy", "qz", "qw")
-    numbers = " ".join(
-        f"--{name} {float(value) + 0.0!r}" for name, value in zip(names, [*T[:3, 3], *quaternion], strict=True)
-    )
-    arguments = f"{numbers} --frame-id {frame.parent} --child-frame-id {frame.name}"
-    node = f"{frame.name}_publisher".replace("-", "_").replace(".", "_")
-    return (
-        f'  <node pkg="tf2_ros" exec="static_transform_publisher" name={quoteattr(node)}\n'
-        f"        args={quoteattr(arguments)}/>"
-    )
 
 
 def urdf_with_frames(urdf: Urdf, frames: Sequence[FixedFrame]) -> dict[str, bytes]:
@@ -125,9 +121,9 @@ def urdf_with_frames(urdf: Urdf, frames: Sequence[FixedFrame]) -> dict[str, byte
         RobotError: the new file cannot be read back.
     """
     for frame in frames:
-        if frame.name in urdf.links or _joint(frame) in urdf.joints:
+        if frame.name in urdf.links or frame.joint in urdf.joints:
             raise OutputError(
-                f"there is a link {frame.name!r} or a joint {_joint(frame)!r} already",
+                f"there is a link {frame.name!r} or a joint {frame.joint!r} already",
                 where=str(urdf.path or urdf.name),
                 remedy="Rename the LED or the camera in the session.",
             )
@@ -135,13 +131,17 @@ def urdf_with_frames(urdf: Urdf, frames: Sequence[FixedFrame]) -> dict[str, byte
     text = "\n".join(_xml(frame) for frame in frames) + "\n"
     end = _end_of_root(urdf.data)
     data = apply_edits(urdf.data, [Edit(end, end, text.encode("ascii", "xmlcharrefreplace").replace(b"\n", new_line))])
-    _check(Urdf.parse(data, urdf.path), frames)
+    written = Urdf.parse(data, urdf.path)
+    for frame in frames:
+        T = written.joints[frame.joint].T_parent_joint
+        if not np.allclose(T, frame.T_parent_frame, rtol=0.0, atol=_READ_BACK):
+            raise OutputError(
+                f"frame {frame.name!r} does not read back as written",
+                where=str(urdf.path or urdf.name),
+                remedy="This is a defect of urdfcal: please report it with the file.",
+            )
     stem = urdf.path.stem if urdf.path else urdf.name
     return {f"{stem}_frames.urdf": data}
-
-
-def _joint(frame: FixedFrame) -> str:
-    return f"{frame.name}_joint"
 
 
 def _xml(frame: FixedFrame) -> str:
@@ -151,7 +151,7 @@ def _xml(frame: FixedFrame) -> str:
     )
     return f"""\
   <link name="{frame.name}"/>
-  <joint name="{_joint(frame)}" type="fixed">
+  <joint name="{frame.joint}" type="fixed">
     <origin xyz="{xyz}" rpy="{rpy}"/>
     <parent link={quoteattr(frame.parent)}/>
     <child link="{frame.name}"/>
@@ -165,14 +165,3 @@ def _end_of_root(data: bytes) -> int:
     parser.EndElementHandler = lambda _: ends.append(parser.CurrentByteIndex)
     parser.Parse(data, True)
     return ends[-1]
-
-
-def _check(urdf: Urdf, frames: Sequence[FixedFrame]) -> None:
-    for frame in frames:
-        T = urdf.joints[_joint(frame)].T_parent_joint
-        if not np.allclose(T, frame.T_parent_frame, rtol=0.0, atol=_READ_BACK):
-            raise OutputError(
-                f"frame {frame.name!r} does not read back as written",
-                where=str(urdf.path or urdf.name),
-                remedy="This is a defect of urdfcal: please report it with the file.",
-            )

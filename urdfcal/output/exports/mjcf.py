@@ -8,12 +8,14 @@ is
 
     S_i' = Z_i C_i (D_i^-1 B_i) C_i^-1 Z_i^-1 S_i.
 
-The text is edited because ``MjSpec.to_xml`` loses comments and layout, and rounds to six digits.
+The text is edited because ``MjSpec.to_xml`` loses comments and layout, and rounds to six digits: first the ``<body>``
+that each joint moves is found, in the end such bodies get new places.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
+from xml.parsers import expat
 
 import numpy as np
 import pinocchio as pin
@@ -21,13 +23,13 @@ import pinocchio as pin
 from urdfcal.arrays import Floats, Ints, inverse
 from urdfcal.errors import OutputError, RobotError
 from urdfcal.names import suggest
-from urdfcal.output.exports.mjcf_text import joint_bodies, with_places
 from urdfcal.output.placing import joint_frames
 from urdfcal.robot.kinematics import link_poses
 from urdfcal.robot.mechanism import BASE
+from urdfcal.robot.urdf.markup import Edit, Element, apply_edits, changed_attributes, start_tag
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
     from pathlib import Path
 
     from urdfcal.result.calibration import Calibration
@@ -42,6 +44,8 @@ _CARRIED = 2.0
 # [m, entries of a direction]
 _SAME = 5e-5
 _CHECK_POSES = 20
+# MuJoCo's other ways to write a body's orientation; quat takes their place.
+_OTHER_ORIENTATIONS = ("axisangle", "xyaxes", "zaxis", "euler")
 
 
 def mjcf(calibration: Calibration, urdf: Urdf, path: Path) -> dict[str, bytes]:
@@ -66,18 +70,18 @@ def mjcf(calibration: Calibration, urdf: Urdf, path: Path) -> dict[str, bytes]:
     elements, model = joint_bodies(data, str(path)), _compiled(data, path)
     chain, placements = calibration.chain, calibration.placements
     joints = _joints(model, chain, str(path))
+    bodies, zero = model.jnt_bodyid[joints], np.zeros((1, len(joints)))
     for name in (name for name in chain.names if name not in elements):
         raise RobotError(
             f"joint {name!r} is not written out in this file",
             where=str(path),
             remedy="Write its body without <replicate> or <attach>.",
         )
-    zero = np.zeros((1, len(joints.ids)))
     T_world_base = _base(model, joints, calibration, urdf, str(path))
     links = T_world_base @ joint_frames(chain, chain.placements, zero)[0, 1:]
     T_world, _ = _moved(model, joints, zero)
     edited = []
-    for i, body in enumerate(joints.body):
+    for i, body in enumerate(bodies):
         if np.array_equal(chain.placements[i], placements[i]):
             continue
         place, Z = _place(model, body), inverse(T_world[0, model.body_parentid[body]]) @ T_world[0, body]
@@ -106,15 +110,8 @@ def _compiled(data: bytes, path: Path) -> Any:
         raise RobotError(f"MuJoCo cannot load it: {reason}", where=str(path)) from error
 
 
-class _Joints(NamedTuple):
-    """The robot's joints in MuJoCo's model: their indices, and those of the bodies that they move."""
-
-    ids: Ints
-    body: Ints
-
-
-def _joints(model: Any, chain: Mechanism, where: str) -> _Joints:
-    """Find the robot's joints by name.
+def _joints(model: Any, chain: Mechanism, where: str) -> Ints:
+    """Find the indices of the robot's joints by name.
 
     Raises:
         RobotError: one is missing or of another type, or bodies hang in another order.
@@ -147,7 +144,7 @@ def _joints(model: Any, chain: Mechanism, where: str) -> _Joints:
                 where=where,
                 remedy="Give a model of the same robot.",
             )
-    return _Joints(np.array(index), np.array(bodies))
+    return np.array(index)
 
 
 def _above(model: Any, body: int) -> list[int]:
@@ -165,7 +162,7 @@ def _place(model: Any, body: int) -> Floats:
     return T
 
 
-def _moved(model: Any, joints: _Joints, q: Floats) -> tuple[Floats, Any]:
+def _moved(model: Any, joints: Ints, q: Floats) -> tuple[Floats, Any]:
     """T_world_body (N, bodies, 4, 4) at joint values (N, n), and MuJoCo's data at the last of them."""
     import mujoco
 
@@ -173,13 +170,13 @@ def _moved(model: Any, joints: _Joints, q: Floats) -> tuple[Floats, Any]:
     T = np.tile(np.eye(4), (len(q), model.nbody, 1, 1))
     for k, q_k in enumerate(q):
         data.qpos[:] = model.qpos0
-        data.qpos[model.jnt_qposadr[joints.ids]] = q_k
+        data.qpos[model.jnt_qposadr[joints]] = q_k
         mujoco.mj_kinematics(model, data)
         T[k, :, :3, :3], T[k, :, :3, 3] = data.xmat.reshape(-1, 3, 3), data.xpos
     return T, data
 
 
-def _base(model: Any, joints: _Joints, calibration: Calibration, urdf: Urdf, where: str) -> Floats:
+def _base(model: Any, joints: Ints, calibration: Calibration, urdf: Urdf, where: str) -> Floats:
     """Find T_world_base (4, 4) by which the model's axes are those of the nominal robot.
 
     The base link's frame is that of a body above the first joint, or of the world; or such a body's is that of another
@@ -188,12 +185,12 @@ def _base(model: Any, joints: _Joints, calibration: Calibration, urdf: Urdf, whe
     Raises:
         RobotError: axes are elsewhere.
     """
-    chain, zero = calibration.chain, np.zeros((1, len(joints.ids)))
+    chain, zero = calibration.chain, np.zeros((1, len(joints)))
     T_world, data = _moved(model, joints, zero)
-    lines = data.xanchor[joints.ids], data.xaxis[joints.ids]
+    lines = data.xanchor[joints], data.xaxis[joints]
     nominal, already = (joint_frames(chain, of, zero)[0, 1:] for of in (chain.placements, calibration.placements))
     fixed = _fixed_to(urdf, chain.base_link)
-    pairs = [(body, link) for body in _above(model, joints.body[0]) for link in fixed]
+    pairs = [(body, link) for body in _above(model, model.jnt_bodyid[joints[0]]) for link in fixed]
     misfits = []
     for body, link in sorted(
         pairs, key=lambda pair: model.body(pair[0]).name != pair[1]
@@ -221,20 +218,17 @@ def _base(model: Any, joints: _Joints, calibration: Calibration, urdf: Urdf, whe
 
 def _fixed_to(urdf: Urdf, base_link: str) -> dict[str, Floats]:
     """T_base_link of every link that no joint moves against the base link, itself first."""
+    fixed = [
+        (joint.parent, joint.child, joint.T_parent_joint) for joint in urdf.joints.values() if joint.type == "fixed"
+    ]
+    neighbours = [edge for a, b, T in fixed for edge in ((a, b, T), (b, a, inverse(T)))]
     found = {base_link: np.eye(4)}
     for link in (going := [base_link]):  # grows while it is walked
-        for near, far, T in _fixed_neighbours(urdf):
+        for near, far, T in neighbours:
             if near == link and far not in found:
                 found[far] = found[link] @ T
                 going.append(far)
     return found
-
-
-def _fixed_neighbours(urdf: Urdf) -> Iterator[tuple[str, str, Floats]]:
-    for joint in urdf.joints.values():
-        if joint.type == "fixed":
-            yield joint.parent, joint.child, joint.T_parent_joint
-            yield joint.child, joint.parent, inverse(joint.T_parent_joint)
 
 
 def _misfit(anchors: Floats, axes: Floats, chain: Mechanism, links: Floats) -> tuple[int, float, float] | None:
@@ -248,27 +242,106 @@ def _misfit(anchors: Floats, axes: Floats, chain: Mechanism, links: Floats) -> t
     return None
 
 
-def _check(calibration: Calibration, joints: _Joints, T_world_base: Floats, old: Any, new: Any, where: str) -> None:
+def _check(calibration: Calibration, joints: Ints, T_world_base: Floats, old: Any, new: Any, where: str) -> None:
     """Let MuJoCo move both models and compare with the nominal and the calibrated chain."""
     chain = calibration.chain
     q = chain.random_values(_CHECK_POSES, np.random.default_rng(0))
     tips = [tip for tip in chain.tips if tip.joint != BASE]  # what is fixed to the base link no body carries
-    bodies = joints.body[[tip.joint for tip in tips]]
-    zero = np.zeros((1, len(joints.ids)))
+    bodies = old.jnt_bodyid[joints[[tip.joint for tip in tips]]]
+    zero = np.zeros((1, len(joints)))
     links = np.array(link_poses(chain, zero, tips))[:, 0]
     to_tip = inverse(_moved(old, joints, zero)[0][0, bodies]) @ T_world_base @ links
-    nominal_error, calibrated_error = (
-        float(
-            np.abs(
-                _moved(model, joints, q)[0][:, bodies] @ to_tip
-                - T_world_base @ np.stack(link_poses(chain, q, tips, placements), axis=1)
-            ).max()
-        )
-        for model, placements in ((old, chain.placements), (new, calibration.placements))
-    )
+
+    def error(model: Any, placements: Floats) -> float:
+        expected = T_world_base @ np.stack(link_poses(chain, q, tips, placements), axis=1)
+        return float(np.abs(_moved(model, joints, q)[0][:, bodies] @ to_tip - expected).max())
+
+    nominal_error, calibrated_error = error(old, chain.placements), error(new, calibration.placements)
     if not calibrated_error <= _CARRIED * nominal_error + _AGREEMENT:
         raise OutputError(
             f"the new model does not move as the calibrated robot: {calibrated_error:.1e} m or in the rotation",
             where=where,
             remedy="This is a defect of urdfcal: please report it with the file.",
         )
+
+
+def joint_bodies(data: bytes, path: str) -> dict[str, Element]:
+    """Find the ``<body>`` that each named joint of a MuJoCo file moves.
+
+    Args:
+        data: the file's bytes.
+        path: what to call it in messages.
+
+    Raises:
+        RobotError: it is no MuJoCo file, or one whose text does not say where its bodies are.
+    """
+    bodies: dict[str, Element] = {}
+    above: list[Element] = []
+    parser = expat.ParserCreate()
+
+    def refuse(what: str, remedy: str) -> None:
+        raise RobotError(what, where=f"{path}:{parser.CurrentLineNumber}", remedy=remedy)
+
+    def doctype(name: str, *_: object) -> None:
+        refuse(f"it has a document type, <!DOCTYPE {name} ...>", "Remove it: MuJoCo reads none.")
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        if not above and tag != "mujoco":
+            other = "For another URDF: urdfcal apply OUT OTHER.urdf."
+            refuse(f"the root element is <{tag}>, not <mujoco>", other if tag == "robot" else "Is it a MuJoCo file?")
+        if tag == "include":
+            refuse("it includes another file, in which bodies may be", "Name the file that holds the robot's bodies.")
+        if tag == "compiler" and attributes.get("fusestatic") == "true":
+            refuse("fusestatic merges bodies, so that places are not those in the file", 'Write fusestatic="false".')
+        carriers = [i for i, element in enumerate(above) if element.tag == "body"]
+        # Other joints are of an equality, a tendon, a default.
+        if tag == "joint" and "name" in attributes and carriers and above[1].tag == "worldbody":
+            around = above[carriers[-1] - 1].tag
+            if around not in ("body", "worldbody"):
+                what = f"the body of joint {attributes['name']!r} is inside <{around}>"
+                refuse(what, "Write it directly in the body that carries it.")
+            bodies[attributes["name"]] = above[carriers[-1]]
+        above.append(Element(tag, attributes, parser.CurrentByteIndex, parser.CurrentLineNumber))
+
+    parser.StartDoctypeDeclHandler = doctype
+    parser.StartElementHandler = start
+    parser.EndElementHandler = lambda _: above.pop()
+    try:
+        parser.Parse(data, True)
+    except expat.ExpatError as error:
+        raise RobotError(
+            f"not well-formed XML: {expat.ErrorString(error.code)}",
+            where=f"{path}:{error.lineno}, column {error.offset + 1}",
+        ) from error
+    except (LookupError, ValueError) as error:
+        raise RobotError(f"its encoding cannot be read: {error}", where=path, remedy="Save it as UTF-8.") from error
+    return bodies
+
+
+def with_places(data: bytes, moved: Iterable[tuple[Element, Floats, Floats]]) -> bytes:
+    """Give bodies other places; only their ``pos`` and orientation change, and only where they differ.
+
+    Args:
+        data: the file's bytes.
+        moved: bodies, each with its place (4, 4) in its parent body's frame, as MuJoCo reads it, and the new one. [m]
+    """
+    return apply_edits(data, [edit for body, old, new in moved for edit in _edits(data, body, old, new)])
+
+
+def _edits(data: bytes, body: Element, old: Floats, new: Floats) -> Iterator[Edit]:
+    values = {}
+    if not np.array_equal(old[:3, 3], new[:3, 3]):
+        values["pos"] = _text(new[:3, 3])
+    if not np.array_equal(old[:3, :3], new[:3, :3]):
+        x, y, z, w = pin.Quaternion(np.ascontiguousarray(new[:3, :3])).normalized().coeffs()
+        values["quat"] = _text(np.array([w, x, y, z]))
+    written = next((name for name in _OTHER_ORIENTATIONS if name in body.attributes), None)
+    if written is not None and "quat" in values:
+        attribute = start_tag(data, body).attributes[written]
+        quote = attribute["quote"]
+        yield Edit(attribute.start("name"), attribute.end(), b"quat=" + quote + values.pop("quat") + quote)
+    yield from changed_attributes(data, body, values)
+
+
+def _text(values: Floats) -> bytes:
+    return " ".join(repr(float(value) + 0.0) for value in values).encode()

@@ -1,29 +1,117 @@
-"""The calibrated DH rows and the joints' zero offsets as CSV, and the URDF that goes with the offsets."""
+"""The calibrated joints as tables: origins as YAML for ROS and xacro, DH rows and zero offsets as CSV."""
 
 from __future__ import annotations
 
-import csv
-import io
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import yaml
 
 from urdfcal.errors import OutputError
-from urdfcal.robot.chain import Chain
+from urdfcal.output.trajectory import csv_text
+from urdfcal.result.calibration import corrected_name
+from urdfcal.robot.chain import Chain, read_mechanism
 from urdfcal.robot.dh import PARAMETERS, DHTable
 from urdfcal.robot.kinematics import joint_motion
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.robot.urdf.origins import rewrite_origins
+from urdfcal.robot.urdf.urdf import Urdf
 from urdfcal.rotations import matrix_to_rpy
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Mapping
+    from pathlib import Path
 
     from urdfcal.arrays import Floats
     from urdfcal.result.calibration import Calibration
-    from urdfcal.robot.urdf.urdf import Urdf
 
 ROWS, FRAMES, OFFSETS = "dh.csv", "dh_frames.csv", "joint_offsets.csv"
+_POSE = ("x", "y", "z", "roll", "pitch", "yaw")
+KINEMATICS, ORIGINS = "kinematics.yaml", "origins.yaml"
+# The URDF's angles round by less; an edited origin differs by more. [m, entries of the rotation]
+_SAME = 1e-9
+_INSTRUCTION = """\
+# Calibrated joint origins, m and rad; calibration.json has sha256 {sha256}.
+# In the xacro file, once:
+#   <xacro:property name="calibrated" value="${{xacro.load_yaml('{file}')}}"/>
+# In each joint below, instead of its <origin>:
+#   <origin xyz="${{calibrated['{joint}']['xyz']}}" rpy="${{calibrated['{joint}']['rpy']}}"/>
+# Or leave the xacro file alone, and correct what it expands to: urdfcal apply OUT robot.urdf
+"""
+
+
+def corrected_urdf(calibration: Calibration, folder: Path) -> Urdf:
+    """Read the corrected URDF that was written with a calibration.
+
+    Args:
+        calibration: as loaded.
+        folder: of the results.
+
+    Raises:
+        OutputError: it is not there, or its origins are not the calibration's.
+        RobotError: it is no valid URDF.
+    """
+    path = folder / corrected_name(calibration.document.robot.urdf)
+    if not path.is_file():
+        raise OutputError(
+            "the corrected URDF is not beside calibration.json",
+            where=str(path),
+            remedy="Name the folder that `urdfcal calibrate` wrote.",
+        )
+    urdf, chain = Urdf.read(path), calibration.chain
+    found = read_mechanism(urdf, [tip.link for tip in chain.tips], chain.base_link)
+    placed = dict(zip(found.names, found.placements, strict=True))
+    for name, calibrated in zip(chain.names, calibration.placements, strict=True):
+        if name not in placed or not np.allclose(placed[name], calibrated, rtol=0.0, atol=_SAME):
+            raise OutputError(
+                f"joint {name!r} is not placed as calibration.json says",
+                where=str(path),
+                remedy="One of the two files was edited: calibrate again.",
+            )
+    return urdf
+
+
+def ros_kinematics(calibration: Calibration, keys: Mapping[str, str]) -> dict[str, str]:
+    """Write ``kinematics: {key: {x, y, z, roll, pitch, yaw}, hash: ...}``, as ur_description's default_kinematics.yaml.
+
+    Args:
+        calibration: the result.
+        keys: what the description calls each joint's origin, by joint.
+
+    Returns:
+        The file, by name; origins in the parent link's frame [m, rad], the hash of calibration.json.
+    """
+    origins: dict[str, Any] = {
+        keys[joint]: dict(zip(_POSE, [*T.xyz, *T.rpy], strict=True))
+        for joint, T in calibration.document.placements.items()
+    }
+    document = {"kinematics": {**origins, "hash": f"urdfcal_{calibration.sha256}"}}
+    return {KINEMATICS: yaml.safe_dump(document, sort_keys=False, allow_unicode=True)}
+
+
+def joint_keys(calibration: Calibration) -> dict[str, str]:
+    """Origins named by their joints."""
+    return {name: name for name in calibration.chain.names}
+
+
+def link_keys(calibration: Calibration, urdf: Urdf) -> dict[str, str]:
+    """Origins named by the links that they place, without ``_link``: as Universal Robots' description names them."""
+    return {name: urdf.joints[name].child.removesuffix("_link") for name in calibration.chain.names}
+
+
+def xacro_patch(calibration: Calibration) -> dict[str, str]:
+    """Write the origins, in the parent link's frame, with the instruction how to use them above.
+
+    Args:
+        calibration: the result.
+
+    Returns:
+        The file, by name.
+    """
+    placements = calibration.document.placements
+    origins = {joint: {key: " ".join(map(repr, values)) for key, values in T} for joint, T in placements.items()}
+    instruction = _INSTRUCTION.format(sha256=calibration.sha256, file=ORIGINS, joint=calibration.chain.names[-1])
+    return {ORIGINS: instruction + yaml.safe_dump(origins, sort_keys=False, allow_unicode=True, width=200)}
 
 
 def dh_csv(calibration: Calibration) -> dict[str, str]:
@@ -68,7 +156,7 @@ def dh_csv(calibration: Calibration) -> dict[str, str]:
         [name, *(np.concatenate([T[:3, 3], matrix_to_rpy(T[:3, :3])]) + 0.0).tolist()]
         for name, T in (("base", table.base), ("tool", table.tool))
     ]
-    return {ROWS: _text(header, rows), FRAMES: _text(["frame", "x", "y", "z", "roll", "pitch", "yaw"], frames)}
+    return {ROWS: csv_text(header, rows), FRAMES: csv_text(["frame", *_POSE], frames)}
 
 
 def joint_offsets(calibration: Calibration, urdf: Urdf) -> dict[str, bytes]:
@@ -88,8 +176,7 @@ def joint_offsets(calibration: Calibration, urdf: Urdf) -> dict[str, bytes]:
     Raises:
         OutputError: whole placements were estimated, which have no zero offsets of their own.
     """
-    chain, actuated = calibration.chain, calibration.chain.actuated
-    offsets = zero_offsets(calibration)
+    chain, offsets = calibration.chain, zero_offsets(calibration)
     # What every joint's value grows by when the readings do.
     growth = chain.reading_jacobian @ offsets
     origins = {
@@ -98,13 +185,13 @@ def joint_offsets(calibration: Calibration, urdf: Urdf) -> dict[str, bytes]:
         if value
     }
     sigmas, rows = _sigmas(calibration), []
-    variables = {joint.name: "d" if joint.prismatic else "theta" for joint in chain.joints}
-    for name, value in zip(actuated, offsets.tolist(), strict=True):
-        unit = "m" if variables[name] == "d" else "rad"
-        rows.append([name, unit, value, sigmas.get((name, variables[name]), "")])
+    sliding = {joint.name for joint in chain.joints if joint.prismatic}
+    for name, value in zip(chain.actuated, offsets.tolist(), strict=True):
+        unit, variable = ("m", "d") if name in sliding else ("rad", "theta")
+        rows.append([name, unit, value, sigmas.get((name, variable), "")])
     stem = urdf.path.stem if urdf.path else urdf.name
     return {
-        OFFSETS: _text(["joint", "unit", "offset", "sigma"], rows).encode(),
+        OFFSETS: csv_text(["joint", "unit", "offset", "sigma"], rows).encode(),
         f"{stem}_without_offsets.urdf": rewrite_origins(urdf, origins),
     }
 
@@ -128,16 +215,4 @@ def zero_offsets(calibration: Calibration) -> Floats:
 
 def _sigmas(calibration: Calibration) -> dict[tuple[str, str], float]:
     """Standard deviations by joint and parameter, of those that were estimated."""
-    return {
-        (entry["joint"], entry["parameter"]): entry["sigma"]
-        for entry in calibration.to_dict()["dh"]
-        if entry.get("sigma") is not None
-    }
-
-
-def _text(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows(rows)
-    return text.getvalue()
+    return {(entry.joint, entry.parameter): entry.sigma for entry in calibration.document.dh if entry.sigma is not None}
