@@ -62,7 +62,10 @@ def log_arms(layer: Layer, session: Session, scene: CalibrationScene) -> tuple[s
         for body in bodies:
             _log_body(arm.at(body.link), body, frames, tint)
         if warnings or not bodies:
-            sticks = _sticks(session.chain, frames)
+            sticks = []  # a line from the base link over the joints to each tip
+            for tip in session.chain.tips:
+                joints = frames[:, [0, *(joint + 1 for joint in session.chain.path(tip.joint))]]
+                sticks.append(np.concatenate([joints, link_frames(frames, tip)[:, None]], axis=1)[..., :3, 3])
             strips = [stick[k].astype(np.float32) for k in range(layer.poses) for stick in sticks]
             pose = np.repeat(np.arange(layer.poses), len(sticks))
             radius = 0.006 * session.chain.reach
@@ -70,25 +73,14 @@ def log_arms(layer: Layer, session: Session, scene: CalibrationScene) -> tuple[s
     return warnings
 
 
-def _sticks(mechanism: Mechanism, frames: Floats) -> list[Floats]:
-    """A line from the base link over the joints to each tip, (N, K, 3) in m."""
-    lines = []
-    for tip in mechanism.tips:
-        joints = frames[:, [0, *(joint + 1 for joint in mechanism.path(tip.joint))]]
-        line = np.concatenate([joints, link_frames(frames, tip)[:, None]], axis=1)
-        lines.append(line[..., :3, 3])
-    return lines
-
-
 def log_dh(layer: Layer, table: DHTable | TreeTable, scene: CalibrationScene) -> None:
     """Log the DH frames as axes, and each row's way from one to the next, with d and a as labels.
 
     Rows are numbered as in the table beside them, from 1.
     """
-    length = 0.08 * table.chain.reach
-    rows = scene.rows
+    length, rows = 0.08 * table.chain.reach, scene.rows
     for i in range(rows.frames.shape[1]):
-        layer.at(f"F{i}").moving(rows.frames[:, i])
+        layer.at(f"F{i}").placed(rows.frames[:, i])
         layer.at(f"F{i}").fixed(rr.TransformAxes3D(axis_length=length))
     sliding = {joint.name for joint in table.chain.joints if joint.prismatic}
     for i, (joint, values) in enumerate(zip(table.labels, rows.values, strict=True)):
@@ -107,10 +99,7 @@ def log_dh(layer: Layer, table: DHTable | TreeTable, scene: CalibrationScene) ->
 
 def _log_body(layer: Layer, body: VisibleLink, frames: Floats, tint: Tint | None) -> None:
     T = frames[:, body.frame] @ body.T_frame_link
-    if body.frame == 0:
-        layer.fixed(placed(T[0]))
-    else:
-        layer.moving(T)
+    layer.placed(T, moves=body.frame > 0)
     for k, shape in enumerate(body.shapes):
         scale = shape.size if shape.mesh else (1.0, 1.0, 1.0)
         layer.at(f"shape {k}").fixed(placed(shape.T_link_shape, scale), _visual(shape, tint))

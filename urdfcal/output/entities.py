@@ -27,7 +27,7 @@ from urdfcal.output.palette import (
     by_sigma,
     viridis,
 )
-from urdfcal.output.stream import CORNER, ITERATION, Layer, placed
+from urdfcal.output.stream import CORNER, ITERATION, Layer
 from urdfcal.rotations import matrix_to_quaternion
 
 if TYPE_CHECKING:
@@ -85,32 +85,33 @@ def log_overview(stream: RecordingStream, overview: Overview, entity_path: str) 
 def _log_cameras(base: Layer, calibration: FittedCalibration, scene: CalibrationScene) -> None:
     """Log the cameras' poses and frusta, their rays to the LEDs, their images, and the arm drawn into these."""
     photographs = find_photographs(calibration.session)
-    arms = {
-        name: (arm_in_images(calibration, arm, calibration.session.q), radius)
-        for name, arm, radius in (
-            ("nominal", calibration.nominal, 2 * _LINE),
-            ("calibrated", calibration.estimate, _THIN),
-        )
-    }
+    fastened, q = calibration.session.attachments, calibration.session.q
+    # The calibrated arm, thinner, lies on the nominal one.
+    lines = [
+        ("nominal", arm_in_images(calibration, calibration.nominal, q), 2 * _LINE),
+        ("calibrated", arm_in_images(calibration, calibration.estimate, q), _THIN),
+    ]
     for index, camera in enumerate(calibration.estimate.cameras):
         image = base.at("cameras", camera.name, "image")
-        _log_camera(base, index, camera, scene)
+        frame = fastened.camera[index]
+        _log_camera(base, index, camera, fastened.frames[frame] if frame else None, scene)
         if photographs[index]:
             pose = np.array(sorted(photographs[index]))
             blobs = compressed(photographs[index][k] for k in pose)
             image.each(rr.EncodedImage, {"blob": blobs}, pose, media_type="image/jpeg")
-        for name, (lines, radius) in arms.items():
-            _log_arm(image.at("arm", name), lines[index], OF_ARM[name], radius)
+        for name, uv, radius in lines:
+            pieces = [(pose, piece + CORNER) for pose, line in enumerate(uv[index]) for piece in finite_pieces(line)]
+            if pieces:
+                strips = {"strips": [piece.astype(np.float32) for _, piece in pieces]}
+                same = {"colors": OF_ARM[name], "radii": radius, "draw_order": 10.0 + radius}
+                image.at("arm", name).each(rr.LineStrips2D, strips, np.array([pose for pose, _ in pieces]), **same)
 
 
-def _log_camera(base: Layer, index: int, camera: Camera, scene: CalibrationScene) -> None:
-    link, views = scene.links[index], scene.views[index]
+def _log_camera(base: Layer, index: int, camera: Camera, link: str | None, scene: CalibrationScene) -> None:
+    views = scene.views[index]
     distance = float(np.median(np.linalg.norm(scene.leds.measured - views[scene.leds.pose, :3, 3], axis=1)))
     body = base.at("cameras", camera.name)
-    if link is None:
-        body.fixed(placed(views[0]))
-    else:
-        body.moving(views)
+    body.placed(views, moves=link is not None)
     body.fixed(rr.TransformAxes3D(axis_length=0.05 * distance))
     label = camera.name if link is None else f"{camera.name}, on {link}"
     body.at("name").fixed(rr.Points3D([[0, 0, 0]], radii=_SMALL_DOT, labels=label, colors=INK))
@@ -133,16 +134,6 @@ def _log_camera(base: Layer, index: int, camera: Camera, scene: CalibrationScene
     width, height = camera.resolution
     border = [[0, 0], [width, 0], [width, height], [0, height], [0, 0]]
     body.at("image", "border").fixed(rr.LineStrips2D([border], colors=FAINT, radii=_THIN))
-
-
-def _log_arm(layer: Layer, uv: Floats, color: tuple[int, ...], radius: float) -> None:
-    """Log the arm in a camera's image, drawn from joint values alone: (N, P, 2) px."""
-    # The calibrated arm, thinner, lies on the nominal one.
-    pieces = [(pose, piece + CORNER) for pose, line in enumerate(uv) for piece in finite_pieces(line)]
-    if pieces:
-        pose = np.array([pose for pose, _ in pieces])
-        strips = [piece.astype(np.float32) for _, piece in pieces]
-        layer.each(rr.LineStrips2D, {"strips": strips}, pose, colors=color, radii=radius, draw_order=10.0 + radius)
 
 
 def _log_image(image: Layer, scene: CalibrationScene, pixels: ResidualTable, seen: Ints) -> None:

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from urdfcal.arrays import Floats
-    from urdfcal.cameras.camera import Camera
     from urdfcal.estimation.snapshot import Snapshot
     from urdfcal.result.fitted import FittedCalibration
     from urdfcal.session.model import Session
@@ -37,7 +36,6 @@ _FOLDER = "images"
 # A 1.3-megapixel image takes about 100 kB then.
 _QUALITY = 80
 _GAP = 8
-_ARMS = (("nominal", "arm/nominal"), ("calibrated", "arm/calibrated"))
 _LEDS = (("detected", "sighted"), ("nominal", "nominal"), ("calibrated", "predicted"))
 
 
@@ -61,30 +59,17 @@ def arm_in_image(calibration: FittedCalibration, q: ArrayLike, camera: int = 0, 
 
 
 def arm_in_images(calibration: FittedCalibration, arm: Snapshot, q: Floats) -> list[Floats]:
-    """The line (N, P, 2) of :func:`arm_in_image` in each camera, at joint values (N, n)."""
-    poses = RobotPoses.of(calibration, arm, q)
+    """The line (N, P, 2) of :func:`arm_in_image` in each camera, at joint values (N, n), bent by the lens."""
+    poses, along = RobotPoses.of(calibration, arm, q), np.linspace(0.0, 1.0, _POINTS)[:-1, None]
     corners = skeleton(poses.rows.lines)
-    return [project_line(camera, T, corners) for camera, T in zip(arm.cameras, poses.T_base_cam, strict=True)]
-
-
-def project_line(camera: Camera, T_base_cam: Floats, corners: Floats) -> Floats:
-    """Project lines into a camera's images, bent by the lens.
-
-    Args:
-        camera: the lens.
-        T_base_cam: (N, 4, 4) where it is at each pose. [m]
-        corners: (N, K, 3) in the base link's frame. [m]
-
-    Returns:
-        (N, P, 2) px; NaN behind the camera, and far outside of its image.
-    """
-    along = np.linspace(0.0, 1.0, _POINTS)[:-1, None]
     points = (1 - along) * corners[:, :-1, None] + along * corners[:, 1:, None]
     points = np.concatenate([points.reshape(len(corners), -1, 3), corners[:, -1:]], axis=1)
-    T = inverse(T_base_cam)
-    uv: Floats = camera.project(points @ np.swapaxes(T[:, :3, :3], 1, 2) + T[:, None, :3, 3])
-    uv[np.abs(uv).max(axis=-1) > _FARTHEST * max(camera.resolution)] = np.nan
-    return uv
+    lines = []
+    for camera, T in zip(arm.cameras, inverse(poses.T_base_cam), strict=True):
+        uv: Floats = camera.project(points @ np.swapaxes(T[:, :3, :3], 1, 2) + T[:, None, :3, 3])
+        uv[np.abs(uv).max(axis=-1) > _FARTHEST * max(camera.resolution)] = np.nan
+        lines.append(uv)
+    return lines
 
 
 def skeleton(lines: Sequence[Floats]) -> Floats:
@@ -177,13 +162,6 @@ def _compressed(path: Path) -> bytes:
     return data.tobytes() if done else b""
 
 
-def decompressed(data: bytes) -> NDArray[np.uint8]:
-    """An image from a recording, (h, w, 3), blue first."""
-    import cv2
-
-    return np.asarray(cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR), dtype=np.uint8)
-
-
 def write_overlay(path: Path, recording: Path, pose: str) -> None:
     """Draw the arm, nominal and calibrated, and the LEDs into every camera's image at a pose; write a PNG.
 
@@ -212,71 +190,62 @@ def overlays(recording: Path, pose: str) -> dict[str, NDArray[np.uint8]]:
     Raises:
         OutputError: there is no such pose, or no camera.
     """
-    found = _Recorded(recording)
-    poses = [str(label) for label in found.fixed("/base/texts/poses", "poses") or []]
+    import cv2
+
+    found = _recorded(recording)
+
+    def value(entity: str, component: str, at: int | None = None) -> Any:
+        """The instances at a pose, or those of all poses; None where there are none."""
+        scalar = found.get((entity, component), {}).get(at)
+        return None if scalar is None else scalar.as_py()
+
+    poses = [str(label) for label in value("/base/texts/poses", "poses") or []]
     if pose not in poses:
         shown = ", ".join(poses[:5]) + (", ..." if len(poses) > 5 else "")
         raise OutputError(f"there is no pose {pose!r}", where=str(recording), remedy=f"There are: {shown}.")
-    images = sorted(entity for entity in found.entities if entity.endswith("/image") and "/cameras/" in entity)
+    images = sorted({entity for entity, _ in found if entity.endswith("/image") and "/cameras/" in entity})
     if not images:
         raise OutputError(
             "no camera took part", where=str(recording), remedy="A tracker's points have no images to draw into."
         )
-    at = poses.index(pose)
-    return {image.split("/")[-2].replace("\\", ""): _overlay(found, image, at) for image in images}
-
-
-def _overlay(found: _Recorded, image: str, at: int) -> NDArray[np.uint8]:
-    width, height = (int(side) for side in (found.fixed(image, "Pinhole:resolution") or [[0, 0]])[0])
-    photograph = found.row(image, "EncodedImage:blob", at)
-    background = decompressed(bytes(photograph[0])) if photograph else (width, height)
-    lines = [
-        (kind, _pixels(strip))
-        for kind, name in _ARMS
-        for strip in found.row(f"{image}/{name}", "LineStrips2D:strips", at)
-    ]
-    leds = [(kind, _pixels(found.row(f"{image}/{name}", "Points2D:positions", at))) for kind, name in _LEDS]
-    return draw_image(background, lines, leds)
+    at, drawn = poses.index(pose), {}
+    for image in images:
+        width, height = (int(side) for side in (value(image, "Pinhole:resolution") or [[0, 0]])[0])
+        background: NDArray[np.uint8] | tuple[int, int] = (width, height)
+        if photograph := value(image, "EncodedImage:blob", at):
+            data = np.frombuffer(bytes(photograph[0]), dtype=np.uint8)
+            background = np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), dtype=np.uint8)
+        lines = [
+            (kind, _pixels(strip))
+            for kind in OF_ARM
+            for strip in value(f"{image}/arm/{kind}", "LineStrips2D:strips", at) or []
+        ]
+        leds = [(kind, _pixels(value(f"{image}/{name}", "Points2D:positions", at) or [])) for kind, name in _LEDS]
+        drawn[image.split("/")[-2].replace("\\", "")] = draw_image(background, lines, leds)
+    return drawn
 
 
 def _pixels(values: Any) -> Floats:
     return np.asarray(values, dtype=float).reshape(-1, 2) - CORNER
 
 
-class _Recorded:
-    """The columns of a recording, by entity and component."""
+def _recorded(path: Path) -> dict[tuple[str, str], dict[int | None, Any]]:
+    """The columns of a recording by entity and component: a value by pose, or one at None for all poses."""
+    from rerun.chunk import RrdReader
 
-    def __init__(self, path: Path) -> None:
-        from rerun.chunk import RrdReader
-
-        self._columns: dict[tuple[str, str], tuple[Any, Any]] = {}
-        try:
-            chunks = list(RrdReader(path).stream())
-        except RuntimeError as error:
-            raise OutputError(
-                "the recording cannot be read: it is damaged", where=str(path), remedy="Calibrate again."
-            ) from error
-        for chunk in chunks:
-            if "/cameras/" not in chunk.entity_path and "/texts/" not in chunk.entity_path:
-                continue
-            batch = chunk.to_record_batch()
-            times = None if chunk.is_static else batch.column(POSE) if POSE in batch.schema.names else None
-            if chunk.is_static or times is not None:
-                for name in batch.schema.names:
-                    self._columns[chunk.entity_path, name] = (times, batch.column(name))
-
-    @property
-    def entities(self) -> set[str]:
-        return {entity for entity, _ in self._columns}
-
-    def fixed(self, entity: str, component: str) -> Any:
-        """The value at all poses, or None."""
-        times, column = self._columns.get((entity, component), (None, None))
-        return column[0].as_py() if column is not None and times is None else None
-
-    def row(self, entity: str, component: str, at: int) -> Any:
-        """The instances at a pose; an empty list where there are none."""
-        times, column = self._columns.get((entity, component), (None, None))
-        if column is None or times is None or at not in (rows := times.to_pylist()):
-            return []
-        return column[rows.index(at)].as_py() or []
+    columns: dict[tuple[str, str], dict[int | None, Any]] = {}
+    try:
+        chunks = list(RrdReader(path).stream())
+    except RuntimeError as error:
+        raise OutputError(
+            "the recording cannot be read: it is damaged", where=str(path), remedy="Calibrate again."
+        ) from error
+    for chunk in chunks:
+        if "/cameras/" not in chunk.entity_path and "/texts/" not in chunk.entity_path:
+            continue
+        batch = chunk.to_record_batch()
+        if chunk.is_static or POSE in batch.schema.names:
+            poses = [None] if chunk.is_static else batch.column(POSE).to_pylist()
+            for name in batch.schema.names:
+                columns[chunk.entity_path, name] = dict(zip(poses, batch.column(name), strict=True))
+    return columns

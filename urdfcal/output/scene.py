@@ -155,7 +155,6 @@ class CalibrationScene:
         ghost: (N, n + 1, 4, 4) those of the nominal arm, their deviation from the calibrated arm enlarged. [m]
         rows: the DH rows of the calibrated arm.
         views: (C, N, 4, 4) camera frames. [m]
-        links: (C,) for each camera the link that it is on, None where it is fixed in the world.
         leds: where the LEDs were measured and predicted.
         tables: the measurements, each kind that there is.
         pixels: what the cameras saw, if there are any.
@@ -170,7 +169,6 @@ class CalibrationScene:
     ghost: Floats
     rows: PlacedRows
     views: Floats
-    links: tuple[str | None, ...]
     leds: LedTable
     tables: tuple[ResidualTable, ...]
     pixels: ResidualTable | None
@@ -196,17 +194,17 @@ def build_scene(calibration: FittedCalibration) -> CalibrationScene:
     rays = _rays(pixels, arm, poses) if pixels else np.zeros((0, 2, 3))
     parts = [_leds(block, arm, session.attachments, rays, poses, nominal_leds) for block in tables]
     columns = [np.concatenate(column) for column in zip(*(vars(part).values() for part in parts), strict=True)]
-    leds = LedTable(*(column[np.argsort(columns[0], kind="stable")] for column in columns))
+    order = np.argsort(columns[0], kind="stable")
+    order = order[np.isfinite(columns[2][order]).all(axis=1)]  # not where the lens model has no ray for the pixel
+    leds = LedTable(*(column[order] for column in columns))
     apart = np.linalg.norm(nominal[..., :3, 3] - poses.frames[..., :3, 3], axis=-1).mean(axis=0).max()
     factor = magnification(max(float(apart), _typical(leds.nominal - leds.measured)), 0.1 * calibration.chain.reach)
     width = float(np.mean([camera.resolution[0] for camera in arm.cameras])) if pixels else 0.0
-    names = session.attachments.frames
     return CalibrationScene(
         frames=poses.frames,
         ghost=exaggerated(poses.frames, nominal, factor),
         rows=poses.rows,
         views=poses.T_base_cam,
-        links=tuple(names[frame] if frame else None for frame in session.attachments.camera[: len(arm.cameras)]),
         leds=leds,
         tables=tables,
         pixels=pixels,
@@ -273,22 +271,19 @@ def _leds(
     alone = np.isnan(measured[row]).any(axis=1)
     if alone.any():
         measured[row[alone]] = rays[alone, 1]
-    somewhere = np.isfinite(measured).all(axis=1)  # not where the lens model has no ray for the pixel
-
-    def rms(size: Floats) -> Floats:
-        result: Floats = np.sqrt(np.bincount(row, size**2) / np.bincount(row))[somewhere]
-        return result
-
+    size, size_nominal = (
+        np.sqrt(np.bincount(row, of**2) / np.bincount(row)) for of in (block.size, block.size_nominal)
+    )
     return LedTable(
-        pose=pose[somewhere],
-        led=led[somewhere],
-        measured=measured[somewhere],
-        predicted=poses.leds[pose, led][somewhere],
-        nominal=nominal[view, pose, led][somewhere],
-        size=rms(block.size),
-        size_nominal=rms(block.size_nominal),
-        outlier=np.bincount(row, block.outlier)[somewhere] > 0,
-        covariance=covariance[somewhere],
+        pose=pose,
+        led=led,
+        measured=measured,
+        predicted=poses.leds[pose, led],
+        nominal=nominal[view, pose, led],
+        size=size,
+        size_nominal=size_nominal,
+        outlier=np.bincount(row, block.outlier) > 0,
+        covariance=covariance,
     )
 
 

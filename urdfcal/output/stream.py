@@ -62,10 +62,13 @@ class Layer:
         rows = rr.TimeColumn(POSE, sequence=np.arange(self.poses))
         rr.send_columns(self.path, [rows], found, recording=self.stream)
 
-    def moving(self, T: Floats) -> None:
-        """Place the branch in its parent at every pose, (N, 4, 4)."""
-        columns = {"translation": T[:, :3, 3], "quaternion": matrix_to_quaternion(T[:, :3, :3])}
-        self.each(rr.Transform3D, columns)
+    def placed(self, T: Floats, *, moves: bool = True) -> None:
+        """Place the branch in its parent at every pose, (N, 4, 4), or where it does not move at the first for all."""
+        if moves:
+            columns = {"translation": T[:, :3, 3], "quaternion": matrix_to_quaternion(T[:, :3, :3])}
+            self.each(rr.Transform3D, columns)
+        else:
+            self.fixed(placed(T[0]))
 
 
 def placed(T: Floats, scale: tuple[float, ...] = (1.0, 1.0, 1.0)) -> rr.Transform3D:
