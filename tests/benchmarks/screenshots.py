@@ -26,10 +26,8 @@ from rerun.experimental import ViewerClient
 
 from urdfcal.io.folder import read_rig, read_session
 from urdfcal.io.shipped_rigs import find_rig
-from urdfcal.output import blueprint
-from urdfcal.output.findings import Overview
-from urdfcal.output.recording import write_recording
-from urdfcal.output.report import write_report
+from urdfcal.output import recording
+from urdfcal.output.findings import Overview, write_report
 from urdfcal.pipeline import calibrate
 from urdfcal.simulation.simulate import simulate
 
@@ -75,15 +73,15 @@ def _calibrated(session: Session, fixed: bool) -> FittedCalibration:
 
 def _tabs(calibration: FittedCalibration, folder: Path, stem: Path) -> list[str]:
     """Show every tab in turn; return what its views complain of."""
-    overview, layout = Overview.of(calibration), blueprint.layout
+    overview, layout = Overview.of(calibration), recording.layout
     complaints = []
     for index, tab in enumerate(name for name in _TABS if name != "pixels" or overview.scene.pixels is not None):
         path = folder / f"{tab}.rrd"
-        blueprint.layout = lambda root, what, active=index: layout(root, what, active)
+        recording.layout = lambda what, active=index: layout(what, active)
         try:
-            write_recording(path, overview)
+            recording.write_recording(path, overview)
         finally:
-            blueprint.layout = layout
+            recording.layout = layout
         png, found = _shown(path)
         complaints += [f"{tab}: {text}" for text in found]
         _save(png, stem.with_name(f"{stem.name}_{tab}.png"))

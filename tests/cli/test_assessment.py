@@ -11,8 +11,8 @@ import pytest
 import urdfcal
 from urdfcal.cli import run
 from urdfcal.errors import CalibrationError
-from urdfcal.output.blueprint import _banner
 from urdfcal.output.findings import Overview, pose_texts
+from urdfcal.output.recording import _banner
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -66,4 +66,4 @@ def test_all_outputs_show_one_assessment_and_each_reason_once(
             assert text.count(" ".join(reason.split())) == 1
     assert summary.splitlines()[0] == f"elbow3r: {said.sentence}"
     assert page.count(said.sentence) == 1
-    assert _banner("base", overview).name.startswith(said.sentence)
+    assert _banner(overview).name.startswith(said.sentence)

@@ -15,8 +15,7 @@ from urdfcal.cameras.rig import Rig
 from urdfcal.estimation.measurements import Detections
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
-from urdfcal.output.findings import Overview, headline, look_up, sample_workspace
-from urdfcal.output.report import write_report
+from urdfcal.output.findings import Overview, headline, look_up, sample_workspace, write_report
 from urdfcal.pipeline import calibrate
 from urdfcal.session.knowledge import Estimate
 from urdfcal.simulation.simulate import simulate

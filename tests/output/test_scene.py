@@ -8,9 +8,9 @@ from urdfcal.arrays import inverse
 from urdfcal.estimation.blocks.base_pose import BASE
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
-from urdfcal.output.blueprint import viewpoint
 from urdfcal.output.palette import by_sigma
 from urdfcal.output.placing import joint_frames, link_frames, place_rows
+from urdfcal.output.recording import viewpoint
 from urdfcal.output.scene import build_scene, exaggerated, magnification
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.dh import PARAMETERS, DHTable

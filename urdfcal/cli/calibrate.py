@@ -100,7 +100,6 @@ def run(
     """Calibrate a session, write its results and print the summary."""
     from urdfcal.cli.console import status_line
     from urdfcal.output.findings import Overview
-    from urdfcal.output.recording import write_results
     from urdfcal.pipeline import calibrate
 
     view = None
@@ -128,6 +127,8 @@ def run(
                 click.echo(f"- {warning}", err=True)
             raise
         say("writing URDF, report and recording")
+        from urdfcal.output.recording import write_results
+
         overview = Overview.of(calibration)
         paths, remarks = write_results(overview, output)
         if view is not None:
@@ -148,7 +149,8 @@ def _print(overview: Overview, paths: Sequence[Path], remarks: Sequence[str]) ->
     from urdfcal.output.findings import HEADLINE, headline
 
     console = output()
-    document, assessment, calibration = overview.document, overview.assessment, overview.calibration
+    document, calibration = overview.document, overview.calibration
+    assessment = calibration.assessment
     fit, (low, high) = document["fit"], document["validation"]["interval_mm"]
 
     def line(text: str, style: str = "") -> None:

@@ -17,7 +17,7 @@ import click
 def command(output: Path, web: bool, port: int, overlay: str | None, save: Path | None) -> None:
     """Open the recording in OUT, a folder that calibrate has written, in the rerun viewer."""
     from urdfcal.files import replacing
-    from urdfcal.output.recording import find_recording, open_recording, serve_recording
+    from urdfcal.output.viewer import find_recording, open_recording, serve_recording
 
     recording = find_recording(output)
     if overlay is not None:

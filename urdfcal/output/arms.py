@@ -17,8 +17,8 @@ from urdfcal.arrays import Floats, frozen
 from urdfcal.errors import RobotError
 from urdfcal.output.palette import CALIBRATED, GHOST, NOMINAL, PARAMETER_COLORS
 from urdfcal.output.placing import link_frames
-from urdfcal.output.stream import placed
-from urdfcal.robot.urdf.urdf import find_urdf
+from urdfcal.output.stream import Layer, placed
+from urdfcal.robot.urdf.urdf import Urdf, find_urdf
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -27,11 +27,9 @@ if TYPE_CHECKING:
     from rerun import AsComponents
 
     from urdfcal.output.scene import CalibrationScene
-    from urdfcal.output.stream import Layer
     from urdfcal.robot.dh import DHTable
     from urdfcal.robot.mechanism import Mechanism
     from urdfcal.robot.tree_dh import TreeTable
-    from urdfcal.robot.urdf.urdf import Urdf
     from urdfcal.session.model import Session
 
 Tint = tuple[int, ...]

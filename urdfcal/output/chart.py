@@ -1,4 +1,4 @@
-"""Charts as data: drawn here as SVG for the report, and into the recording as lines and dots (plots.py).
+"""Charts as data: drawn here as SVG for the report, and into the recording as lines and dots (entities.py).
 
 One description serves both. The recording needs such charts because rerun's own plots run over the chosen timeline
 only; drawing the report's with matplotlib took a quarter of the time of a whole calibration. As SVG text stays text,

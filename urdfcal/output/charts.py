@@ -7,19 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.estimation.blocks.arm import LENGTHS
+from urdfcal.output import palette
 from urdfcal.output.chart import Chart, Mark, Scale, svg
-from urdfcal.output.palette import (
-    CALIBRATED,
-    COMPONENTS,
-    FAINT,
-    INK,
-    OF_ARM,
-    OUTLIER,
-    PARAMETER_COLORS,
-    by_sigma,
-    viridis,
-)
-from urdfcal.output.scene import image_range
+from urdfcal.output.scene import CalibrationScene, ResidualTable, image_range
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,7 +17,6 @@ if TYPE_CHECKING:
     from urdfcal.arrays import Floats
     from urdfcal.cameras.camera import Camera
     from urdfcal.output.findings import Overview, Workspace
-    from urdfcal.output.scene import CalibrationScene, ResidualTable
     from urdfcal.result.fitted import FittedCalibration
 
 # Residuals in standard deviations beyond this are off the charts.
@@ -90,8 +79,8 @@ def _by_pose(table: ResidualTable) -> Chart:
         x,
         Scale.holding(*(of_pose for _, of_pose in rms.values()), table.noise, logarithmic=True),
         [
-            Mark("lines", "declared", [x.low, x.high], [table.noise, table.noise], INK),
-            *(Mark("dots", name, pose + 1, of_pose, OF_ARM[name]) for name, (_, of_pose) in rms.items()),
+            Mark("lines", "declared", [x.low, x.high], [table.noise, table.noise], palette.INK),
+            *(Mark("dots", name, pose + 1, of_pose, palette.OF_ARM[name]) for name, (_, of_pose) in rms.items()),
         ],
         x_label="pose",
         legend=("nominal", "calibrated", "declared"),
@@ -103,7 +92,7 @@ def _by_camera(pixels: ResidualTable, names: list[str]) -> Chart:
     marks, tallest = [], 0.0
     for side, (name, predicted) in zip((-0.15, 0.15), pixels.by_arm.items(), strict=True):
         camera, rms = pixels.rms_by(pixels.camera, predicted)
-        marks.append(Mark("lines", name, *_bars(side + camera.astype(float), rms, 0.1), OF_ARM[name]))
+        marks.append(Mark("lines", name, *_bars(side + camera.astype(float), rms, 0.1), palette.OF_ARM[name]))
         tallest = max(tallest, float(np.nanmax(rms, initial=0.0)))
     return Chart(
         "by camera",
@@ -126,12 +115,12 @@ def _spread(table: ResidualTable) -> Chart:
     """How the residuals are distributed, beside the normal distribution that was declared."""
     edges, x = np.linspace(-_SIGMAS, _SIGMAS, 49), np.linspace(-_SIGMAS, _SIGMAS, 121)
     bell = np.exp(-(x**2) / 2) / np.sqrt(2 * np.pi)
-    marks = [Mark("lines", "declared", x, bell, INK)]
+    marks = [Mark("lines", "declared", x, bell, palette.INK)]
     tallest = float(bell.max())
     for name, predicted in table.by_arm.items():
         sigmas = table.sigmas(predicted).ravel()
         share = np.histogram(sigmas, edges)[0] / max(len(sigmas), 1) / np.diff(edges)
-        marks.append(Mark("lines", name, np.repeat(edges, 2)[1:-1], np.repeat(share, 2), OF_ARM[name]))
+        marks.append(Mark("lines", name, np.repeat(edges, 2)[1:-1], np.repeat(share, 2), palette.OF_ARM[name]))
         tallest = max(tallest, float(share.max()))
     return Chart(
         "spread",
@@ -151,10 +140,11 @@ def _against(name: str, title: str, value: Floats, table: ResidualTable) -> Char
     bins = np.array_split(np.argsort(value, kind="stable"), min(_BINS, max(1, len(value) // 5)))
     centre = [np.mean(value[b]) for b in bins]
     components = range(sigmas.shape[1])
-    faint = [tuple(c // 2 for c in color) for color in COMPONENTS]
+    faint = [tuple(c // 2 for c in color) for color in palette.COMPONENTS]
     marks = [Mark("dots", f"component {k}", value, sigmas[:, k], faint[k]) for k in components]
     marks += [
-        Mark("lines", f"mean {k}", centre, [np.mean(sigmas[b, k]) for b in bins], COMPONENTS[k]) for k in components
+        Mark("lines", f"mean {k}", centre, [np.mean(sigmas[b, k]) for b in bins], palette.COMPONENTS[k])
+        for k in components
     ]
     reach = float(np.clip(np.nanpercentile(np.abs(sigmas), 99), 3.0, 100.0))
     return Chart(name, title, Scale.holding(value), Scale(-reach, reach), marks)
@@ -182,9 +172,9 @@ def parameter_charts(calibration: FittedCalibration) -> list[Chart]:
                 Scale.holding(ends, 0.0),
                 height,
                 [
-                    Mark("lines", "offsets", along, across, CALIBRATED),
-                    Mark("lines", "intervals", ends, np.stack([y, y], axis=-1), INK),
-                    Mark("hairlines", "zero", [0.0, 0.0], [height.low, height.high], INK),
+                    Mark("lines", "offsets", along, across, palette.CALIBRATED),
+                    Mark("lines", "intervals", ends, np.stack([y, y], axis=-1), palette.INK),
+                    Mark("hairlines", "zero", [0.0, 0.0], [height.low, height.high], palette.INK),
                 ],
                 y_names=dict(zip(y.tolist(), names, strict=True)),
             )
@@ -204,8 +194,8 @@ def convergence_charts(calibration: FittedCalibration) -> list[Chart]:
     for name, title in _COURSES.items():
         values = [getattr(step, name) for step in history]
         marks = [
-            Mark("lines", "line", number[1:], values, CALIBRATED),
-            Mark("dots", "dots", number[1:], values, CALIBRATED),
+            Mark("lines", "line", number[1:], values, palette.CALIBRATED),
+            Mark("dots", "dots", number[1:], values, palette.CALIBRATED),
         ]
         x, y = Scale.holding(number[1:], whole=True), Scale.holding(values, logarithmic=True)
         charts.append(Chart(name, title, x, y, marks, x_label="iteration"))
@@ -213,7 +203,10 @@ def convergence_charts(calibration: FittedCalibration) -> list[Chart]:
     for i, joint in enumerate(calibration.geometry.labels):
         marks = []
         for k in np.flatnonzero(np.isfinite(sigmas[i])):
-            color, ends = PARAMETER_COLORS[columns[k]], courses[-1, i, k] + sigmas[i, k] * np.array([[-1.0], [1.0]])
+            color, ends = (
+                palette.PARAMETER_COLORS[columns[k]],
+                courses[-1, i, k] + sigmas[i, k] * np.array([[-1.0], [1.0]]),
+            )
             band = np.repeat(ends, 2, axis=1)
             marks.append(Mark("hairlines", f"{columns[k]} band", [[number[0], number[-1]]] * 2, band, color))
             marks.append(Mark("lines", columns[k], number, courses[:, i, k], color))
@@ -231,7 +224,10 @@ def workspace_chart(workspace: Workspace) -> Chart:
         "% of the workspace below",
         Scale.holding(1e3 * workspace.before, 1e3 * workspace.after, logarithmic=True),
         Scale(0.0, 100.0),
-        [Mark("lines", name, 1e3 * np.sort(error), share, OF_ARM[name]) for name, error in workspace.errors.items()],
+        [
+            Mark("lines", name, 1e3 * np.sort(error), share, palette.OF_ARM[name])
+            for name, error in workspace.errors.items()
+        ],
         x_label="tip error [mm]",
         legend=("nominal", "calibrated"),
     )
@@ -275,7 +271,7 @@ def _map(name: str, tip: Floats, error: Floats) -> Chart:
         f"{name} [mm]",
         Scale(float(x.min() - size), float(x.max() + size)),
         Scale(float(y.min() - size), float(y.max() + size)),
-        [Mark("cells", "error", x, y, viridis(colors.share(median)), size)],
+        [Mark("cells", "error", x, y, palette.viridis(colors.share(median)), size)],
         x_label="from the base's z axis [m]",
         equal=True,
         colors=colors,
@@ -304,7 +300,7 @@ def _field(scene: CalibrationScene, pixels: ResidualTable, c: int, camera: Camer
     (left, right), (top, bottom) = image_range(camera.resolution, pixels.measured[mine])
     width, height = camera.resolution
     rms = np.sqrt(np.mean(np.sum(residual**2, axis=1))) if len(residual) else np.nan
-    colors = (0.8 * by_sigma(pixels.size[used])).astype(np.uint8)
+    colors = (0.8 * palette.by_sigma(pixels.size[used])).astype(np.uint8)
     border = np.array([[0, 0], [width, 0], [width, -height], [0, -height], [0, 0]])
     return Chart(
         camera.name,
@@ -312,9 +308,9 @@ def _field(scene: CalibrationScene, pixels: ResidualTable, c: int, camera: Camer
         Scale(left, right),
         Scale(-bottom, -top),
         [
-            Mark("hairlines", "border", border[:, 0], border[:, 1], FAINT),
+            Mark("hairlines", "border", border[:, 0], border[:, 1], palette.FAINT),
             Mark("lines", "residuals", arrows[..., 0], arrows[..., 1], colors),
-            Mark("dots", "outliers", cut[:, 0], -cut[:, 1], OUTLIER),
+            Mark("dots", "outliers", cut[:, 0], -cut[:, 1], palette.OUTLIER),
         ],
         equal=True,
         axes=False,

@@ -8,25 +8,11 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from urdfcal.output import arms
-from urdfcal.output.chart import Scale
+from urdfcal.output import arms, palette
+from urdfcal.output.chart import Chart, Scale
 from urdfcal.output.charts import CONVERGENCE, PART_COLORS, RESIDUALS, all_charts, paths
-from urdfcal.output.findings import ELLIPSOID, HEADLINE, headline, parameter_text, pose_texts
+from urdfcal.output.findings import ELLIPSOID, HEADLINE, Overview, Workspace, headline, parameter_text, pose_texts
 from urdfcal.output.images import arm_in_images, compressed, find_photographs, finite_pieces
-from urdfcal.output.palette import (
-    BACKGROUND,
-    CALIBRATED,
-    FAINT,
-    GRID,
-    INK,
-    MEASURED,
-    NOMINAL,
-    OF_ARM,
-    OUTLIER,
-    PARAMETER_COLORS,
-    by_sigma,
-    viridis,
-)
 from urdfcal.output.stream import CORNER, ITERATION, Layer
 from urdfcal.rotations import matrix_to_quaternion
 
@@ -35,8 +21,6 @@ if TYPE_CHECKING:
 
     from urdfcal.arrays import Floats, Ints
     from urdfcal.cameras.camera import Camera
-    from urdfcal.output.chart import Chart
-    from urdfcal.output.findings import Overview, Workspace
     from urdfcal.output.scene import CalibrationScene, ResidualTable
     from urdfcal.result.fitted import FittedCalibration
 
@@ -55,16 +39,7 @@ _SMALLEST = 1e-9
 
 
 def log_overview(stream: RecordingStream, overview: Overview, entity_path: str) -> tuple[str, ...]:
-    """Log what was worked out of a calibration into a rerun stream.
-
-    Args:
-        stream: the caller's recording.
-        overview: what to show.
-        entity_path: where in it; the base link's frame.
-
-    Returns:
-        Warnings, such as meshes that were not found.
-    """
+    """Log what was worked out of a calibration; see ``log_calibration``."""
     calibration, scene = overview.calibration, overview.scene
     session = calibration.session
     base = Layer(stream, entity_path, len(session.q))
@@ -103,7 +78,7 @@ def _log_cameras(base: Layer, calibration: FittedCalibration, scene: Calibration
             pieces = [(pose, piece + CORNER) for pose, line in enumerate(uv[index]) for piece in finite_pieces(line)]
             if pieces:
                 strips = {"strips": [piece.astype(np.float32) for _, piece in pieces]}
-                same = {"colors": OF_ARM[name], "radii": radius, "draw_order": 10.0 + radius}
+                same = {"colors": palette.OF_ARM[name], "radii": radius, "draw_order": 10.0 + radius}
                 image.at("arm", name).each(rr.LineStrips2D, strips, np.array([pose for pose, _ in pieces]), **same)
 
 
@@ -114,7 +89,7 @@ def _log_camera(base: Layer, index: int, camera: Camera, link: str | None, scene
     body.placed(views, moves=link is not None)
     body.fixed(rr.TransformAxes3D(axis_length=0.05 * distance))
     label = camera.name if link is None else f"{camera.name}, on {link}"
-    body.at("name").fixed(rr.Points3D([[0, 0, 0]], radii=_SMALL_DOT, labels=label, colors=INK))
+    body.at("name").fixed(rr.Points3D([[0, 0, 0]], radii=_SMALL_DOT, labels=label, colors=palette.INK))
     body.at("image").fixed(
         rr.Pinhole(
             focal_length=camera.intrinsics[:2],
@@ -130,40 +105,40 @@ def _log_camera(base: Layer, index: int, camera: Camera, link: str | None, scene
         seen = seen[np.isfinite(scene.rays[seen]).all(axis=(1, 2))]
         rays = base.at("rays", camera.name)
         strips = scene.rays[seen].astype(np.float32)
-        rays.each(rr.LineStrips3D, {"strips": strips}, scene.pixels.pose[seen], colors=FAINT, radii=_THIN)
+        rays.each(rr.LineStrips3D, {"strips": strips}, scene.pixels.pose[seen], colors=palette.FAINT, radii=_THIN)
     width, height = camera.resolution
     border = [[0, 0], [width, 0], [width, height], [0, height], [0, 0]]
-    body.at("image", "border").fixed(rr.LineStrips2D([border], colors=FAINT, radii=_THIN))
+    body.at("image", "border").fixed(rr.LineStrips2D([border], colors=palette.FAINT, radii=_THIN))
 
 
 def _log_image(image: Layer, scene: CalibrationScene, pixels: ResidualTable, seen: Ints) -> None:
     pose = pixels.pose[seen]
     detected, predicted, expected = (uv[seen] + CORNER for uv in (pixels.measured, pixels.predicted, pixels.nominal))
     for name, places, color in (
-        ("sighted", detected, MEASURED),
-        ("predicted", predicted, CALIBRATED),
-        ("nominal", expected, NOMINAL),
+        ("sighted", detected, palette.MEASURED),
+        ("predicted", predicted, palette.CALIBRATED),
+        ("nominal", expected, palette.NOMINAL),
     ):
         image.at(name).each(rr.Points2D, {"positions": places}, pose, colors=color, radii=_DOT)
     arrows = {"origins": detected, "vectors": scene.pixel_factor * (expected - detected)}
-    image.at("residual nominal").each(rr.Arrows2D, arrows, pose, colors=NOMINAL)
+    image.at("residual nominal").each(rr.Arrows2D, arrows, pose, colors=palette.NOMINAL)
     cut = pixels.outlier[seen]
     for name, factor, places, size in (
         ("field", scene.field_factor, predicted, pixels.size[seen]),
         ("field nominal", scene.pixel_factor, expected, pixels.size_nominal[seen]),
     ):
-        vectors, colors = factor * (places - detected)[~cut], by_sigma(size[~cut])
+        vectors, colors = factor * (places - detected)[~cut], palette.by_sigma(size[~cut])
         image.at(name).fixed(rr.Arrows2D(origins=detected[~cut], vectors=vectors, colors=colors, radii=_THIN))
-    image.at("outliers").fixed(rr.Points2D(detected[cut], colors=OUTLIER, radii=_DOT))
+    image.at("outliers").fixed(rr.Points2D(detected[cut], colors=palette.OUTLIER, radii=_DOT))
 
 
 def _log_leds(base: Layer, scene: CalibrationScene) -> None:
     """Log where the LEDs were measured and predicted, and the enlarged residuals between them."""
     leds, factor = scene.leds, scene.factor
     for name, places, color in (
-        ("measured", leds.measured, MEASURED),
-        ("predicted", leds.predicted, CALIBRATED),
-        ("nominal", leds.predicted + factor * (leds.nominal - leds.predicted), NOMINAL),
+        ("measured", leds.measured, palette.MEASURED),
+        ("predicted", leds.predicted, palette.CALIBRATED),
+        ("nominal", leds.predicted + factor * (leds.nominal - leds.predicted), palette.NOMINAL),
     ):
         base.at("led", name).each(rr.Points3D, {"positions": places}, leds.pose, colors=color, radii=_DOT)
     # What the declared noise lets one know of each LED's place, enlarged as the residuals are.
@@ -177,17 +152,19 @@ def _log_leds(base: Layer, scene: CalibrationScene) -> None:
     }
     fill = rr.components.FillMode.TransparentFillMajorWireframe
     base.at("led", "covariance").each(
-        rr.Ellipsoids3D, ellipsoids, leds.pose[known], colors=(*MEASURED, 40), line_radii=_THIN, fill_mode=fill
+        rr.Ellipsoids3D, ellipsoids, leds.pose[known], colors=(*palette.MEASURED, 40), line_radii=_THIN, fill_mode=fill
     )
-    base.at("led", "all").fixed(rr.Points3D(leds.measured, colors=by_sigma(leds.size), radii=_SMALL_DOT))
-    base.at("led", "outliers").fixed(rr.Points3D(leds.measured[leds.outlier], colors=OUTLIER, radii=_DOT))
+    base.at("led", "all").fixed(rr.Points3D(leds.measured, colors=palette.by_sigma(leds.size), radii=_SMALL_DOT))
+    base.at("led", "outliers").fixed(rr.Points3D(leds.measured[leds.outlier], colors=palette.OUTLIER, radii=_DOT))
     for name, places, size in (("calibrated", leds.predicted, leds.size), ("nominal", leds.nominal, leds.size_nominal)):
         vectors = factor * (places - leds.measured)
-        arrows = {"origins": leds.measured, "vectors": vectors, "colors": by_sigma(size)}
+        arrows = {"origins": leds.measured, "vectors": vectors, "colors": palette.by_sigma(size)}
         base.at("residuals", name).each(rr.Arrows3D, arrows, leds.pose, radii=_ARROW)
     used = ~leds.outlier
     vectors = factor * (leds.predicted - leds.measured)[used]
-    field = rr.Arrows3D(origins=leds.measured[used], vectors=vectors, colors=by_sigma(leds.size[used]), radii=_THIN)
+    field = rr.Arrows3D(
+        origins=leds.measured[used], vectors=vectors, colors=palette.by_sigma(leds.size[used]), radii=_THIN
+    )
     base.at("residuals", "field").fixed(field)
 
 
@@ -196,7 +173,7 @@ def _log_workspace(layer: Layer, workspace: Workspace) -> None:
     smallest, largest = workspace.range
     scale = Scale(max(smallest, _SMALLEST), max(largest, 2.0 * _SMALLEST), logarithmic=True)
     for name, error in workspace.errors.items():
-        colors = viridis(scale.share(np.maximum(error, _SMALLEST)))
+        colors = palette.viridis(scale.share(np.maximum(error, _SMALLEST)))
         layer.at(name).fixed(rr.Points3D(workspace.tip, colors=colors, radii=_SMALL_DOT))
 
 
@@ -206,7 +183,7 @@ def _log_residuals(base: Layer, scene: CalibrationScene) -> None:
         for name, predicted in table.by_arm.items():
             pose, rms = table.rms_by(table.pose, predicted)
             plot = base.at("plots", f"residual_{table.unit}", name)
-            plot.fixed(rr.SeriesLines(colors=OF_ARM[name], names=f"{name} [{table.unit}]", widths=1.5))
+            plot.fixed(rr.SeriesLines(colors=palette.OF_ARM[name], names=f"{name} [{table.unit}]", widths=1.5))
             plot.each(rr.Scalars, {"scalars": rms}, pose)
 
 
@@ -228,7 +205,7 @@ def _log_convergence(base: Layer, calibration: FittedCalibration, scene: Calibra
         joint, name = calibration.geometry.labels[i], calibration.geometry.columns[k]
         band = np.repeat([way[-1, i, k] + sigmas[i, k] * np.array([-1.0, 1.0])], len(way), axis=0)
         series = rr.SeriesLines(
-            colors=[PARAMETER_COLORS[name]] * 3,
+            colors=[palette.PARAMETER_COLORS[name]] * 3,
             widths=[2.0, 0.7, 0.7],
             names=[name, f"{name} - sigma", f"{name} + sigma"],
         )
@@ -236,7 +213,7 @@ def _log_convergence(base: Layer, calibration: FittedCalibration, scene: Calibra
 
 
 def _log_iterations(plot: Layer, first: int, values: Floats, series: rr.SeriesLines | None = None) -> None:
-    plot.fixed(series or rr.SeriesLines(colors=CALIBRATED))
+    plot.fixed(series or rr.SeriesLines(colors=palette.CALIBRATED))
     rows = rr.TimeColumn(ITERATION, sequence=np.arange(first, first + len(values)))
     columns = rr.Scalars.columns(scalars=values.ravel())
     if values.ndim == 2:
@@ -244,50 +221,48 @@ def _log_iterations(plot: Layer, first: int, values: Floats, series: rr.SeriesLi
     rr.send_columns(plot.path, [rows], columns, recording=plot.stream)
 
 
-def chart_view(chart: Chart, parent: str) -> rrb.View:
-    """The view of a chart whose entity is a child of ``parent``."""
+def chart_view(chart: Chart, root: str) -> rrb.View:
+    """The view of a chart in a recording whose base link is ``root``."""
+    beside, height = _room(chart)
     name = f"{chart.title}, by {chart.x_label}" if chart.x_label else chart.title
     return rrb.Spatial2DView(
-        origin=f"{parent}/{rr.escape_entity_path_part(chart.name)}",
+        origin=f"{root}/charts/{rr.escape_entity_path_part(chart.name)}",
         name=f"{name} (blue: nominal, green: calibrated)" if chart.legend else name,
-        visual_bounds=rrb.VisualBounds2D(
-            x_range=[-_beside(chart), _WIDTH + _RIGHT], y_range=[-_ABOVE, _height(chart) + _BELOW]
-        ),
-        background=BACKGROUND,
+        visual_bounds=rrb.VisualBounds2D(x_range=[-beside, _WIDTH + _RIGHT], y_range=[-_ABOVE, height + _BELOW]),
+        background=palette.BACKGROUND,
     )
 
 
 def _log_chart(parent: Layer, chart: Chart) -> None:
     """Draw a chart at a child of ``parent``."""
-    layer, height = parent.at(chart.name), _height(chart)
+    layer, (beside, height) = parent.at(chart.name), _room(chart)
     x = _WIDTH * chart.x.share(list(chart.x_ticks))
     y = height * (1.0 - chart.y.share(list(chart.y_ticks)))
     grid = [[[0.0, v], [_WIDTH, v]] for v in y]
-    layer.at("grid").fixed(rr.LineStrips2D(grid, colors=GRID, radii=_HAIR, draw_order=-1.0))
+    layer.at("grid").fixed(rr.LineStrips2D(grid, colors=palette.GRID, radii=_HAIR, draw_order=-1.0))
     frame = [[0.0, 0.0], [0.0, height], [_WIDTH, height]]
-    layer.at("frame").fixed(rr.LineStrips2D([frame], colors=FAINT, radii=_HAIR))
+    layer.at("frame").fixed(rr.LineStrips2D([frame], colors=palette.FAINT, radii=_HAIR))
     # rerun writes labels centred below their points.
-    ticks = [*([u, height] for u in x), *([-_beside(chart) / 2, v - 5.0] for v in y)]
+    ticks = [*([u, height] for u in x), *([-beside / 2, v - 5.0] for v in y)]
     names = [*chart.x_ticks.values(), *chart.y_ticks.values()]
-    layer.at("ticks").fixed(rr.Points2D(ticks, radii=_NONE, labels=names, colors=INK, show_labels=True))
+    layer.at("ticks").fixed(rr.Points2D(ticks, radii=_NONE, labels=names, colors=palette.INK, show_labels=True))
     for order, mark in enumerate(chart.marks):
         shapes, colors = chart.shapes(mark, _WIDTH, height)
         kind: Any = rr.Points2D if mark.kind == "dots" else rr.LineStrips2D
         layer.at(mark.name).fixed(kind(shapes, radii=_RADII[mark.kind], colors=colors, draw_order=float(order)))
 
 
-def _height(chart: Chart) -> float:
-    return max(_HEIGHT, min(_ROW * len(chart.y_names or ()), _TALLEST))
-
-
-def _beside(chart: Chart) -> float:
-    return _NUMBERS if chart.y_names is None else _NAMES
+def _room(chart: Chart) -> tuple[float, float]:
+    """The width of the names beside a chart, and its height."""
+    if chart.y_names is None:
+        return _NUMBERS, _HEIGHT
+    return _NAMES, max(_HEIGHT, min(_ROW * len(chart.y_names), _TALLEST))
 
 
 def _log_texts(base: Layer, overview: Overview) -> None:
     """Log the verdict, what there is to see at each pose, the table of the DH rows, and the poses' names."""
     session = overview.calibration.session
-    banner = f"{overview.assessment.sentence}   {headline(overview.document)}, {HEADLINE}"
+    banner = f"{overview.calibration.assessment.sentence}   {headline(overview.document)}, {HEADLINE}"
     base.at("banner").fixed(rr.Points2D([[0.0, 0.0]], radii=0.0, labels=banner, show_labels=False))
     texts = base.at("texts")
     texts.at("about").each(rr.TextDocument, {"text": pose_texts(overview)}, media_type=rr.MediaType.MARKDOWN)

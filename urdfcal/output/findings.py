@@ -1,16 +1,21 @@
-"""What report, recording and command line say of a calibration: its assessment, the one number, and the data behind."""
+"""What report, recording and command line say of a calibration; and the report, one page that needs nothing else."""
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
+from datetime import datetime, timezone
 from functools import reduce
+from importlib import resources
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
+from urdfcal import files
 from urdfcal.arrays import Floats, frozen
 from urdfcal.estimation.alignment import kabsch
 from urdfcal.estimation.blocks.arm import LENGTHS
+from urdfcal.output import charts
 from urdfcal.output.palette import SIGMA_LEGEND
 from urdfcal.output.scene import CalibrationScene, build_scene
 from urdfcal.robot.kinematics import tip_poses
@@ -18,14 +23,17 @@ from urdfcal.robot.tree_dh import MOUNT
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+    from pathlib import Path
 
-    from urdfcal.estimation.assessment import Assessment
     from urdfcal.result.fitted import FittedCalibration
     from urdfcal.session.model import Setup
 
 ResultData: TypeAlias = "Mapping[str, Any]"
 """What is in ``calibration.json``."""
 
+_TEMPLATE = "report.html.jinja"
+_OUTLIERS_SHOWN = 25
+_MINUS = "\N{MINUS SIGN}"
 # Enough for a map of 20 x 20 cells; drawing more takes longer and shows the same.
 _SAMPLES = 1500
 ELLIPSOID = 2.0
@@ -104,11 +112,6 @@ class Overview:
         """Work it out."""
         return cls(calibration, calibration.to_dict(), build_scene(calibration), sample_workspace(calibration))
 
-    @property
-    def assessment(self) -> Assessment:
-        """Whether to trust it."""
-        return self.calibration.assessment
-
 
 def headline(document: ResultData) -> str:
     """The rms error on held-out poses, nominal and calibrated."""
@@ -134,8 +137,8 @@ def pose_texts(overview: Overview) -> list[str]:
     legend = _LEGEND.format(factor=scene.factor)
     if fastened := fastening_sentences(session):
         legend += "\n" + " ".join(fastened) + "\n"
-    if overview.assessment.reasons:
-        legend += "\n**To check:**\n" + "\n".join(f"- {text}" for text in overview.assessment.reasons)
+    if overview.calibration.assessment.reasons:
+        legend += "\n**To check:**\n" + "\n".join(f"- {text}" for text in overview.calibration.assessment.reasons)
     return [
         f"**Pose {pose}**: {'; '.join(line) or 'nothing seen'}.\n\n{legend}"
         for pose, line in zip(poses, lines, strict=True)
@@ -160,17 +163,13 @@ def parameter_text(document: ResultData) -> str:
     for number, first in enumerate(range(0, len(entries), len(names)), start=1):
         row = entries[first : first + len(names)]
         lines.append(f"| {number} | {row[0]['joint']} | {' | '.join(map(_cell, row))} |")
-    unidentifiable = document["identifiability"]["lost"]
-    text = "\n".join(lines)
+    identifiability, text = document["identifiability"], "\n".join(lines)
     text += f"\n\n{MOUNTS}" if any(entry["joint"].endswith(MOUNT) for entry in entries) else ""
-    text += (
-        "\n\n**Unidentifiable:**\n" + "\n".join(f"- {sentence}" for sentence in unidentifiable)
-        if unidentifiable
-        else ""
-    )
-    if fixed := fixed_parameters(document):
-        text += "\n\n**Not estimated:**\n" + "\n".join(f"- {', '.join(which)}: {why}" for why, which in fixed)
-    condition = document["identifiability"]["condition_number"]
+    fixed = [f"{', '.join(which)}: {why}" for why, which in fixed_parameters(document)]
+    for title, sentences in (("Unidentifiable", identifiability["lost"]), ("Not estimated", fixed)):
+        if sentences:
+            text += f"\n\n**{title}:**\n" + "\n".join(f"- {sentence}" for sentence in sentences)
+    condition = identifiability["condition_number"]
     return f"{text}\n\nCondition number {condition:.3g} (above 100 some parameters are poorly determined).\n"
 
 
@@ -212,3 +211,68 @@ def fastening_sentences(session: Setup) -> tuple[str, ...]:
 def listed(names: Sequence[str]) -> str:
     """Names as in a sentence: one, two and three."""
     return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
+
+
+def write_report(path: Path, overview: Overview) -> None:
+    """Write a calibration as one HTML page: verdict first, figures inside, no scripts, nothing fetched.
+
+    Args:
+        path: the file; replaced in one step.
+        overview: what to report.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    import jinja2
+    from markupsafe import Markup
+
+    calibration, document = overview.calibration, overview.document
+
+    def number(
+        key: str | tuple[str | int, ...], digits: int | None = None, scale: float = 1.0, signed: bool = False
+    ) -> Markup:
+        """Write a number of ``calibration.json`` into the page, its full value and key beside it.
+
+        No number gets into a table any other way, so that page and JSON cannot disagree.
+        """
+        path = tuple(key.split(".")) if isinstance(key, str) else tuple(map(str, key))
+        value = look_up(document, path)
+        if digits is None:
+            text = f"{scale * value:.3g}"
+        else:  # rounding first, or tiny negative numbers print as -0.000
+            text = f"{round(scale * value, digits) + 0.0:{'+' if signed else ''}.{digits}f}"
+        return Markup('<data value="{}" data-key="{}">{}</data>').format(
+            json.dumps(value), "/".join(path), text.replace("-", _MINUS)
+        )
+
+    outliers = document["outliers"]
+    largest = sorted(range(len(outliers)), key=lambda i: -outliers[i]["sigmas"])[:_OUTLIERS_SHOWN]
+    rows: dict[str, list[int]] = {}  # joint by joint, which entries of the DH list are its parameters
+    for i, entry in enumerate(document["dh"]):
+        rows.setdefault(entry["joint"], []).append(i)
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    template = environment.from_string(resources.files(__package__).joinpath(_TEMPLATE).read_text(encoding="utf-8"))
+    page = template.render(
+        document,
+        n=number,
+        meaning=HEADLINE,
+        misfit=f"{np.sqrt(document['fit']['reduced_chi2']):.2g}",
+        figures={name: Markup(svg) for name, svg in charts.figures(overview).items()},  # noqa: S704  # made by us, labels escaped
+        sigma_legend=SIGMA_LEGEND,
+        rows=list(rows.items()),
+        columns=[
+            f"{charts.SYMBOLS.get(c, c)} [{'mm' if c in LENGTHS else 'mrad'}]" for c in calibration.geometry.columns
+        ],
+        is_dh=calibration.geometry is calibration.table,
+        tips=listed([tip.link for tip in calibration.chain.tips]),
+        fastened=" ".join(fastening_sentences(calibration.session)),
+        mounts=MOUNTS if any(label.endswith(MOUNT) for label in calibration.geometry.labels) else "",
+        fixed=fixed_parameters(document),
+        largest=largest,
+        shown=_OUTLIERS_SHOWN,
+        urdf_name=calibration.urdf_name,
+        date=f"{datetime.now(timezone.utc):%Y-%m-%d}",
+    )
+    files.write_text(path, page)

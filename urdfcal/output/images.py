@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from urdfcal.arrays import inverse
+from urdfcal.arrays import Floats, inverse
 from urdfcal.errors import OutputError, SessionError
 from urdfcal.files import write_bytes
 from urdfcal.output.palette import MEASURED, OF_ARM
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from urdfcal.arrays import Floats
     from urdfcal.estimation.snapshot import Snapshot
     from urdfcal.result.fitted import FittedCalibration
     from urdfcal.session.model import Session

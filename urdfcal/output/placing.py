@@ -10,15 +10,13 @@ import numpy as np
 from urdfcal.arrays import Floats, inverse
 from urdfcal.robot.dh import PARAMETERS, DHTable, row_transform
 from urdfcal.robot.kinematics import link_poses
-from urdfcal.robot.mechanism import BASE, Tip
-from urdfcal.robot.tree_dh import Branch
+from urdfcal.robot.mechanism import BASE, Mechanism, Tip
+from urdfcal.robot.tree_dh import Branch, TreeTable
 from urdfcal.session.attachments import WORLD
 
 if TYPE_CHECKING:
     from urdfcal.estimation.snapshot import Snapshot
     from urdfcal.result.fitted import FittedCalibration
-    from urdfcal.robot.mechanism import Mechanism
-    from urdfcal.robot.tree_dh import TreeTable
 
 
 @dataclass(frozen=True, eq=False)

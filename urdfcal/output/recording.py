@@ -1,27 +1,41 @@
-"""The rerun recording of a calibration, the folder of results that it is part of, and viewers, also of the solver."""
+"""The rerun recording of a calibration with its views, the folder of results, and a live view of the solver."""
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
-from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
 
 from urdfcal import files
 from urdfcal.errors import OutputError
-from urdfcal.output.findings import Overview
+from urdfcal.output import charts
+from urdfcal.output.entities import chart_view, log_overview
+from urdfcal.output.findings import HEADLINE, Overview, headline, write_report
+from urdfcal.output.palette import BACKGROUND, VERDICT_COLORS
+from urdfcal.output.scene import CalibrationScene, ResidualTable, image_range
+from urdfcal.output.stream import ITERATION, POSE
+from urdfcal.output.viewer import RECORDING
 from urdfcal.result.calibration import FILE_NAME
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from rerun import RecordingStream
 
+    from urdfcal.arrays import Floats
+    from urdfcal.output.chart import Chart
     from urdfcal.result.fitted import FittedCalibration
 
 ROOT = "base"
 """Entity of the base link; all of a recording is in its frame."""
-REPORT, RECORDING = "report.html", "calibration.rrd"
-_LOOPBACK = "127.0.0.1"
+REPORT = "report.html"
+# rerun's eye opens 55 degrees high; on a laptop's screen the view is at least so much wider than high.
+_HALF_VIEW = np.radians(55 / 2)
+_ASPECT = 1.2
+# What belongs to other tabs than the arm's.
+_ELSEWHERE = ("plots", "charts", "banner", "texts", "workspace")
 
 
 def write_results(overview: Overview, folder: Path) -> tuple[tuple[Path, ...], tuple[str, ...]]:
@@ -37,8 +51,6 @@ def write_results(overview: Overview, folder: Path) -> tuple[tuple[Path, ...], t
     Raises:
         OutputError: the folder cannot be written, or the corrected URDF fails its checks.
     """
-    from urdfcal.output.report import write_report
-
     calibration = overview.calibration
     urdf = calibration.calibrated_urdf()
     with files.staged(folder) as stage:
@@ -63,15 +75,10 @@ def write_recording(path: Path, overview: Overview) -> tuple[str, ...]:
     Raises:
         OutputError: the file cannot be written.
     """
-    import rerun as rr
-
-    from urdfcal.output.blueprint import layout
-    from urdfcal.output.entities import log_overview
-
     with files.replacing(path) as temporary:
         stream = rr.RecordingStream("urdfcal")
         try:
-            stream.save(temporary, default_blueprint=layout(ROOT, overview))
+            stream.save(temporary, default_blueprint=layout(overview))
             stream.send_recording_name(overview.calibration.chain.name)
             return log_overview(stream, overview, ROOT)
         finally:
@@ -91,8 +98,6 @@ def log_calibration(
     Returns:
         Warnings, such as meshes that were not found.
     """
-    from urdfcal.output.entities import log_overview
-
     return log_overview(stream, Overview.of(calibration), entity_path)
 
 
@@ -105,11 +110,6 @@ class LiveView:
 
     def __init__(self, stream: RecordingStream | None = None) -> None:
         """Start a viewer, or send to a stream that is already watched."""
-        import rerun as rr
-        import rerun.blueprint as rrb
-
-        from urdfcal.output.stream import ITERATION
-
         waiting = rrb.Blueprint(
             rrb.TimeSeriesView(origin="live", name="The solver at work: cost of every step"),
             rrb.TimePanel(timeline=ITERATION, state="collapsed"),
@@ -127,10 +127,6 @@ class LiveView:
 
     def step(self, iteration: int, cost: float) -> None:
         """Show a step of the solver; several fits follow each other."""
-        import rerun as rr
-
-        from urdfcal.output.stream import ITERATION
-
         del iteration  # starts anew with every fit
         self._steps += 1
         self._stream.set_time(ITERATION, sequence=self._steps)
@@ -138,65 +134,161 @@ class LiveView:
 
     def finish(self, overview: Overview) -> None:
         """Show the result."""
-        from urdfcal.output.blueprint import layout
-        from urdfcal.output.entities import log_overview
-
         self._stream.reset_time()
         log_overview(self._stream, overview, ROOT)
-        self._stream.send_blueprint(layout(ROOT, overview))
+        self._stream.send_blueprint(layout(overview))
         self._stream.flush()
 
 
-def find_recording(folder: Path) -> Path:
-    """The recording of a result folder, or the file itself.
-
-    Raises:
-        OutputError: there is none.
-    """
-    recording = folder / RECORDING if folder.is_dir() else folder
-    if not recording.is_file():
-        raise OutputError(
-            "there is no recording here", where=str(folder), remedy="Name the folder that urdfcal calibrate -o wrote."
-        )
-    return recording
-
-
-def open_recording(recording: Path) -> None:
-    """Start the viewer on a recording and wait until it is closed.
-
-    Raises:
-        OutputError: the viewer cannot open a window.
-    """
-    ended = subprocess.run([_rerun(), "--bind", _LOOPBACK, str(recording)], check=False).returncode  # noqa: S603
-    if ended != 0:
-        raise OutputError(
-            f"the rerun viewer stopped with code {ended}",
-            where=str(recording),
-            remedy="It needs a screen; without one: urdfcal view --web, or --save and look at it elsewhere.",
-        )
-
-
-def serve_recording(recording: Path, port: int = 0) -> NoReturn:
-    """Become a server of a recording as a web page, to this machine only; it prints the address.
-
-    This process is replaced, so that whatever ends it ends the server.
+def layout(overview: Overview, active: int = 0) -> rrb.Blueprint:
+    """Lay out the views of a recording.
 
     Args:
-        recording: the file.
-        port: of the page; 0 takes a free one.
+        overview: what is recorded.
+        active: the tab to open with.
     """
-    sys.stdout.flush()
-    ports = ["--port", "0", "--web-viewer-port", str(port)]
-    os.execv(_rerun(), ["rerun", "--serve-web", "--bind", _LOOPBACK, *ports, str(recording)])  # noqa: S606
+    scene, calibration = overview.scene, overview.calibration
+    images = [
+        f"{ROOT}/cameras/{rr.escape_entity_path_part(camera.name)}/image" for camera in calibration.estimate.cameras
+    ]
+    # The images' own arrows would fill the space before the cameras.
+    hidden = [expression for image in images for expression in (f"- {image}/**", f"+ {image}")]
+    elsewhere = [f"- $origin/{name}/**" for name in _ELSEWHERE]
+    arm = _space("Arm", ["+ $origin/**", *hidden, *elsewhere], *viewpoint(scene))
+    unit = scene.tables[0].unit
+    beside = rrb.Vertical(
+        rrb.TextDocumentView(origin=f"{ROOT}/texts/about", name="What you see"),
+        rrb.TimeSeriesView(
+            origin=f"{ROOT}/plots/residual_{unit}", name=f"Residual of each pose, rms without outliers [{unit}]"
+        ),
+        row_shares=[3, 2],
+    )
+    both = rrb.Horizontal(arm, beside, column_shares=[3, 1])
+    tabs: list[rrb.Container | rrb.View] = [
+        rrb.Vertical(_banner(overview), both, row_shares=[1, 13], name="Arm"),
+    ]
+    if scene.pixels is not None:
+        tabs.append(rrb.Grid(*_images(images, overview, scene.pixels), grid_columns=len(images), name="Pixels"))
+    tabs += [
+        _grid("convergence", charts.convergence_charts(calibration)),
+        _parameters(overview),
+        _grid("residuals", charts.residual_charts(overview)),
+        _workspace(overview),
+    ]
+    return rrb.Blueprint(
+        rrb.Tabs(*tabs, active_tab=active),
+        rrb.TimePanel(state="collapsed", timeline=POSE, play_state="paused", fps=2.0),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+    )
 
 
-def _rerun() -> str:
-    """The viewer itself; the command ``rerun`` is a wrapper that leaves it behind when ended."""
-    from importlib.util import find_spec
+def _banner(overview: Overview) -> rrb.View:
+    """A stripe in the verdict's colour; its text is the title, legible on dark and on light screens."""
+    assessment = overview.calibration.assessment
+    number = f"{headline(overview.document)} {HEADLINE}"
+    return rrb.Spatial2DView(
+        origin=f"{ROOT}/banner", name=f"{assessment.sentence}  {number}", background=VERDICT_COLORS[assessment.level]
+    )
 
-    package = find_spec("rerun_cli")
-    folder = Path(package.origin).parent if package is not None and package.origin else Path()
-    name = "rerun.exe" if sys.platform == "win32" else "rerun"
-    if not (folder / name).is_file():
-        raise OutputError("the rerun viewer is not installed", remedy="Install the package rerun-sdk.")
-    return str(folder / name)
+
+def _parameters(overview: Overview) -> rrb.Container:
+    table = overview.calibration.table
+    rows = [f"{ROOT}/dh/rows/{name}{i + 1}" for i in range(len(table.labels)) for name in "da"]
+    reach = table.chain.reach
+    towards = viewpoint(overview.scene)[0] - viewpoint(overview.scene)[1]
+    target = overview.scene.frames[0, :, :3, 3].mean(axis=0)
+    arm = _space(
+        "DH rows to scale: d along each joint's axis, a along the common normal to the next",
+        ["+ $origin/dh/**", "+ $origin/led/predicted"],
+        target + 1.1 * reach * towards / np.linalg.norm(towards),
+        target,
+        overrides={row: rr.LineStrips3D.from_fields(show_labels=True) for row in rows},
+    )
+    bars = [chart_view(chart, ROOT) for chart in charts.parameter_charts(overview.calibration)]
+    text = rrb.TextDocumentView(origin=f"{ROOT}/texts/parameters", name="DH rows: nominal, offset, standard deviation")
+    return rrb.Horizontal(
+        arm, rrb.Vertical(rrb.Horizontal(*bars), text, row_shares=[3, 2]), column_shares=[2, 3], name="Parameters"
+    )
+
+
+def _workspace(overview: Overview) -> rrb.Container:
+    workspace = overview.workspace
+    reach = overview.calibration.chain.reach
+    middle = (workspace.tip.min(axis=0) + workspace.tip.max(axis=0)) / 2
+    eye = middle + 2.2 * reach * np.array([0.8, -1.0, 0.5]) / np.linalg.norm([0.8, -1.0, 0.5])
+    tips = overview.calibration.chain.tips
+    tip = "tip" if len(tips) == 1 else tips[0].link
+    titles = (f"Nominal: distance to the calibrated {tip}", "Calibrated: predicted standard deviation")
+    smallest, largest = (1e3 * limit for limit in workspace.range)
+    scale = f"violet {smallest:.2g}, yellow {largest:.2g} mm"
+    views = [
+        _space(
+            f"{title}, {1e3 * error.min():.2g} to {1e3 * error.max():.2g} mm ({scale})",
+            [f"+ $origin/workspace/{name}", "+ $origin/calibrated/**"],
+            eye,
+            middle,
+        )
+        for title, (name, error) in zip(titles, workspace.errors.items(), strict=True)
+    ]
+    shares = chart_view(charts.workspace_chart(workspace), ROOT)
+    return rrb.Vertical(rrb.Horizontal(*views), shares, row_shares=[3, 2], name="Workspace")
+
+
+def _grid(name: str, shown: list[Chart]) -> rrb.Container:
+    text = rrb.TextDocumentView(origin=f"{ROOT}/texts/{name}", name="How to read this")
+    return rrb.Grid(*(chart_view(chart, ROOT) for chart in shown), text, name=name.capitalize())
+
+
+def _images(images: list[str], overview: Overview, pixels: ResidualTable) -> list[rrb.View]:
+    """The residuals of all poses, nominal above and calibrated below, with the arm of this pose."""
+    scene, cameras = overview.scene, overview.calibration.estimate.cameras
+    views: list[rrb.View] = []
+    for what, factor, hidden in (
+        ("nominal", scene.pixel_factor, ("field", "arm/calibrated", "predicted")),
+        ("calibrated", scene.field_factor, ("field\\ nominal", "arm/nominal", "nominal", "residual\\ nominal")),
+    ):
+        for c, (image, camera) in enumerate(zip(images, cameras, strict=True)):
+            seen = pixels.measured[pixels.camera == c]
+            u, v = image_range(camera.resolution, seen)
+            views.append(
+                rrb.Spatial2DView(
+                    origin=image,
+                    contents=["+ $origin/**", *(f"- $origin/{name}" for name in hidden)],
+                    name=f"{camera.name} {what}: residuals {factor:g} x",
+                    visual_bounds=rrb.VisualBounds2D(x_range=u, y_range=v),
+                    background=BACKGROUND,
+                )
+            )
+    return views
+
+
+def _space(name: str, contents: list[str], eye: Floats, target: Floats, **more: Any) -> rrb.View:
+    controls = rrb.EyeControls3D(position=eye, look_target=target, eye_up=[0, 0, 1])
+    return rrb.Spatial3DView(
+        origin=ROOT, contents=contents, name=name, eye_controls=controls, background=BACKGROUND, **more
+    )
+
+
+def viewpoint(scene: CalibrationScene) -> tuple[Floats, Floats]:
+    """Find a place from which arm, LEDs and cameras are all in view, cameras to one side.
+
+    Returns:
+        The eye and the point it looks at, (3,) each, in the base link's frame. [m]
+    """
+    arm = scene.frames[..., :3, 3].reshape(-1, 3)
+    cameras = scene.views[..., :3, 3].reshape(-1, 3)
+    points = np.concatenate([arm, scene.leds.measured[~scene.leds.outlier], cameras])
+    target = (points.min(axis=0) + points.max(axis=0)) / 2
+    towards = cameras.mean(axis=0) - arm.mean(axis=0) if len(cameras) else np.zeros(3)
+    across = np.array([towards[1], -towards[0], 0.0])
+    if not np.linalg.norm(across) > 0.0:
+        across = np.array([1.0, 0.0, 0.0])
+    forward = -(across / np.linalg.norm(across) + [0.0, 0.0, 0.4])  # and somewhat down
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    away = points - target
+    wide, high = np.abs(away @ right) / _ASPECT, np.abs(away @ np.cross(right, forward))
+    distance = float(np.max(np.maximum(wide, high) / np.tan(_HALF_VIEW) - away @ forward))
+    return target - 1.1 * distance * forward, target

@@ -6,33 +6,26 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pinocchio as pin
 
 from urdfcal.arrays import Bools, Floats, Ints, inverse
 from urdfcal.cameras.rig import Rig
-from urdfcal.output.placing import RobotPoses
+from urdfcal.output.placing import PlacedRows, RobotPoses
+from urdfcal.rotations import matrix_to_rotation_vector, rotation_vector_to_matrix
 
 if TYPE_CHECKING:
     from urdfcal.estimation.snapshot import Snapshot
-    from urdfcal.output.placing import PlacedRows
     from urdfcal.result.fitted import FittedCalibration
     from urdfcal.session.attachments import Attachments
 
 
 @dataclass(frozen=True, eq=False)
-class ResidualTable:
-    """Measurements of one kind and their residuals, one row each, ordered by pose.
+class Residuals:
+    """What was measured, one row each, ordered by pose, and what both arms predict.
 
     Attributes:
-        unit: of residuals: px for pixels, mm for points.
-        scale: what residuals are multiplied by to be in that unit.
-        components: the name of each component.
-        by_camera: whether cameras measured; else it is in the world.
         pose: (S,) index of the pose.
         led: (S,) index of the LED.
-        camera: (S,) index of the camera; -1 for points.
-        measured: (S, D) in px of the camera, or m in the world.
-        sigma: (S,) standard deviation of each component.
+        measured: (S, D) in px of the camera, or m.
         predicted: (S, D) by the calibrated arm.
         nominal: (S, D) by the nominal arm.
         size: (S,) rms of the whitened residual's components after calibration: about 1 where the noise is as declared.
@@ -40,15 +33,9 @@ class ResidualTable:
         outlier: (S,) whether it was taken out of the fit.
     """
 
-    unit: str
-    scale: float
-    components: tuple[str, ...]
-    by_camera: bool
     pose: Ints
     led: Ints
-    camera: Ints
     measured: Floats
-    sigma: Floats
     predicted: Floats
     nominal: Floats
     size: Floats
@@ -64,6 +51,27 @@ class ResidualTable:
     def by_arm(self) -> dict[str, Floats]:
         """(S, D) by the nominal and by the calibrated arm."""
         return {"nominal": self.nominal, "calibrated": self.predicted}
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualTable(Residuals):
+    """Measurements of one kind and their residuals, points in the world.
+
+    Attributes:
+        unit: of residuals: px for pixels, mm for points.
+        scale: what residuals are multiplied by to be in that unit.
+        components: the name of each component.
+        by_camera: whether cameras measured; else it is in the world.
+        camera: (S,) index of the camera; -1 for points.
+        sigma: (S,) standard deviation of each component.
+    """
+
+    unit: str
+    scale: float
+    components: tuple[str, ...]
+    by_camera: bool
+    camera: Ints
+    sigma: Floats
 
     @property
     def noise(self) -> float:
@@ -117,32 +125,17 @@ def measurements_of(calibration: FittedCalibration) -> tuple[ResidualTable, ...]
 
 
 @dataclass(frozen=True, eq=False)
-class LedTable:
-    """LEDs in space, one row for every LED and pose at which it was measured, ordered by pose.
+class LedTable(Residuals):
+    """LEDs in space, one row for every LED and pose at which it was measured, in the base link's frame. [m].
 
-    What fixed cameras and cameras on different links see of one LED are rows of their own.
+    What fixed cameras and cameras on different links see of one LED are rows of their own. Points are triangulated, or
+    the tracker's; the nominal arm is relative to the calibrated one in the world, or as seen from the link that the
+    camera is on. Sizes are the rms over the LED's detections; an outlier has one of them taken out of the fit.
 
     Attributes:
-        pose: (M,) index of the pose.
-        led: (M,) index of the LED.
-        measured: (M, 3) triangulated, or the tracker's point, in the base link's frame. [m]
-        predicted: (M, 3) by the calibrated arm. [m]
-        nominal: (M, 3) by the nominal arm, relative to the calibrated one in the world, or as seen from the link that
-            the camera is on. [m]
-        size: (M,) of the residual after calibration, in standard deviations (rms over the LED's detections).
-        size_nominal: (M,) the same for the nominal arm.
-        outlier: (M,) whether one of its detections was taken out of the fit.
-        covariance: (M, 3, 3) of the measurement, by the declared noise; NaN where a single camera saw it. [m2]
+        covariance: (S, 3, 3) of the measurement, by the declared noise; NaN where a single camera saw it. [m2]
     """
 
-    pose: Ints
-    led: Ints
-    measured: Floats
-    predicted: Floats
-    nominal: Floats
-    size: Floats
-    size_nominal: Floats
-    outlier: Bools
     covariance: Floats
 
 
@@ -218,9 +211,9 @@ def build_scene(calibration: FittedCalibration) -> CalibrationScene:
 def exaggerated(T_base_here: Floats, T_base_there: Floats, factor: float) -> Floats:
     """Go from frames towards their counterparts and ``factor`` times as far, (..., 4, 4)."""
     T: Floats = T_base_here + factor * (T_base_there - T_base_here)  # right for the translations
-    for k in np.ndindex(T.shape[:-2]):
-        R = T_base_here[k][:3, :3]
-        T[k][:3, :3] = R @ pin.exp3(factor * pin.log3(R.T @ T_base_there[k][:3, :3]))
+    R, R_there = T_base_here[..., :3, :3], T_base_there[..., :3, :3]
+    turn = matrix_to_rotation_vector(np.swapaxes(R, -1, -2) @ R_there)
+    T[..., :3, :3] = R @ rotation_vector_to_matrix(factor * turn)
     return T
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
-from urdfcal.arrays import inverse
+from urdfcal.arrays import Floats, inverse
 from urdfcal.estimation.blocks.arm import LENGTHS
 from urdfcal.estimation.blocks.base_pose import BASE
 from urdfcal.estimation.blocks.cameras import lens_key, pose_key
@@ -25,10 +25,9 @@ from urdfcal.robot.urdf.origins import origins_of
 from urdfcal.rotations import matrix_to_rpy
 
 if TYPE_CHECKING:
-    from urdfcal.arrays import Floats
     from urdfcal.result.fitted import FittedCalibration
 
-Entry = dict[str, Any]
+Plain = dict[str, Any]
 
 
 def build_document(of: FittedCalibration) -> ResultDocument:
@@ -86,11 +85,11 @@ def _plain(value: Any) -> Any:
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
-def _of(thing: object, *names: str) -> Entry:
+def _of(thing: object, *names: str) -> Plain:
     return {name: getattr(thing, name) for name in names}
 
 
-def _robot(of: FittedCalibration) -> Entry:
+def _robot(of: FittedCalibration) -> Plain:
     chain = of.chain
     names = {BASE_LINK: None} | dict(enumerate(chain.names))
     of_joint = zip(chain.joints, chain.parents, chain.placements, of.placements, strict=True)
@@ -111,7 +110,7 @@ def _robot(of: FittedCalibration) -> Entry:
     }
 
 
-def _rows(of: FittedCalibration) -> list[Entry]:
+def _rows(of: FittedCalibration) -> list[Plain]:
     sigmas, arm = of.sigmas(), of.geometry
     nominal = of.table.nominal if arm is of.table else np.zeros_like(sigmas)
     entries = []
@@ -133,7 +132,7 @@ def _rows(of: FittedCalibration) -> list[Entry]:
     return entries
 
 
-def _placements(of: FittedCalibration) -> Entry:
+def _placements(of: FittedCalibration) -> Plain:
     """Each joint's origin in its parent link's frame, as the URDF will have it (xyz in m, rpy in rad)."""
     origins, urdf = dict(zip(of.chain.names, of.placements, strict=True)), of.session.urdf
     if urdf is not None:
@@ -142,7 +141,7 @@ def _placements(of: FittedCalibration) -> Entry:
     return {name: {"xyz": T[:3, 3], "rpy": matrix_to_rpy(T[:3, :3])} for name, T in origins.items()}
 
 
-def _parameters(of: FittedCalibration) -> list[Entry]:
+def _parameters(of: FittedCalibration) -> list[Plain]:
     """The coordinates of blocks that have no section of their own."""
     return [
         entry
@@ -151,7 +150,7 @@ def _parameters(of: FittedCalibration) -> list[Entry]:
     ]
 
 
-def _leds(of: FittedCalibration) -> Entry:
+def _leds(of: FittedCalibration) -> Plain:
     attachments, sigmas = of.session.attachments, of.sigmas_of(LEDS).reshape(-1, 3)
     return {
         led.name: {
@@ -163,7 +162,7 @@ def _leds(of: FittedCalibration) -> Entry:
     }
 
 
-def _camera(of: FittedCalibration, c: int) -> Entry:
+def _camera(of: FittedCalibration, c: int) -> Plain:
     """A camera's lens, and its pose in the world or on its link; of an arm that moved its clock's time offset."""
     camera, T, attachments = of.estimate.cameras[c], of.estimate.T_cam_frame[c], of.session.attachments
     frame = int(attachments.camera[c])
@@ -184,7 +183,7 @@ def _camera(of: FittedCalibration, c: int) -> Entry:
     return entry
 
 
-def _fit(of: FittedCalibration) -> Entry:
+def _fit(of: FittedCalibration) -> Plain:
     fit, rms = of.fit, {}
     found = triangulate(of.session) if of.estimate.cameras else None
     points = arrange(of.session, found) if found is not None else None
@@ -206,7 +205,7 @@ def _fit(of: FittedCalibration) -> Entry:
     }
 
 
-def _validation(of: FittedCalibration) -> Entry:
+def _validation(of: FittedCalibration) -> Plain:
     """Both arms with the same cameras; over measurements that are no outliers; for pixels the distance across the ray.
 
     Of an arm that moved the interval is of whole seconds: the errors of neighbouring frames are alike.
@@ -227,7 +226,7 @@ def _validation(of: FittedCalibration) -> Entry:
     }
 
 
-def _outliers(of: FittedCalibration) -> list[Entry]:
+def _outliers(of: FittedCalibration) -> list[Plain]:
     """The measurements taken out of the fit: pose, camera, LED and residual (px, or mm for points)."""
     found = []
     for block, cut, norms in zip(of.observations, of.fit.outlier, of.fit.norms, strict=True):

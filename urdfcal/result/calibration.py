@@ -18,7 +18,7 @@ from urdfcal.robot.compensation import Compensation, compensate
 from urdfcal.robot.dh import PARAMETERS
 from urdfcal.robot.mechanism import BASE, Joint, Mechanism, Tip
 from urdfcal.robot.tree_dh import rows_of
-from urdfcal.robot.urdf.urdf import Mimic
+from urdfcal.robot.urdf.urdf import Mimic, Urdf
 
 if TYPE_CHECKING:
     import pinocchio as pin
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
     from urdfcal.estimation.assessment import Assessment
     from urdfcal.result.document import ResultDocument
-    from urdfcal.robot.urdf.urdf import Urdf
 
 FILE_NAME = "calibration.json"
 

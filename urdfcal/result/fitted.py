@@ -10,7 +10,7 @@ import numpy as np
 
 from urdfcal.arrays import Floats, frozen
 from urdfcal.errors import OutputError
-from urdfcal.estimation.blocks.arm import ArmBlock, zero_rows
+from urdfcal.estimation.blocks.arm import ArmBlock, ArmParameterization, zero_rows
 from urdfcal.estimation.joint_models.zero_offset import ZERO_OFFSETS
 from urdfcal.estimation.snapshot import Snapshot
 from urdfcal.estimation.uncertainty import tip_covariance
@@ -22,7 +22,6 @@ from urdfcal.robot.urdf.urdf import Urdf
 
 if TYPE_CHECKING:
     from urdfcal.estimation.assessment import Assessment
-    from urdfcal.estimation.blocks.arm import ArmParameterization
     from urdfcal.estimation.identifiability import Identifiability
     from urdfcal.estimation.model_selection import Comparison
     from urdfcal.estimation.multistart import Minimum

@@ -25,15 +25,14 @@ from urdfcal.errors import OutputError, RobotError
 from urdfcal.names import suggest
 from urdfcal.output.placing import joint_frames
 from urdfcal.robot.kinematics import link_poses
-from urdfcal.robot.mechanism import BASE
+from urdfcal.robot.mechanism import BASE, Mechanism
 from urdfcal.robot.urdf.markup import Edit, Element, apply_edits, changed_attributes, start_tag
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable
     from pathlib import Path
 
     from urdfcal.result.calibration import Calibration
-    from urdfcal.robot.mechanism import Mechanism
     from urdfcal.robot.urdf.urdf import Urdf
 
 # MuJoCo's kinematics and ours round differently. [m, entries of the rotation]
@@ -84,7 +83,10 @@ def mjcf(calibration: Calibration, urdf: Urdf, path: Path) -> dict[str, bytes]:
     for i, body in enumerate(bodies):
         if np.array_equal(chain.placements[i], placements[i]):
             continue
-        place, Z = _place(model, body), inverse(T_world[0, model.body_parentid[body]]) @ T_world[0, body]
+        # Where the body is in its parent body before its joint moves it, and with all joints at zero.
+        w, x, y, z = model.body_quat[body]
+        place: Floats = pin.SE3(pin.Quaternion(w, x, y, z), model.body_pos[body]).homogeneous
+        Z = inverse(T_world[0, model.body_parentid[body]]) @ T_world[0, body]
         to_link = Z @ inverse(T_world[0, body]) @ links[i]
         new = to_link @ inverse(chain.placements[i]) @ placements[i] @ inverse(to_link) @ place
         edited.append((elements[chain.names[i]], place, new))
@@ -153,13 +155,6 @@ def _above(model: Any, body: int) -> list[int]:
     while above[-1] != 0 and model.body_jntnum[above[-1]] == 0:
         above.append(int(model.body_parentid[above[-1]]))
     return above
-
-
-def _place(model: Any, body: int) -> Floats:
-    """Where a body is in its parent body before its joint moves it, (4, 4) in m."""
-    w, x, y, z = model.body_quat[body]
-    T: Floats = pin.SE3(pin.Quaternion(w, x, y, z), model.body_pos[body]).homogeneous
-    return T
 
 
 def _moved(model: Any, joints: Ints, q: Floats) -> tuple[Floats, Any]:
@@ -325,22 +320,21 @@ def with_places(data: bytes, moved: Iterable[tuple[Element, Floats, Floats]]) ->
         data: the file's bytes.
         moved: bodies, each with its place (4, 4) in its parent body's frame, as MuJoCo reads it, and the new one. [m]
     """
-    return apply_edits(data, [edit for body, old, new in moved for edit in _edits(data, body, old, new)])
-
-
-def _edits(data: bytes, body: Element, old: Floats, new: Floats) -> Iterator[Edit]:
-    values = {}
-    if not np.array_equal(old[:3, 3], new[:3, 3]):
-        values["pos"] = _text(new[:3, 3])
-    if not np.array_equal(old[:3, :3], new[:3, :3]):
-        x, y, z, w = pin.Quaternion(np.ascontiguousarray(new[:3, :3])).normalized().coeffs()
-        values["quat"] = _text(np.array([w, x, y, z]))
-    written = next((name for name in _OTHER_ORIENTATIONS if name in body.attributes), None)
-    if written is not None and "quat" in values:
-        attribute = start_tag(data, body).attributes[written]
-        quote = attribute["quote"]
-        yield Edit(attribute.start("name"), attribute.end(), b"quat=" + quote + values.pop("quat") + quote)
-    yield from changed_attributes(data, body, values)
+    edits: list[Edit] = []
+    for body, old, new in moved:
+        values = {}
+        if not np.array_equal(old[:3, 3], new[:3, 3]):
+            values["pos"] = _text(new[:3, 3])
+        if not np.array_equal(old[:3, :3], new[:3, :3]):
+            x, y, z, w = pin.Quaternion(np.ascontiguousarray(new[:3, :3])).normalized().coeffs()
+            values["quat"] = _text(np.array([w, x, y, z]))
+        written = next((name for name in _OTHER_ORIENTATIONS if name in body.attributes), None)
+        if written is not None and "quat" in values:
+            attribute = start_tag(data, body).attributes[written]
+            quote = attribute["quote"]
+            edits.append(Edit(attribute.start("name"), attribute.end(), b"quat=" + quote + values.pop("quat") + quote))
+        edits += changed_attributes(data, body, values)
+    return apply_edits(data, edits)
 
 
 def _text(values: Floats) -> bytes:

@@ -9,7 +9,7 @@ import yaml
 
 from urdfcal.errors import OutputError
 from urdfcal.output.trajectory import csv_text
-from urdfcal.result.calibration import corrected_name
+from urdfcal.result.calibration import Calibration, corrected_name
 from urdfcal.robot.chain import Chain, read_mechanism
 from urdfcal.robot.dh import PARAMETERS, DHTable
 from urdfcal.robot.kinematics import joint_motion
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from urdfcal.arrays import Floats
-    from urdfcal.result.calibration import Calibration
 
 ROWS, FRAMES, OFFSETS = "dh.csv", "dh_frames.csv", "joint_offsets.csv"
 _POSE = ("x", "y", "z", "roll", "pitch", "yaw")

@@ -1,0 +1,69 @@
+"""Opening a recording in the rerun viewer."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import NoReturn
+
+from urdfcal.errors import OutputError
+
+RECORDING = "calibration.rrd"
+_LOOPBACK = "127.0.0.1"
+
+
+def find_recording(folder: Path) -> Path:
+    """The recording of a result folder, or the file itself.
+
+    Raises:
+        OutputError: there is none.
+    """
+    recording = folder / RECORDING if folder.is_dir() else folder
+    if not recording.is_file():
+        raise OutputError(
+            "there is no recording here", where=str(folder), remedy="Name the folder that urdfcal calibrate -o wrote."
+        )
+    return recording
+
+
+def open_recording(recording: Path) -> None:
+    """Start the viewer on a recording and wait until it is closed.
+
+    Raises:
+        OutputError: the viewer cannot open a window.
+    """
+    ended = subprocess.run([_rerun(), "--bind", _LOOPBACK, str(recording)], check=False).returncode  # noqa: S603
+    if ended != 0:
+        raise OutputError(
+            f"the rerun viewer stopped with code {ended}",
+            where=str(recording),
+            remedy="It needs a screen; without one: urdfcal view --web, or --save and look at it elsewhere.",
+        )
+
+
+def serve_recording(recording: Path, port: int = 0) -> NoReturn:
+    """Become a server of a recording as a web page, to this machine only; it prints the address.
+
+    This process is replaced, so that whatever ends it ends the server.
+
+    Args:
+        recording: the file.
+        port: of the page; 0 takes a free one.
+    """
+    sys.stdout.flush()
+    ports = ["--port", "0", "--web-viewer-port", str(port)]
+    os.execv(_rerun(), ["rerun", "--serve-web", "--bind", _LOOPBACK, *ports, str(recording)])  # noqa: S606
+
+
+def _rerun() -> str:
+    """The viewer itself; the command ``rerun`` is a wrapper that leaves it behind when ended."""
+    from importlib.util import find_spec
+
+    package = find_spec("rerun_cli")
+    folder = Path(package.origin).parent if package is not None and package.origin else Path()
+    name = "rerun.exe" if sys.platform == "win32" else "rerun"
+    if not (folder / name).is_file():
+        raise OutputError("the rerun viewer is not installed", remedy="Install the package rerun-sdk.")
+    return str(folder / name)
