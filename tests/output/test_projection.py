@@ -5,7 +5,7 @@ import pytest
 
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
-from urdfcal.output.images import arm_in_image, draw_image, skeleton
+from urdfcal.output.images import arm_in_images, draw_image, skeleton
 from urdfcal.output.palette import CALIBRATED, NOMINAL
 from urdfcal.output.placing import joint_frames, place_rows
 from urdfcal.pipeline import calibrate
@@ -25,9 +25,9 @@ def test_the_line_ends_at_the_projected_tip(calibration, nominal, camera):
     state = calibration.nominal if nominal else calibration.estimate
     placements = None if nominal else calibration.placements
     T = state.T_cam_frame[camera] @ state.T_world_base @ tip_poses(calibration.chain, q, placements)
-    uv = arm_in_image(calibration, q, camera, nominal=nominal)
+    uv = arm_in_images(calibration, state, q)[camera]
     np.testing.assert_allclose(uv[:, -1], state.cameras[camera].project(T[:, :3, 3]), atol=1e-6)
-    np.testing.assert_array_equal(arm_in_image(calibration, q[3], camera, nominal=nominal), uv[3])
+    np.testing.assert_array_equal(arm_in_images(calibration, state, q[3:4])[camera], uv[3:4])
 
 
 def test_the_skeleton_passes_the_dh_product_and_its_stretches_are_d_and_a(calibration):
@@ -46,7 +46,7 @@ def test_the_skeleton_passes_the_dh_product_and_its_stretches_are_d_and_a(calibr
 
 def test_a_lens_bends_the_line():
     calibration = calibrate(simulate(read_rig(find_rig("elbow3r")), seed=1, poses=12).session)
-    uv = arm_in_image(calibration, calibration.session.q[0])
+    uv = arm_in_images(calibration, calibration.estimate, calibration.session.q[:1])[0][0]
     frames = joint_frames(calibration.chain, calibration.placements, calibration.session.q[:1])
     corners = skeleton(place_rows(calibration.table, calibration.estimate.offsets, frames).lines)[0]
     per_stretch = (len(uv) - 1) // (len(corners) - 1)
@@ -60,7 +60,7 @@ def test_a_lens_bends_the_line():
 def test_what_is_drawn_is_where_it_should_be_and_nothing_behind_the_camera():
     line = np.array([[10.0, 10.0], [30.0, 10.0], [np.nan, np.nan], [10.0, 40.0], [30.0, 40.0], [1e9, 1e9]])
     other = np.array([[10.0, 25.0], [30.0, 25.0]])
-    picture = np.full((60, 50), 7, dtype=np.uint8)
+    picture = np.full((60, 50, 3), 7, dtype=np.uint8)
     drawn = draw_image(picture, [("calibrated", line[:5]), ("nominal", other)], [("detected", np.full((1, 2), np.nan))])
     assert drawn.shape == (60, 50, 3)
     np.testing.assert_allclose(drawn[10, 20], CALIBRATED[::-1], atol=30)  # smoothed
@@ -68,4 +68,4 @@ def test_what_is_drawn_is_where_it_should_be_and_nothing_behind_the_camera():
     np.testing.assert_allclose(drawn[25, 20], NOMINAL[::-1], atol=30)
     np.testing.assert_array_equal(drawn[33, 20], [7, 7, 7])
     np.testing.assert_array_equal(picture, 7)
-    assert draw_image((50, 60), [("calibrated", line)], []).shape == (60, 50, 3)
+    assert draw_image(picture, [("calibrated", line)], []).shape == (60, 50, 3)

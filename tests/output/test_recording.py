@@ -18,7 +18,7 @@ from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.output import arms
 from urdfcal.output.findings import Overview, headline
-from urdfcal.output.images import arm_in_image, overlays
+from urdfcal.output.images import arm_in_images, overlays
 from urdfcal.output.palette import CALIBRATED
 from urdfcal.output.recording import LiveView, write_recording
 from urdfcal.output.scene import build_scene
@@ -269,7 +269,8 @@ def test_the_arm_is_drawn_into_the_pictures(calibration, recorded):
     for c, camera in enumerate(("cam0", "cam1")):
         for name in ("calibrated", "nominal"):
             strips = recorded.rows(f"/base/cameras/{camera}/image/arm/{name}", "LineStrips2D:strips")
-            expected = arm_in_image(calibration, calibration.session.q, c, nominal=name == "nominal")
+            arm = calibration.nominal if name == "nominal" else calibration.estimate
+            expected = arm_in_images(calibration, arm, calibration.session.q)[c]
             assert list(strips) == list(range(POSES))
             np.testing.assert_allclose(strips[BLIND][0], expected[BLIND] + CORNER, atol=1e-3)
 
@@ -352,7 +353,7 @@ def test_photographs_and_overlay(calibration, tmp_path):
     assert [k for k, row in blobs.items() if len(row)] == [2]
     pictures = overlays(tmp_path / "calibration.rrd", session.poses[2])
     assert list(pictures) == ["cam0", "cam1"]
-    tip = arm_in_image(calibration, session.q[2])[-1]
+    tip = arm_in_images(calibration, calibration.estimate, session.q[2:3])[0][0, -1]
     u, v = np.round(tip).astype(int)
     assert np.abs(pictures["cam0"][v, u].astype(int) - CALIBRATED[::-1]).max() < 60
     assert np.abs(pictures["cam0"][5, 5].astype(int) - 90).max() <= 2

@@ -38,7 +38,7 @@ def test_what_is_outside_the_range_is_left_out_or_cut():
 
 
 def test_texts_are_escaped_and_ticks_keep_apart():
-    figure = drawn(x_names=dict.fromkeys(np.linspace(0, 1, 200).tolist(), "a long name"))
+    figure = drawn(x=Scale(0, 1, names=dict.fromkeys(np.linspace(0, 1, 200).tolist(), "a long name")))
     texts = [element.text for element in figure.iter() if element.tag.endswith("text")]
     assert "<a> & b" in texts
     assert 2 < texts.count("a long name") < 12

@@ -14,7 +14,7 @@ from urdfcal.cameras.rig import Rig
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.output.findings import Overview, write_report
-from urdfcal.output.images import arm_in_image, overlays
+from urdfcal.output.images import arm_in_images, overlays
 from urdfcal.output.placing import RobotPoses
 from urdfcal.output.recording import write_recording
 from urdfcal.output.scene import build_scene
@@ -154,7 +154,7 @@ def test_every_branch_is_recorded(calibration, recorded):
 
 def test_the_arm_in_the_pictures_is_cut_where_no_camera_sees_it(calibration, recorded):
     for c, camera in enumerate(calibration.estimate.cameras):
-        uv = arm_in_image(calibration, calibration.session.q, c)
+        uv = arm_in_images(calibration, calibration.estimate, calibration.session.q)[c]
         image = f"/base/cameras/{camera.name}/image"
         for pose, pieces in strips(recorded, f"{image}/arm/calibrated", "LineStrips2D:strips").items():
             if pieces:

@@ -58,7 +58,11 @@ def log_arms(layer: Layer, session: Session, scene: CalibrationScene) -> tuple[s
     for name, frames, tint, line in arms:
         arm = layer.at(name)
         for body in bodies:
-            _log_body(arm.at(body.link), body, frames, tint)
+            link = arm.at(body.link)
+            link.placed(frames[:, body.frame] @ body.T_frame_link, moves=body.frame > 0)
+            for k, shape in enumerate(body.shapes):
+                scale = shape.size if shape.mesh else (1.0, 1.0, 1.0)
+                link.at(f"shape {k}").fixed(placed(shape.T_link_shape, scale), _visual(shape, tint))
         if warnings or not bodies:
             sticks = []  # a line from the base link over the joints to each tip
             for tip in session.chain.tips:
@@ -93,14 +97,6 @@ def log_dh(layer: Layer, table: DHTable | TreeTable, scene: CalibrationScene) ->
                 labels=f"{name}{i + 1} {1e3 * value:.1f} mm",
                 show_labels=False,
             )
-
-
-def _log_body(layer: Layer, body: VisibleLink, frames: Floats, tint: Tint | None) -> None:
-    T = frames[:, body.frame] @ body.T_frame_link
-    layer.placed(T, moves=body.frame > 0)
-    for k, shape in enumerate(body.shapes):
-        scale = shape.size if shape.mesh else (1.0, 1.0, 1.0)
-        layer.at(f"shape {k}").fixed(placed(shape.T_link_shape, scale), _visual(shape, tint))
 
 
 def _visual(shape: Shape, tint: Tint | None) -> AsComponents:

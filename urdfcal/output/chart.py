@@ -47,12 +47,14 @@ class Scale:
         high: at the right or the top.
         logarithmic: whether equal factors take equal room.
         whole: whether only whole numbers mean something.
+        names: ticks that are names instead of numbers.
     """
 
     low: float
     high: float
     logarithmic: bool = False
     whole: bool = False
+    names: Mapping[float, str] | None = None
 
     @classmethod
     def holding(cls, *values: ArrayLike, logarithmic: bool = False, whole: bool = False, room: float = 0.05) -> Scale:
@@ -78,8 +80,10 @@ class Scale:
         result: Floats = np.log(ratio) / np.log(self.high / self.low)
         return result
 
-    def ticks(self) -> dict[float, str]:
-        """A handful of round values within the range, and how they are written."""
+    def ticks(self) -> Mapping[float, str]:
+        """A handful of round values within the range, and how they are written; or the names."""
+        if self.names is not None:
+            return self.names
         if self.logarithmic:
             decades = 10.0 ** np.arange(np.floor(np.log10(self.low)), np.ceil(np.log10(self.high)) + 1)
             inside = np.count_nonzero((decades >= self.low) & (decades <= self.high))
@@ -124,8 +128,6 @@ class Chart:
         x: the horizontal range.
         y: the vertical range.
         marks: its contents, the last on top.
-        x_names: ticks that are names instead of numbers.
-        y_names: likewise.
         x_label: what the report writes below.
         legend: names of the marks that the report explains by their colours.
         breadth: its share of a row in the report.
@@ -139,8 +141,6 @@ class Chart:
     x: Scale
     y: Scale
     marks: Sequence[Mark]
-    x_names: Mapping[float, str] | None = None
-    y_names: Mapping[float, str] | None = None
     x_label: str = ""
     legend: tuple[str, ...] = ()
     breadth: float = 1.0
@@ -148,15 +148,11 @@ class Chart:
     axes: bool = True
     colors: Scale | None = None
 
-    @property
-    def x_ticks(self) -> Mapping[float, str]:
-        """Where the horizontal axis is marked, and with what."""
-        return self.x.ticks() if self.x_names is None else self.x_names
-
-    @property
-    def y_ticks(self) -> Mapping[float, str]:
-        """Where the vertical axis is marked, and with what."""
-        return self.y.ticks() if self.y_names is None else self.y_names
+    def ticks(self, width: float, height: float) -> tuple[dict[float, str], dict[float, str]]:
+        """Where both axes of an area of the given size are marked, from the left and from the top, and with what."""
+        x, y = self.x.ticks(), self.y.ticks()
+        across, down = width * self.x.share(list(x)), height * (1.0 - self.y.share(list(y)))
+        return dict(zip(across.tolist(), x.values(), strict=True)), dict(zip(down.tolist(), y.values(), strict=True))
 
     def shapes(self, mark: Mark, width: float, height: float) -> tuple[list[Floats] | Floats, Color]:
         """Bring a mark onto an area of the given size, its origin at the top left.
@@ -183,7 +179,7 @@ def svg(rows: Sequence[Sequence[Chart]], height: float) -> str:
     parts: list[str] = []
     top = 0.0
     for row in rows:
-        names = max(len(chart.y_names or ()) for chart in row)
+        names = max(len(chart.y.names or ()) for chart in row)
         tall, left, unit = max(height, _ROW * names + _TOP + _BOTTOM), 0.0, _WIDTH / sum(c.breadth for c in row)
         for chart in row:
             parts += _chart(chart, left, top, unit * chart.breadth - _GAP, tall)
@@ -196,7 +192,7 @@ def svg(rows: Sequence[Sequence[Chart]], height: float) -> str:
 
 
 def _chart(chart: Chart, left: float, top: float, width: float, height: float) -> Iterator[str]:
-    names = chart.y_ticks.values() if chart.axes else ()
+    names = chart.y.ticks().values() if chart.axes else ()
     beside = max([8.0, *(8.0 + _LETTER * len(name) for name in names)])
     room = width - beside - (_BAR_ROOM if chart.colors else _RIGHT)
     below = (_BOTTOM if chart.axes else 2.0) + (_LABEL if chart.x_label else 0.0)
@@ -228,12 +224,9 @@ def _legend(chart: Chart, end: float) -> Iterator[str]:
 
 
 def _axes(chart: Chart, width: float, height: float) -> Iterator[str]:
-    columns = dict(zip((width * chart.x.share(list(chart.x_ticks))).tolist(), chart.x_ticks.values(), strict=True))
-    rows = dict(
-        zip((height * (1.0 - chart.y.share(list(chart.y_ticks)))).tolist(), chart.y_ticks.values(), strict=True)
-    )
+    columns, rows = chart.ticks(width, height)
     grid = [f"M{u:.1f} 0V{height:.1f}" for u in columns]
-    grid += [f"M0 {v:.1f}H{width:.1f}" for v in rows] if chart.y_names is None else []
+    grid += [f"M0 {v:.1f}H{width:.1f}" for v in rows] if chart.y.names is None else []
     yield f'<path d="{"".join(grid)}" stroke="#ebebeb" stroke-width=".8"/>'
     yield f'<path d="M0 0V{height:.1f}H{width:.1f}" fill="none" stroke="#333" stroke-width=".8"/>'
     yield from (_text(u, height + 13, name, "middle") for u, name in _apart(columns).items())

@@ -97,10 +97,9 @@ def _by_camera(pixels: ResidualTable, names: list[str]) -> Chart:
     return Chart(
         "by camera",
         "By camera [px]",
-        Scale(-0.7, len(names) - 0.3),
+        Scale(-0.7, len(names) - 0.3, names={float(c): name for c, name in enumerate(names)}),
         Scale(0.0, 1.1 * tallest),
         marks,
-        x_names={float(c): name for c, name in enumerate(names)},
     )
 
 
@@ -164,7 +163,7 @@ def parameter_charts(calibration: FittedCalibration) -> list[Chart]:
         ends = np.stack([value - margin, value + margin], axis=-1)
         across, along = _bars(y, value, 0.25)
         names = [f"{labels[row]} {SYMBOLS.get(columns[k], columns[k])}" for row, k in np.argwhere(of_kind)]
-        height = Scale(0.2, len(value) + 0.8)
+        height = Scale(0.2, len(value) + 0.8, names=dict(zip(y.tolist(), names, strict=True)))
         charts.append(
             Chart(
                 kind,
@@ -176,7 +175,6 @@ def parameter_charts(calibration: FittedCalibration) -> list[Chart]:
                     Mark("lines", "intervals", ends, np.stack([y, y], axis=-1), palette.INK),
                     Mark("hairlines", "zero", [0.0, 0.0], [height.low, height.high], palette.INK),
                 ],
-                y_names=dict(zip(y.tolist(), names, strict=True)),
             )
         )
     return charts

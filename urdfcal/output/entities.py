@@ -236,15 +236,14 @@ def chart_view(chart: Chart, root: str) -> rrb.View:
 def _log_chart(parent: Layer, chart: Chart) -> None:
     """Draw a chart at a child of ``parent``."""
     layer, (beside, height) = parent.at(chart.name), _room(chart)
-    x = _WIDTH * chart.x.share(list(chart.x_ticks))
-    y = height * (1.0 - chart.y.share(list(chart.y_ticks)))
+    x, y = chart.ticks(_WIDTH, height)
     grid = [[[0.0, v], [_WIDTH, v]] for v in y]
     layer.at("grid").fixed(rr.LineStrips2D(grid, colors=palette.GRID, radii=_HAIR, draw_order=-1.0))
     frame = [[0.0, 0.0], [0.0, height], [_WIDTH, height]]
     layer.at("frame").fixed(rr.LineStrips2D([frame], colors=palette.FAINT, radii=_HAIR))
     # rerun writes labels centred below their points.
     ticks = [*([u, height] for u in x), *([-beside / 2, v - 5.0] for v in y)]
-    names = [*chart.x_ticks.values(), *chart.y_ticks.values()]
+    names = [*x.values(), *y.values()]
     layer.at("ticks").fixed(rr.Points2D(ticks, radii=_NONE, labels=names, colors=palette.INK, show_labels=True))
     for order, mark in enumerate(chart.marks):
         shapes, colors = chart.shapes(mark, _WIDTH, height)
@@ -254,9 +253,9 @@ def _log_chart(parent: Layer, chart: Chart) -> None:
 
 def _room(chart: Chart) -> tuple[float, float]:
     """The width of the names beside a chart, and its height."""
-    if chart.y_names is None:
+    if chart.y.names is None:
         return _NUMBERS, _HEIGHT
-    return _NAMES, max(_HEIGHT, min(_ROW * len(chart.y_names), _TALLEST))
+    return _NAMES, max(_HEIGHT, min(_ROW * len(chart.y.names), _TALLEST))
 
 
 def _log_texts(base: Layer, overview: Overview) -> None:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from pathlib import Path
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import NDArray
 
     from urdfcal.estimation.snapshot import Snapshot
     from urdfcal.result.fitted import FittedCalibration
@@ -38,27 +38,18 @@ _GAP = 8
 _LEDS = (("detected", "sighted"), ("nominal", "nominal"), ("calibrated", "predicted"))
 
 
-def arm_in_image(calibration: FittedCalibration, q: ArrayLike, camera: int = 0, *, nominal: bool = False) -> Floats:
-    """The pixels of the arm's axes and common normals at given joint values.
+def arm_in_images(calibration: FittedCalibration, arm: Snapshot, q: Floats) -> list[Floats]:
+    """The pixels of the arm's axes and common normals at given joint values, in each camera.
 
     Args:
         calibration: whose robot, base and cameras.
-        q: (N, n) or (n,) joint values. [rad or m]
-        camera: index.
-        nominal: the nominal arm, placed to fit the measurements best, instead of the calibrated one.
+        arm: its calibrated arm, or the nominal one, placed to fit the measurements best.
+        q: (N, n) joint values. [rad or m]
 
     Returns:
-        (N, P, 2) or (P, 2): a line from the base over all DH rows to the tip, in px; NaN behind the camera, and between
-        the lines of an arm that branches.
+        (N, P, 2) for each camera: a line from the base over all DH rows to the tip, in px, bent by the lens; NaN behind
+        the camera, and between the lines of an arm that branches.
     """
-    q = np.asarray(q, dtype=float)
-    arm = calibration.nominal if nominal else calibration.estimate
-    uv = arm_in_images(calibration, arm, np.atleast_2d(q))[camera]
-    return uv if q.ndim == 2 else uv[0]
-
-
-def arm_in_images(calibration: FittedCalibration, arm: Snapshot, q: Floats) -> list[Floats]:
-    """The line (N, P, 2) of :func:`arm_in_image` in each camera, at joint values (N, n), bent by the lens."""
     poses, along = RobotPoses.of(calibration, arm, q), np.linspace(0.0, 1.0, _POINTS)[:-1, None]
     corners = skeleton(poses.rows.lines)
     points = (1 - along) * corners[:, :-1, None] + along * corners[:, 1:, None]
@@ -87,14 +78,12 @@ def finite_pieces(uv: Floats) -> list[Floats]:
 
 
 def draw_image(
-    image: NDArray[np.uint8] | tuple[int, int],
-    lines: Sequence[tuple[str, Floats]],
-    leds: Sequence[tuple[str, Floats]],
+    image: NDArray[np.uint8], lines: Sequence[tuple[str, Floats]], leds: Sequence[tuple[str, Floats]]
 ) -> NDArray[np.uint8]:
     """Draw arms and LEDs over a camera's image.
 
     Args:
-        image: (h, w) or (h, w, 3), or only its (width, height).
+        image: (h, w, 3).
         lines: kind (``nominal`` or ``calibrated``) and (P, 2) pixels, NaN where there are none.
         leds: kind (``detected``, ``nominal`` or ``calibrated``) and (K, 2) pixels.
 
@@ -103,10 +92,7 @@ def draw_image(
     """
     import cv2
 
-    if isinstance(image, tuple):
-        canvas = np.full((image[1], image[0], 3), 16, dtype=np.uint8)
-    else:
-        canvas = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
+    canvas = image.copy()
     size = max(canvas.shape) / 1000
     thickness = max(1, round(2 * size))
     for kind, uv in lines:
@@ -210,7 +196,7 @@ def overlays(recording: Path, pose: str) -> dict[str, NDArray[np.uint8]]:
     at, drawn = poses.index(pose), {}
     for image in images:
         width, height = (int(side) for side in (value(image, "Pinhole:resolution") or [[0, 0]])[0])
-        background: NDArray[np.uint8] | tuple[int, int] = (width, height)
+        background = np.full((height, width, 3), 16, dtype=np.uint8)
         if photograph := value(image, "EncodedImage:blob", at):
             data = np.frombuffer(bytes(photograph[0]), dtype=np.uint8)
             background = np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), dtype=np.uint8)

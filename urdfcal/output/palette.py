@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from urdfcal.arrays import Floats
@@ -47,14 +49,16 @@ SIGMA_LEGEND = "green: within the noise, yellow: 2.5 times it, red: 5 times it o
 def by_sigma(size: Floats) -> NDArray[np.uint8]:
     """Colour residuals by their size in standard deviations, (M,) -> (M, 3)."""
     size = np.nan_to_num(size, nan=np.inf)  # not predictable at all: behind the camera
-    channels = [np.interp(size, _SIGMAS, channel) for channel in zip(*_COLORS, strict=True)]
-    return np.stack(channels, axis=-1).astype(np.uint8)
+    return _between(size, _SIGMAS, _COLORS)
 
 
 def viridis(share: Floats) -> NDArray[np.uint8]:
     """Colours from dark violet at 0 to yellow at 1, (M,) -> (M, 3)."""
-    stops = np.linspace(0.0, 1.0, len(_VIRIDIS))
-    channels = [np.interp(share, stops, channel) for channel in zip(*_VIRIDIS, strict=True)]
+    return _between(share, np.linspace(0.0, 1.0, len(_VIRIDIS)), _VIRIDIS)
+
+
+def _between(values: Floats, stops: Sequence[float] | Floats, colors: tuple[tuple[int, ...], ...]) -> NDArray[np.uint8]:
+    channels = [np.interp(values, stops, channel) for channel in zip(*colors, strict=True)]
     return np.stack(channels, axis=-1).astype(np.uint8)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -199,8 +200,6 @@ class FittedCalibration(Calibration):
 
 def _yourdfpy_links(data: bytes, chain: Mechanism, q: Floats) -> Floats:
     """T_base_link (tips, N, 4, 4) by yourdfpy, which shares no code with Pinocchio."""
-    import io
-
     import yourdfpy
 
     robot = yourdfpy.URDF.load(io.BytesIO(data), load_meshes=False, build_scene_graph=True)

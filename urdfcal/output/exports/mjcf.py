@@ -91,7 +91,23 @@ def mjcf(calibration: Calibration, urdf: Urdf, path: Path) -> dict[str, bytes]:
         new = to_link @ inverse(chain.placements[i]) @ placements[i] @ inverse(to_link) @ place
         edited.append((elements[chain.names[i]], place, new))
     written = with_places(data, edited)
-    _check(calibration, joints, T_world_base, model, _compiled(written, path), str(path))
+    # MuJoCo moves both models, to be compared with the nominal and the calibrated chain.
+    q = chain.random_values(_CHECK_POSES, np.random.default_rng(0))
+    tips = [tip for tip in chain.tips if tip.joint != BASE]  # what is fixed to the base link no body carries
+    carriers = bodies[[tip.joint for tip in tips]]
+    to_tip = inverse(T_world[0, carriers]) @ T_world_base @ np.array(link_poses(chain, zero, tips))[:, 0]
+
+    def deviation(moving: Any, placed: Floats) -> float:
+        expected = T_world_base @ np.stack(link_poses(chain, q, tips, placed), axis=1)
+        return float(np.abs(_moved(moving, joints, q)[0][:, carriers] @ to_tip - expected).max())
+
+    before, after = deviation(model, chain.placements), deviation(_compiled(written, path), placements)
+    if not after <= _CARRIED * before + _AGREEMENT:
+        raise OutputError(
+            f"the new model does not move as the calibrated robot: {after:.1e} m or in the rotation",
+            where=str(path),
+            remedy="This is a defect of urdfcal: please report it with the file.",
+        )
     return {f"{path.stem}_calibrated{path.suffix}": written}
 
 
@@ -235,29 +251,6 @@ def _misfit(anchors: Floats, axes: Floats, chain: Mechanism, links: Floats) -> t
         if max(distance, angle) > _SAME:
             return i, distance, angle
     return None
-
-
-def _check(calibration: Calibration, joints: Ints, T_world_base: Floats, old: Any, new: Any, where: str) -> None:
-    """Let MuJoCo move both models and compare with the nominal and the calibrated chain."""
-    chain = calibration.chain
-    q = chain.random_values(_CHECK_POSES, np.random.default_rng(0))
-    tips = [tip for tip in chain.tips if tip.joint != BASE]  # what is fixed to the base link no body carries
-    bodies = old.jnt_bodyid[joints[[tip.joint for tip in tips]]]
-    zero = np.zeros((1, len(joints)))
-    links = np.array(link_poses(chain, zero, tips))[:, 0]
-    to_tip = inverse(_moved(old, joints, zero)[0][0, bodies]) @ T_world_base @ links
-
-    def error(model: Any, placements: Floats) -> float:
-        expected = T_world_base @ np.stack(link_poses(chain, q, tips, placements), axis=1)
-        return float(np.abs(_moved(model, joints, q)[0][:, bodies] @ to_tip - expected).max())
-
-    nominal_error, calibrated_error = error(old, chain.placements), error(new, calibration.placements)
-    if not calibrated_error <= _CARRIED * nominal_error + _AGREEMENT:
-        raise OutputError(
-            f"the new model does not move as the calibrated robot: {calibrated_error:.1e} m or in the rotation",
-            where=where,
-            remedy="This is a defect of urdfcal: please report it with the file.",
-        )
 
 
 def joint_bodies(data: bytes, path: str) -> dict[str, Element]:
