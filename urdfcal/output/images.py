@@ -92,7 +92,7 @@ def draw_image(
     """
     import cv2
 
-    canvas = image.copy()
+    canvas: NDArray[np.uint8] = image.copy()
     size = max(canvas.shape) / 1000
     thickness = max(1, round(2 * size))
     for kind, uv in lines:
