@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -141,10 +142,8 @@ def _against(name: str, title: str, value: Floats, table: ResidualTable) -> Char
     components = range(sigmas.shape[1])
     faint = [tuple(c // 2 for c in color) for color in palette.COMPONENTS]
     marks = [Mark("dots", f"component {k}", value, sigmas[:, k], faint[k]) for k in components]
-    marks += [
-        Mark("lines", f"mean {k}", centre, [np.mean(sigmas[b, k]) for b in bins], palette.COMPONENTS[k])
-        for k in components
-    ]
+    means = [[np.mean(sigmas[b, k]) for b in bins] for k in components]
+    marks += [Mark("lines", f"mean {k}", centre, means[k], palette.COMPONENTS[k]) for k in components]
     reach = float(np.clip(np.nanpercentile(np.abs(sigmas), 99), 3.0, 100.0))
     return Chart(name, title, Scale.holding(value), Scale(-reach, reach), marks)
 
@@ -191,21 +190,16 @@ def convergence_charts(calibration: FittedCalibration) -> list[Chart]:
     number = np.arange(0.0, len(courses))
     for name, title in _COURSES.items():
         values = [getattr(step, name) for step in history]
-        marks = [
-            Mark("lines", "line", number[1:], values, palette.CALIBRATED),
-            Mark("dots", "dots", number[1:], values, palette.CALIBRATED),
-        ]
+        line = Mark("lines", "line", number[1:], values, palette.CALIBRATED)
+        marks = [line, replace(line, kind="dots", name="dots")]
         x, y = Scale.holding(number[1:], whole=True), Scale.holding(values, logarithmic=True)
         charts.append(Chart(name, title, x, y, marks, x_label="iteration"))
     sigmas, columns = 1e3 * calibration.sigmas(), calibration.geometry.columns
     for i, joint in enumerate(calibration.geometry.labels):
         marks = []
         for k in np.flatnonzero(np.isfinite(sigmas[i])):
-            color, ends = (
-                palette.PARAMETER_COLORS[columns[k]],
-                courses[-1, i, k] + sigmas[i, k] * np.array([[-1.0], [1.0]]),
-            )
-            band = np.repeat(ends, 2, axis=1)
+            color = palette.PARAMETER_COLORS[columns[k]]
+            band = np.repeat(courses[-1, i, k] + sigmas[i, k] * np.array([[-1.0], [1.0]]), 2, axis=1)
             marks.append(Mark("hairlines", f"{columns[k]} band", [[number[0], number[-1]]] * 2, band, color))
             marks.append(Mark("lines", columns[k], number, courses[:, i, k], color))
         if marks:

@@ -162,9 +162,8 @@ def _log_leds(base: Layer, scene: CalibrationScene) -> None:
         base.at("residuals", name).each(rr.Arrows3D, arrows, leds.pose, radii=_ARROW)
     used = ~leds.outlier
     vectors = factor * (leds.predicted - leds.measured)[used]
-    field = rr.Arrows3D(
-        origins=leds.measured[used], vectors=vectors, colors=palette.by_sigma(leds.size[used]), radii=_THIN
-    )
+    colors = palette.by_sigma(leds.size[used])
+    field = rr.Arrows3D(origins=leds.measured[used], vectors=vectors, colors=colors, radii=_THIN)
     base.at("residuals", "field").fixed(field)
 
 
