@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import fields
+from functools import cache
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import numpy as np
 
 if TYPE_CHECKING:
+    from contextlib import AbstractContextManager
+
     from numpy.typing import ArrayLike, NDArray
 
 Floats: TypeAlias = "NDArray[np.float64]"
@@ -86,3 +89,17 @@ def inverse(T: Floats) -> Floats:
     result[..., :3, 3] = -(Rt @ T[..., :3, 3, None])[..., 0]
     result[..., 3, 3] = 1.0
     return result
+
+
+def one_blas_thread() -> AbstractContextManager[object]:
+    """Keep linear algebra to one thread within a ``with``: two are slower at these sizes."""
+    limits: AbstractContextManager[object] = _thread_pools().limit(limits=1, user_api="blas")
+    return limits
+
+
+@cache
+def _thread_pools() -> Any:
+    # Looking for the libraries takes 3 ms each time; numpy's is there by now.
+    import threadpoolctl
+
+    return threadpoolctl.ThreadpoolController()

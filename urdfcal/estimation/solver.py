@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-import threadpoolctl
 
+from urdfcal.arrays import one_blas_thread
 from urdfcal.errors import CalibrationError, CameraError
 from urdfcal.estimation.linearize import Tangent
 from urdfcal.estimation.robust import REJECTED, HuberWeights, find_outliers, keep_weights, unit_weights
@@ -139,7 +139,7 @@ def solve(problem: Problem, start: State, parameters: Parameters, progress: Prog
         CalibrationError: the start puts an LED behind a camera.
     """
     observations = problem.observations
-    with threadpoolctl.threadpool_limits(1, user_api="blas"):  # two threads are slower at these sizes
+    with one_blas_thread():
         whole = _LeastSquares(problem, parameters)
         robust = whole
         if max(len(observed.pose) for observed in observations) > _MANY:
@@ -185,7 +185,7 @@ def refit(problem: Problem, kept: Sequence[Bools], start: State, parameters: Par
         parameters: what to estimate, with priors.
     """
     weights = [np.where(keep, 1.0, REJECTED) for keep in kept]
-    with threadpoolctl.threadpool_limits(1, user_api="blas"):
+    with one_blas_thread():
         least_squares = _LeastSquares(problem, parameters)
         at = least_squares.linearise(start)
         return _descend(least_squares, at, weights, keep_weights, _FIRST_DAMPING, _CONVERGED_COARSE, None).state
