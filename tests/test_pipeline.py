@@ -11,6 +11,7 @@ import pytest
 from urdfcal.errors import CalibrationError, OutputError, SessionError
 from urdfcal.estimation.evaluation import compare, explain
 from urdfcal.estimation.measurements import Points
+from urdfcal.estimation.measurements.points import TriangulatedPoints
 from urdfcal.estimation.multistart import Minimum
 from urdfcal.io.folder import read_points, read_session
 from urdfcal.pipeline import calibrate
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     import urdfcal
+    from urdfcal.estimation.problem import Problem
 
 RIGS = ["elbow3r", "ur5", "panda", "so101", "stanford"]
 
@@ -215,6 +217,29 @@ def test_a_single_camera_triangulates_nothing(simulated: Callable) -> None:
     session = simulated("ur5_handeye", poses=15).session
     with pytest.raises(CalibrationError, match="no point can be triangulated from these detections"):
         calibrate(session, method="points")
+
+
+def test_triangulated_points_replace_the_detections_and_nothing_else(
+    simulated: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Extra(Points):
+        """Another kind of measurement, in no world of its own."""
+
+        kind = "extra"
+        defines_world = classmethod(lambda _, __: False)
+
+    session = simulated("ur5", poses=12).session
+    extra = Extra(np.arange(12), np.zeros(12, int), np.random.default_rng(0).normal(size=(12, 3)), np.array(1e-3))
+    seen: list[Problem] = []
+
+    def stop(_: object, problem: Problem, *__: object, **___: object) -> None:
+        seen.append(problem)
+        raise CalibrationError("stopped")
+
+    monkeypatch.setattr("urdfcal.pipeline.compare_models", stop)
+    with pytest.raises(CalibrationError, match="stopped"):
+        calibrate(replace(session, measurements=(*session.measurements, extra)), method="points")
+    assert [type(observed.table) for observed in seen[0].observations] == [TriangulatedPoints, Extra]
 
 
 def test_a_good_calibration_has_nothing_said_against_it(simulated: Callable) -> None:

@@ -10,7 +10,7 @@ from urdfcal.estimation.assessment import assess
 from urdfcal.estimation.blocks.arm import no_offsets
 from urdfcal.estimation.blocks.cameras import without_cameras
 from urdfcal.estimation.joint_models.time_offset import time_offsets
-from urdfcal.estimation.measurements.pixels import triangulate
+from urdfcal.estimation.measurements.pixels import Detections, triangulate
 from urdfcal.estimation.model_selection import compare_models, with_fit
 from urdfcal.estimation.multistart import Minimum, multistart
 from urdfcal.estimation.problem import Problem
@@ -80,7 +80,8 @@ def calibrate(
     if recorded is not session:
         session, problem = recorded, Problem.of(recorded, arm)
     if method == "points":
-        problem, start = Problem.of(session, arm, [_as_points(session)]), without_cameras(start)
+        others = [of.table for of in problem.observations if not isinstance(of.table, Detections)]
+        problem, start = Problem.of(session, arm, [_as_points(session), *others]), without_cameras(start)
     comparison = compare_models(session, problem, start, priors=priors, seed=seed, progress=progress)
     solutions: tuple[Minimum, ...] = ()
     if starts:

@@ -90,7 +90,7 @@ def _start(session: Session, problem: Problem, first: Solution, rng: np.random.G
         if not block.toleranced:
             continue
         step = np.zeros(len(block))
-        for k in np.flatnonzero(block.active):
+        for k in np.flatnonzero(block.active & np.isin(block.units, ("m", "rad"))):
             length = block.units[k] == "m"
             limit = _FAR_LENGTH * problem.arm.chain.reach if length else np.pi
             near = _NEAR * (session.tolerances.length if length else session.tolerances.zero)

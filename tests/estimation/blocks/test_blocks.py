@@ -32,7 +32,7 @@ def _examples() -> list[Any]:
         for name, make in GENERAL.items()
         for geometry in ("dh", "offsets", "full")
     ]
-    cases += [pytest.param((case, "dh"), id=f"measurement-{name}") for case, name in zip(*CASES, strict=True)]
+    cases += [pytest.param((case.values, "dh"), id=f"measurement-{case.id}") for case in CASES]
     return [*cases, *(pytest.param((model, None), id=f"joint_model-{model.name}") for model in JOINT_MODELS)]
 
 

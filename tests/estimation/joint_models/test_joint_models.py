@@ -14,6 +14,7 @@ import pytest
 
 from tests.estimation.derivatives import STEPS, assert_derivatives
 from tests.estimation.problems import Example, at_rest, filmed
+from urdfcal.errors import SessionError
 from urdfcal.estimation.blocks.arm import ARM
 from urdfcal.estimation.joint_models import JOINT_MODELS, JointModel
 from urdfcal.estimation.linearize import Tangent
@@ -166,6 +167,13 @@ def test_its_parameters_take_part_where_the_session_asks_for_them(
     for geometry in without:
         parameters = Example.of(session, geometry).parameters
         assert not parameters.has_active(model.key)
+
+
+def test_one_that_is_switched_on_and_does_not_apply_is_refused(simulated: Callable) -> None:
+    session = replace(at_rest(simulated), joint_models={"time_offset": True})
+    with pytest.raises(SessionError, match="time_offset is switched on, but what it depends on is not in this session"):
+        Problem.of(session, rows_of(session.chain))
+    assert Problem.of(replace(session, joint_models={"time_offset": False}), rows_of(session.chain))
 
 
 @pytest.mark.parametrize("geometry", ["none", "offsets", "dh"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from urdfcal.errors import SessionError
 from urdfcal.estimation.joint_models.base import JointModel, Readings
 from urdfcal.estimation.joint_models.time_offset import TimeOffsets
 from urdfcal.estimation.joint_models.zero_offset import ZeroOffsets
@@ -16,9 +17,20 @@ JOINT_MODELS: tuple[type[JointModel], ...] = (ZeroOffsets, TimeOffsets)
 
 
 def joint_models_of(session: Positions) -> tuple[JointModel, ...]:
-    """Return the joint models that apply to a session, whether they are estimated or not."""
-    models = (kind.of(session) for kind in JOINT_MODELS)
-    return tuple(model for model in models if model is not None)
+    """Return the joint models that apply to a session, whether they are estimated or not.
+
+    Raises:
+        SessionError: one that the session switches on does not apply to it.
+    """
+    models = {kind.name: kind.of(session) for kind in JOINT_MODELS}
+    for name, model in models.items():
+        if model is None and session.joint_models.get(name):
+            raise SessionError(
+                f"{name} is switched on, but what it depends on is not in this session",
+                where="joint_models",
+                remedy=f"Leave it out, or write {name}: off.",
+            )
+    return tuple(model for model in models.values() if model is not None)
 
 
 __all__ = ["JOINT_MODELS", "JointModel", "Readings", "joint_models_of"]
