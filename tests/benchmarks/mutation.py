@@ -109,7 +109,7 @@ DECISIONS = frozenset({"condition", "comparison", "boolean", "return"})
 _PRELOADED = (
     "numpy", "scipy.optimize", "scipy.interpolate", "scipy.spatial", "pinocchio", "cv2", "yaml", "pydantic", "jinja2",
     "click", "click.testing", "rich.console", "rich.table", "rich.progress", "threadpoolctl", "yourdfpy",
-    "matplotlib.figure", "rosbags.highlevel", "hypothesis.strategies", "rerun",
+    "rosbags.highlevel", "hypothesis.strategies", "rerun",
 )  # fmt: skip
 _MEMORY = 8 * 2**30  # a loop that no longer ends must not take the machine's
 _START = 20.0  # s: imports of urdfcal and collection, on a loaded machine
