@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from urdfcal.estimation.measurements import Measurement
     from urdfcal.io.schema import SetupFile
 
+_NAMES = [repr(model.name) for model in JOINT_MODELS]
+_EVERY_MODEL = f"{', '.join(_NAMES[:-1])} or {_NAMES[-1]}"
 LEAST = "robot: {urdf: a.urdf, tip_link: tip}\nleds:\n  led:\njoints: j.csv\npoints: p.csv\n"
 
 
@@ -105,7 +107,7 @@ def test_anchors_are_followed(tmp_path: Path) -> None:
         (LEAST.replace("led:", "' led':"), "' led' begins or ends with a blank"),
         (
             LEAST + "joint_models: {time_ofset: true}\n",
-            "session.yaml:6:16, key 'joint_models.time_ofset': 'time_ofset' is not 'zero_offset' or 'time_offset'",
+            f"session.yaml:6:16, key 'joint_models.time_ofset': 'time_ofset' is not {_EVERY_MODEL}",
         ),
         (
             LEAST + "joint_models: {time_offset: 1}\n",

@@ -12,6 +12,7 @@ from urdfcal.arrays import Bools, Floats, frozen
 from urdfcal.estimation.blocks.arm import ArmBlock
 from urdfcal.estimation.blocks.base_pose import BaseBlock
 from urdfcal.estimation.blocks.leds import LEDS, LedDistances, LedsBlock
+from urdfcal.names import check_names
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -195,6 +196,9 @@ def choose_parameters(session: Session, problem: Problem, state: State, spec: Mo
         problem: whose parameters they are.
         state: where priors without a known value are centred.
         spec: which of arm, lenses and camera poses are estimated.
+
+    Raises:
+        SessionError: two unknowns have one name, as those of an LED and of a camera that are named alike.
     """
     blocks: list[Block[Any]] = []
     if spec.geometry in ("dh", "full"):
@@ -219,6 +223,7 @@ def choose_parameters(session: Session, problem: Problem, state: State, spec: Mo
             measured[where] = of.measured
         first = where.stop
         blocks += of.blocks
+    check_names("unknowns", [name for block in blocks for name in block.names])
     return Parameters(
         tuple(blocks),
         frozen(correlation),

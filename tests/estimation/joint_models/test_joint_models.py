@@ -144,6 +144,14 @@ def test_poses_do_not_depend_on_each_other(model: JointModel, readings: Readings
     np.testing.assert_allclose(part, np.broadcast_to(model.jacobian(readings, p), shape)[some], atol=1e-14)
 
 
+def test_of_no_readings_there_are_no_values(model: JointModel, readings: Readings) -> None:
+    # A fold of the cross-validation may hold no measurement of a kind.
+    none = readings.at(np.zeros(0, dtype=np.intp))
+    assert np.shape(model.values(none, some_value(model))) == (0, readings.q.shape[1])
+    J = np.broadcast_to(model.jacobian(none, some_value(model)), (0, readings.q.shape[1], len(model)))
+    assert J.size == 0
+
+
 def test_measurements_have_their_derivatives_by_its_parameters(
     kind: type[JointModel], model: JointModel, session: Session
 ) -> None:

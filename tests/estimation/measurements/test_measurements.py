@@ -284,6 +284,15 @@ def test_blocks_of_poses_add_up(kind: type[Measurement], session: Session) -> No
 
 
 @each_kind
+def test_no_poses_give_no_residuals(kind: type[Measurement], session: Session) -> None:
+    # A fold of the cross-validation may hold none of a kind.
+    example = Example.of(session, "dh")
+    none = observed_of(example, kind).at(np.zeros(0, dtype=np.intp))
+    assert example.problem.residual(none, example.state).shape == (0, *none.value.shape[1:])
+    assert example.problem.metres_per_unit(none, example.state).shape == none.row.shape
+
+
+@each_kind
 @pytest.mark.parametrize("own_sigma", [False, True])
 def test_a_table_written_and_read_back_is_the_same(
     own_sigma: bool, kind: type[Measurement], session: Session, tmp_path: Path
