@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -106,7 +107,11 @@ def test_joint_zeros_may_be_anywhere_and_are_a_warning(good: FittedCalibration) 
 def test_far_corrections_that_leave_a_misfit_explain_something_else(good: FittedCalibration) -> None:
     found = again(good, **moved(good, 6.0), **chi2(good, 2.1))
     assert found.level == "bad"
+    assert "a correction is more than 5 tolerances long" in found.failures[0]
     assert "explain an effect that is not the arm's" in found.failures[0]
+    strict = {name: dict.fromkeys(("d", "a", "alpha"), 1e-9) for name in good.chain.names}
+    session = replace(good.session, tolerances=replace(good.session.tolerances, joints=strict))
+    assert re.match(r"\d+ corrections are more than", again(good, session, **chi2(good, 2.1)).failures[0])
     assert sum("declared noise" in reason for reason in found.reasons) == 1
     assert again(good, **moved(good, 4.0), **chi2(good, 2.1)).failures == ()
     assert again(good, **moved(good, 6.0), **chi2(good, 1.9)).failures == ()
