@@ -143,16 +143,12 @@ def load_collision_checker(nominal: Scene, setup: Setup) -> tuple[CollisionCheck
 
 def _solids(chain: Mechanism, urdf: Urdf) -> list[pin.GeometryObject]:
     """Load the solids of the robot; joint i is the chain's i-th, 0 the base link."""
-    try:
-        text = urdf.data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = urdf.data.decode("latin-1")
     folders = [*package_roots(), *([urdf.path.parent] if urdf.path else [])]
-    whole = pin.buildModelFromXML(text)
+    whole = pin.buildModelFromXML(urdf.text)
     try:
         loaded = pin.buildGeomFromUrdfString(
             whole,
-            text,
+            urdf.text,
             pin.GeometryType.COLLISION,
             package_dirs=[str(folder) for folder in folders],
             # Oriented boxes are the quickest to build; the hull needs none.

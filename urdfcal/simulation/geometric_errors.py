@@ -6,12 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.robot.dh import PARAMETERS, DHTable
+from urdfcal.robot.dh import PARAMETERS
 
 if TYPE_CHECKING:
     from urdfcal.arrays import Floats
-    from urdfcal.robot.dh import DHRow, Parameter
-    from urdfcal.robot.tree_dh import TreeTable
+    from urdfcal.robot.dh import DHRow, DHTable
 
 # Root mean squares over five Universal Robots (two UR5, a UR5e, two UR3) of the factory's calibration less the
 # data sheet, as their owners published them. Rows 1 to 5: the factory leaves the last row's a and alpha alone.
@@ -28,7 +27,7 @@ _ZERO_ANGLE = (1e-3, 5e-3)
 _ZERO_LENGTH = (0.2e-3, 0.8e-3)
 
 
-def draw_offsets(table: DHTable | TreeTable, rng: np.random.Generator) -> Floats:
+def draw_offsets(table: DHTable, rng: np.random.Generator) -> Floats:
     """Draw the offsets of a true robot's DH rows from the nominal ones.
 
     Zero offsets are uniform in magnitude, 1-5 mrad (a sliding joint's 0.2-0.8 mm), with either sign; the
@@ -39,46 +38,29 @@ def draw_offsets(table: DHTable | TreeTable, rng: np.random.Generator) -> Floats
 
     Args:
         table: of the nominal robot.
-        rng: the source of randomness; what is drawn for a row does not depend on the other rows.
+        rng: the source of randomness; what is drawn for a row does not depend on the other rows of its branch.
 
     Returns:
-        (n, 5) offsets, columns as ``PARAMETERS``; of a tree a row for every label. [rad, m]
+        (R, 5) offsets, columns as ``PARAMETERS``. [rad, m]
     """
-    if isinstance(table, DHTable):
-        return _draw_rows(table, rng, offset_base=False)
-    rows: list[Floats] = []
-    for branch in table.branches:
-        if branch.mount is not None:
-            spread = {"theta": _ALPHA, "d": _D, "a": _A, "alpha": _ALPHA, "beta": 0.0}
-            free = [spread[name] * (name in branch.mount.free) for name in PARAMETERS]
-            rows.append((rng.standard_normal(len(PARAMETERS)) * free)[None])
-        rows.append(_draw_rows(branch.table, rng, offset_base=branch.mount is not None))
-    return np.concatenate(rows)
+    drawn: list[Floats] = []
+    for branch in table.chain.branches:
+        if table.rows[len(drawn)].mount:
+            drawn.append(rng.standard_normal(len(PARAMETERS)) * _spreads(table.rows[len(drawn)]))
+        shape = (len(branch), len(PARAMETERS))
+        normal, magnitude, sign = rng.standard_normal(shape), rng.random(shape[0]), rng.integers(0, 2, shape[0])
+        for i in range(len(branch)):
+            row = table.rows[len(drawn)]
+            least, most = _ZERO_LENGTH if row.type == "prismatic" else _ZERO_ANGLE
+            zero = (1 - 2 * sign[i]) * (least + magnitude[i] * (most - least))
+            own = np.array([name == row.variable for name in PARAMETERS])
+            drawn.append(np.where(own, zero, normal[i] * _spreads(row)) * (not row.last))
+    drawn[0][[PARAMETERS.index("theta"), PARAMETERS.index("d")]] = 0.0
+    return np.array(drawn) + 0.0  # no "-0.0"
 
 
-def _draw_rows(table: DHTable, rng: np.random.Generator, *, offset_base: bool) -> Floats:
-    """Draw the rows of one chain; with ``offset_base`` theta and d of the first one too."""
-    shape = (len(table.rows), len(PARAMETERS))
-    normal, magnitude, sign = rng.standard_normal(shape), rng.random(shape[0]), rng.integers(0, 2, shape[0])
-    offsets = np.zeros(shape)
-    for i, row in enumerate(table.rows[:-1]):
-        for name in row.free:
-            column = PARAMETERS.index(name)
-            if i == 0 and not offset_base and name in ("theta", "d"):
-                continue
-            if name == row.variable:
-                least, most = _ZERO_LENGTH if row.type == "prismatic" else _ZERO_ANGLE
-                offsets[i, column] = (1 - 2 * sign[i]) * (least + magnitude[i] * (most - least))
-            else:
-                offsets[i, column] = normal[i, column] * _spread(row, name)
-    return offsets
-
-
-def _spread(row: DHRow, name: Parameter) -> float:
-    if name == "d":
-        return _D
-    if name == "a":
-        return _A
-    if not row.parallel:
-        return _ALPHA
-    return _BETA_PARALLEL if name == "beta" else _ALPHA_PARALLEL
+def _spreads(row: DHRow) -> list[float]:
+    """Standard deviations (5,) of a row's parameters, 0 of those that it has not free."""
+    angle = _ALPHA_PARALLEL if row.parallel else _ALPHA
+    spread = {"theta": angle, "d": _D, "a": _A, "alpha": angle, "beta": _BETA_PARALLEL}
+    return [spread[name] * (name in row.free) for name in PARAMETERS]

@@ -90,6 +90,14 @@ class Urdf:
         root = _root(links, joints, source)
         return cls(path, data, name, links, MappingProxyType(joints), root)
 
+    @property
+    def text(self) -> str:
+        """Its bytes decoded, for Pinocchio."""
+        try:
+            return self.data.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            return self.data.decode("latin-1")
+
     def __reduce__(self) -> tuple[Any, ...]:
         # Its bytes are all that other processes need.
         return Urdf.parse, (self.data, self.path)
