@@ -91,13 +91,13 @@ def read_joint(name: str, element: Element, version: str, source: str) -> UrdfJo
     if kind is None:
         what = f"its type {written!r} is not known" if written else "it has no type"
         raise RobotError(what, where=at(None), remedy=f"URDF has: {', '.join(_TYPES)}.")
-    origin, axis, limit, mimic = (element.first.get(tag) for tag in ("origin", "axis", "limit", "mimic"))
+    origin, axis, limit, mimic = (element.first(tag) for tag in ("origin", "axis", "limit", "mimic"))
     lower, upper = _limits(kind, limit, at(limit))
     return UrdfJoint(
         name=name,
         type=kind,
-        parent=_link(element.first.get("parent"), "parent", at(None)),
-        child=_link(element.first.get("child"), "child", at(None)),
+        parent=_link(element.first("parent"), "parent", at(None)),
+        child=_link(element.first("child"), "child", at(None)),
         T_parent_joint=frozen(_placement(origin, version, at(origin))),
         # urdfdom reads no axis of a joint that has none.
         axis=frozen(_axis(axis if kind not in ("fixed", "floating") else None, at(axis))),

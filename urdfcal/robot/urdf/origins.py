@@ -74,7 +74,7 @@ def rewrite_origins(urdf: Urdf, placements: Mapping[str, ArrayLike]) -> bytes:
         if name not in urdf.joints:
             raise RobotError(f"there is no joint {name!r}", where=source, remedy=suggest(name, urdf.joints, "joints"))
         _check_rigid(T, name)
-    elements = {element.attributes["name"]: element for element in markup.parse(urdf.data, source).joints}
+    elements = {element.attributes["name"]: element for element in markup.parse(urdf.data, source).all("joint")}
     edits = [
         edit for name, T in new.items() for edit in _edits(urdf.data, elements[name], urdf.joints[name], T, source)
     ]
@@ -91,7 +91,7 @@ def _edits(data: bytes, element: Element, joint: UrdfJoint, T: Floats, source: s
     changed = {"xyz": np.abs(T[:3, 3] - old[:3, 3]).max() > SAME, "rpy": np.abs(T[:3, :3] - old[:3, :3]).max() > SAME}
     if not any(changed.values()):
         return
-    origin = element.first.get("origin")
+    origin = element.first("origin")
     if origin is None:
         yield _inserted_origin(data, element, values)
         return
@@ -117,7 +117,7 @@ def _inserted_origin(data: bytes, joint: Element, values: Mapping[str, bytes]) -
     start = start_tag(data, joint).end
     beside = _REST_OF_LINE.match(data, start)
     start = beside.end() if beside else start
-    first_child = next(iter(joint.first.values())).offset
+    first_child = joint.children[0].offset
     # Line end and indentation as before the joint's first element; nothing when they share a line.
     indentation = _INDENTATION.search(data[start:first_child])
     line = indentation[0] if indentation else b""

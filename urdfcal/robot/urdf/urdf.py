@@ -80,15 +80,14 @@ class Urdf:
             RobotError: it is no valid URDF.
         """
         source = str(path) if path else "URDF"
-        document = markup.parse(data, source)
-        name, version = _robot(document.root, source)
-        links = tuple(_named(document.links, source))
+        root = markup.parse(data, source)
+        robot, version = _robot(root, source)
+        links = tuple(_named(root.all("link"), source))
         joints = {
             name: read_joint(name, element, version, source)
-            for name, element in _named(document.joints, source).items()
+            for name, element in _named(root.all("joint"), source).items()
         }
-        root = _root(links, joints, source)
-        return cls(path, data, name, links, MappingProxyType(joints), root)
+        return cls(path, data, robot, links, MappingProxyType(joints), _root(links, joints, source))
 
     @property
     def text(self) -> str:
