@@ -36,13 +36,13 @@ def test_every_joint_is_read_by_its_name() -> None:
     states = read(*said)
     np.testing.assert_array_equal(states.readings, values[:, :3])
     np.testing.assert_array_equal(states.times.time, START + PERIOD * np.arange(20))
-    assert states.warnings == ()
+    assert states.times.warnings == ()
 
 
 def test_another_devices_messages_on_the_same_topic_do_not_matter() -> None:
     states = read(("abc", [1, 2, 3]), (["grip"], [0.5]), ("cba", [6, 5, 4]), (["grip"], [0.6]))
     np.testing.assert_array_equal(states.readings, [[1, 2, 3], [4, 5, 6]])
-    assert states.warnings == ()
+    assert states.times.warnings == ()
 
 
 def test_messages_of_no_use_are_left_out_and_counted() -> None:
@@ -50,7 +50,7 @@ def test_messages_of_no_use_are_left_out_and_counted() -> None:
     states = read(("abc", [1, 2, 3]), ("abc", []), ("abc", [1, nan, nan]), ("ab", [1, 2]), ("abc", [4, 5, 6]))
     np.testing.assert_array_equal(states.readings, [[1, 2, 3], [4, 5, 6]])
     np.testing.assert_array_equal(states.times.time, [START, START + 4 * PERIOD])
-    assert states.warnings == (
+    assert states.times.warnings == (
         "/joint_states: 1 messages have no positions and are left out",
         "/joint_states: 1 messages are left out, in which the position of b is no finite number",
         "/joint_states: 1 messages have only some of the joints and are left out",
@@ -58,7 +58,7 @@ def test_messages_of_no_use_are_left_out_and_counted() -> None:
 
 
 def test_a_joint_of_another_device_may_be_no_number() -> None:
-    assert read(("abcd", [1, 2, 3, float("nan")])).warnings == ()
+    assert read(("abcd", [1, 2, 3, float("nan")])).times.warnings == ()
 
 
 def test_readings_follow_the_order_of_their_stamps() -> None:
@@ -68,7 +68,7 @@ def test_readings_follow_the_order_of_their_stamps() -> None:
     messages = [Message(topic, received, content) for received, topic, content in bag.messages]
     states = read_joint_states("/joint_states", messages, JOINTS)
     np.testing.assert_array_equal(states.readings[:, 0], [0, 1, 2, 3])
-    assert len(states.warnings) == 2
+    assert len(states.times.warnings) == 2
 
 
 @pytest.mark.parametrize(

@@ -98,17 +98,15 @@ class Bag:
         Raises:
             SessionError: the bag is damaged, or its messages are not what ROS calls by that name.
         """
-        ros1 = _is_ros1(self.path)
-        decode = self._types.deserialize_ros1 if ros1 else self._types.deserialize_cdr
+        types, ros1 = self._types, _is_ros1(self.path)
+        decode = types.deserialize_ros1 if ros1 else types.deserialize_cdr
         with _errors_explained(self.path):
             connections = [one for one in self._reader.connections if one.topic in topics]
             for one in connections:
-                name = one.msgtype
+                known = types.generate_msgdef(one.msgtype)[1] if ros1 else types.hash_rihs01(one.msgtype)
                 # Older bags of ROS 2 have no hashes.
-                if one.digest and one.digest != (
-                    self._types.generate_msgdef(name)[1] if ros1 else self._types.hash_rihs01(name)
-                ):
-                    raise SessionError(f"{one.topic} is not what ROS calls {name}", where=str(self.path))
+                if one.digest and one.digest != known:
+                    raise SessionError(f"{one.topic} is not what ROS calls {one.msgtype}", where=str(self.path))
             # Of no connections rosbags reads all.
             for connection, received, data in self._reader.messages(connections) if connections else ():
                 if received > _LATEST:

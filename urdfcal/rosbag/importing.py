@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -77,30 +78,6 @@ class ImportSummary:
     warnings: tuple[str, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class _CameraImages:
-    """The images of one camera.
-
-    Attributes:
-        times: when they were taken.
-        labels: their files' names without suffix, in the same order.
-        warnings: which were damaged, and what was done to the times.
-    """
-
-    times: Timeline
-    labels: tuple[str, ...]
-    warnings: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class _WrittenImage:
-    """One image that is written: its stamp and when it was received, in ns, and its file."""
-
-    stamp: int
-    received: int
-    path: Path
-
-
 def import_bag(
     bag: Bag,
     topics: ChosenTopics,
@@ -146,22 +123,22 @@ def import_bag(
     images = _image_topics(rig, topics)
     with put_into(folder) as partial:
         _write_setup(partial, setup, rig)
-        frames = _write_images(partial / IMAGES, read(*images), images, rig.cameras, states.times)
+        frames = _write_images(partial / IMAGES, read(*images), images, states.times)
         origin = _write_tables(partial, states, joints, frames)
-    warnings = (warning for of in frames.values() for warning in of.warnings)
-    cameras = {name: of.times for name, of in frames.items()}
-    return ImportSummary(origin, states.times, cameras, rig, notes, (*states.warnings, *warnings))
+    cameras = {name: times for name, (times, _) in frames.items()}
+    warnings = tuple(warning for times in (states.times, *cameras.values()) for warning in times.warnings)
+    return ImportSummary(origin, states.times, cameras, rig, notes, warnings)
 
 
-def _image_topics(rig: Rig, topics: ChosenTopics) -> tuple[str, ...]:
-    """Return the topics of the images, in the order of the cameras."""
+def _image_topics(rig: Rig, topics: ChosenTopics) -> dict[str, Camera]:
+    """Return the cameras by the topics of their images."""
     images = {camera.name: camera.image for camera in topics.cameras}
     if set(images) != set(rig.names):
         raise CameraError(
             f"the cameras described are {listed(rig.names)}, those in the bag are called {listed(images)}",
             remedy=f"Say which is which: --camera {rig.names[0]}={next(iter(images.values()))} and so on.",
         )
-    return tuple(images[name] for name in rig.names)
+    return {images[camera.name]: camera for camera in rig.cameras}
 
 
 def _write_setup(folder: Path, setup: ImportSetup, rig: Rig) -> None:
@@ -187,70 +164,66 @@ def _write_setup(folder: Path, setup: ImportSetup, rig: Rig) -> None:
 
 
 def _write_images(
-    folder: Path, messages: Iterable[Message], topics: Sequence[str], cameras: Sequence[Camera], robot: Timeline
-) -> dict[str, _CameraImages]:
+    folder: Path, messages: Iterable[Message], cameras: Mapping[str, Camera], robot: Timeline
+) -> dict[str, tuple[Timeline, list[str]]]:
     """Write images as ``folder``/<camera>/<number of the message>.png, or .jpg where they were recorded as that.
 
     Args:
         folder: where to; it is made.
         messages: of the topics, in the order in which they were recorded.
-        topics: of every camera, sensor_msgs/Image or CompressedImage.
-        cameras: that took the images.
+        cameras: that took the images, by their topics, sensor_msgs/Image or CompressedImage.
         robot: the times of the joint states, on whose clock the images' times are to be.
 
     Returns:
-        Of every camera, the images that were recorded whole.
+        Of every camera, when the images that were recorded whole were taken, and their files' names without suffix.
 
     Raises:
         CameraError: an image is of another kind or size than its camera takes, or none was recorded whole.
         SessionError: a camera took none, its clock was set back, or it was recorded at another time.
         OSError: they cannot be written.
     """
-    written: list[list[_WrittenImage]] = [[] for _ in topics]
-    damaged: list[list[CameraError]] = [[] for _ in topics]
+    written: dict[str, list[tuple[int, int, Path]]] = {topic: [] for topic in cameras}
+    damaged: dict[str, list[CameraError]] = {topic: [] for topic in cameras}
 
-    def numbered() -> Iterator[tuple[int, int, Message]]:
-        counts = [0] * len(topics)
+    def numbered() -> Iterator[tuple[int, Message]]:
+        counts = Counter[str]()
         for message in messages:
-            camera = topics.index(message.topic)
-            counts[camera] += 1
-            yield camera, counts[camera], message
+            counts[message.topic] += 1
+            yield counts[message.topic], message
 
-    def write(task: tuple[int, int, Message]) -> tuple[int, _WrittenImage | CameraError]:
-        camera, number, message = task
-        path = folder / cameras[camera].name / f"{number:0{_DIGITS}d}"
-        where = f"{message.topic}, message {number}"
+    def write(task: tuple[int, Message]) -> tuple[str, tuple[int, int, Path] | CameraError]:
+        number, message = task
+        camera, where = cameras[message.topic], f"{message.topic}, message {number}"
         try:
-            path = _write_one(path, message.content, cameras[camera])
+            path = _write_one(folder / camera.name / f"{number:0{_DIGITS}d}", message.content, camera)
         except DamagedPictureError as error:
-            return camera, CameraError(error.what, where=where)
+            return message.topic, CameraError(error.what, where=where)
         except CameraError as error:
             raise CameraError(error.what, where=where, remedy=error.remedy) from error
-        return camera, _WrittenImage(message.stamp, message.received, path)
+        return message.topic, (message.stamp, message.received, path)
 
-    for one in cameras:
-        (folder / one.name).mkdir(parents=True)
-    for camera, result in in_parallel(write, numbered()):
+    for camera in cameras.values():
+        (folder / camera.name).mkdir(parents=True)
+    for topic, result in in_parallel(write, numbered()):
         if isinstance(result, CameraError):
-            damaged[camera].append(result)
+            damaged[topic].append(result)
         else:
-            written[camera].append(result)
-    of_cameras = zip(topics, written, damaged, strict=True)
-    return {one.name: _in_order(*of, robot) for one, of in zip(cameras, of_cameras, strict=True)}
+            written[topic].append(result)
+    return {camera.name: _in_order(topic, written[topic], damaged[topic], robot) for topic, camera in cameras.items()}
 
 
 def _in_order(
-    topic: str, written: Sequence[_WrittenImage], damaged: Sequence[CameraError], robot: Timeline
-) -> _CameraImages:
-    """Return the images that have a time of their own; remove the files of others."""
+    topic: str, written: Sequence[tuple[int, int, Path]], damaged: Sequence[CameraError], robot: Timeline
+) -> tuple[Timeline, list[str]]:
+    """Return times and names of the images that have a time of their own; remove the files of others."""
     if damaged and not written:
         raise damaged[0]
-    times = timeline(topic, [one.stamp for one in written], [one.received for one in written])
-    for i in np.setdiff1d(np.arange(len(written)), times.kept):
-        written[i].path.unlink()
-    times = align_clock(robot, times)
     warnings = [f"{len(damaged)} images are damaged and left out; the first: {damaged[0]}"] if damaged else []
-    return _CameraImages(times, tuple(written[i].path.stem for i in times.kept), (*warnings, *times.warnings))
+    times = timeline(topic, [stamp for stamp, *_ in written], [received for _, received, _ in written], warnings)
+    paths = [path for *_, path in written]
+    for i in np.setdiff1d(np.arange(len(paths)), times.kept):
+        paths[i].unlink()
+    return align_clock(robot, times), [paths[i].stem for i in times.kept]
 
 
 def _write_one(path: Path, content: Any, camera: Camera) -> Path:
@@ -275,19 +248,19 @@ def _write_one(path: Path, content: Any, camera: Camera) -> Path:
     return path
 
 
-def _write_tables(folder: Path, states: JointStates, joints: Sequence[str], frames: Mapping[str, _CameraImages]) -> int:
+def _write_tables(
+    folder: Path, states: JointStates, joints: Sequence[str], frames: Mapping[str, tuple[Timeline, list[str]]]
+) -> int:
     """Write joints.csv and frames.csv, and return the time that is 0 in them. [ns]."""
-    origin = int(min(times.time[0] for times in (states.times, *(of.times for of in frames.values()))))
+    origin = int(min(times.time[0] for times in (states.times, *(times for times, _ in frames.values()))))
 
     def seconds(times: Timeline) -> list[float]:
         # From there on a double holds 104 days to the nanosecond.
         return [ns / 1e9 for ns in (times.time - origin).tolist()]
 
     write_table(folder / "joints.csv", ["time", *joints], [seconds(states.times), *states.readings.T.tolist()])
-    columns: list[list[Any]] = [[], [], []]
-    for name, of in frames.items():
-        columns[0] += [name] * len(of.labels)
-        columns[1] += of.labels
-        columns[2] += seconds(of.times)
-    write_table(folder / "frames.csv", ["camera", "frame", "time"], columns)
+    rows = [
+        (name, *row) for name, (times, labels) in frames.items() for row in zip(labels, seconds(times), strict=True)
+    ]
+    write_table(folder / "frames.csv", ["camera", "frame", "time"], zip(*rows, strict=True))
     return origin

@@ -25,14 +25,12 @@ class JointStates:
     """The readings of an arm's joints.
 
     Attributes:
-        times: when each was taken.
+        times: when each was taken, and which messages were left out.
         readings: (K, k) of the joints asked for, in their order. [rad or m]
-        warnings: which messages were left out.
     """
 
     times: Timeline
     readings: Floats
-    warnings: tuple[str, ...]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "readings", frozen(self.readings))
@@ -94,8 +92,8 @@ def read_joint_states(topic: str, messages: Iterable[Message], joints: Sequence[
         raise _unusable(topic, joints, list(seen), parts, warnings)
     if parts:
         warnings.append(f"{topic}: {parts.total()} messages have only some of the joints and are left out")
-    times = timeline(topic, stamps, received)
-    return JointStates(times, np.array(rows)[times.kept], (*warnings, *times.warnings))
+    times = timeline(topic, stamps, received, warnings)
+    return JointStates(times, np.array(rows)[times.kept])
 
 
 def _unusable(
