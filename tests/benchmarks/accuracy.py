@@ -42,8 +42,7 @@ from urdfcal.robot.dh import DHTable
 from urdfcal.robot.kinematics import tip_motion
 from urdfcal.rotations import skew
 from urdfcal.session.knowledge import Estimate
-from urdfcal.simulation.geometric_errors import draw_offsets
-from urdfcal.simulation.simulate import Simulated, simulate
+from urdfcal.simulation.simulate import Simulated, draw_offsets, simulate
 
 WORKSPACE = 500
 # Draws of a robot that give the spreads to 1 %.

@@ -27,9 +27,8 @@ from urdfcal.robot.urdf.urdf import Urdf, find_urdf, package_roots
 from urdfcal.session.knowledge import Led
 from urdfcal.session.model import Stand
 from urdfcal.simulation.collision import CollisionChecker
-from urdfcal.simulation.geometric_errors import draw_offsets
 from urdfcal.simulation.scene import look_at
-from urdfcal.simulation.simulate import simulate, write_simulated
+from urdfcal.simulation.simulate import draw_offsets, simulate, write_simulated
 
 RIGS = ("elbow3r", "panda", "so101", "stanford", "ur5")
 FACTORY = Path(__file__).parents[3] / "shared" / "data" / "ur_factory_deltas.json"

@@ -11,7 +11,7 @@ from urdfcal.arrays import Floats, frozen
 from urdfcal.errors import SessionError
 from urdfcal.session.trajectory import JointLog, Trajectory
 from urdfcal.simulation.collision import load_collision_checker
-from urdfcal.simulation.detections import simulate_detections
+from urdfcal.simulation.scene import noisy_values, simulate_detections
 
 if TYPE_CHECKING:
     from urdfcal.simulation.collision import CollisionChecker
@@ -78,30 +78,19 @@ def set_in_motion(simulated: Simulated, settings: MotionSettings) -> Simulated:
 
     path = _Path.through(_tour(truth.q, load_collision_checker(scene, session)[0]), settings.speed)
     log_time = np.arange(0.0, path.end + _REST, 1.0 / settings.joint_rate)
-    readings = session.chain.readings(path.at(log_time))
-    readings = readings + session.noise.joint * joint_rng.standard_normal(readings.shape)
     taken = [np.arange(_DARK + p / rate, path.end + _DARK, 1.0 / rate) for p in phase_rng.random(count)]
     camera = np.repeat(np.arange(count), [len(of) for of in taken])
     time = np.concatenate(taken)
     trajectory = Trajectory(
-        log=JointLog(log_time, session.chain.joint_values(readings)),
+        log=JointLog(log_time, noisy_values(session, path.at(log_time), joint_rng)),
         frames=tuple(tuple(f"{k:0{len(str(len(of)))}d}" for k in range(1, len(of) + 1)) for of in taken),
         camera=camera,
         row=np.concatenate([np.arange(len(of)) for of in taken]),
         time=time - time_offsets[camera],
     )
     q = path.at(time)
-    sigma, share = session.noise.pixel, truth.outlier_share
-    detections, outliers = simulate_detections(
-        scene,
-        q,
-        camera[:, None],
-        pixel=truth.pixel,
-        sigma=sigma,
-        outliers=share,
-        noise_rng=noise_rng,
-        outlier_rng=outlier_rng,
-    )
+    noise, share = (truth.pixel, session.noise.pixel), truth.outlier_share
+    detections, outliers = simulate_detections(scene, q, camera[:, None], noise, share, noise_rng, outlier_rng)
     moving = replace(
         session,
         poses=tuple(f"{scene.cameras[c].name}/{trajectory.label(k)}" for k, c in enumerate(camera.tolist())),

@@ -1,4 +1,4 @@
-"""The geometry of a robot and its cameras, nominal or true: from joint values to pixels."""
+"""The geometry of a robot and its cameras, nominal or true: from joint values to pixels, and to noisy detections."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import Bools, Floats, inverse
+from urdfcal.arrays import Bools, Floats, Ints, inverse
+from urdfcal.estimation.measurements import Detections
 from urdfcal.robot.kinematics import link_poses
 from urdfcal.robot.mechanism import BASE, Tip
 
@@ -15,6 +16,10 @@ if TYPE_CHECKING:
     from urdfcal.cameras.camera import Camera
     from urdfcal.robot.mechanism import Mechanism
     from urdfcal.session.attachments import Attachments
+    from urdfcal.session.model import Setup
+
+# From a blob found with a reflection in it, to the wrong blob. [px]
+_OUTLIERS = (5.0, 200.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,3 +109,54 @@ def look_at(position: Floats, target: Floats) -> Floats:
     T = np.eye(4)
     T[:3] = np.column_stack([x, np.cross(z, x), z, position])
     return T
+
+
+def noisy_values(setup: Setup, q: Floats, rng: np.random.Generator) -> Floats:
+    """Return what encoders say of true joint values (N, n): mimic joints have no reading of their own, and follow."""
+    readings = setup.chain.readings(q)
+    return setup.chain.joint_values(readings + setup.noise.joint * rng.standard_normal(readings.shape))
+
+
+def simulate_detections(
+    scene: Scene,
+    q: Floats,
+    views: Ints,
+    noise: tuple[float, float],
+    outliers: float,
+    noise_rng: np.random.Generator,
+    outlier_rng: np.random.Generator,
+) -> tuple[Detections, Ints]:
+    """Detect the LEDs of a scene; what falls out of an image is missing.
+
+    Args:
+        scene: as it truly is.
+        q: (N, n) true joint values of the poses. [rad or m]
+        views: (N, K) the cameras that look at each pose.
+        noise: one standard deviation, and the one that the detections declare. [px]
+        outliers: share of the detections that is moved by 5 to 200 px, within their images.
+        noise_rng: the source of the noise.
+        outlier_rng: the source of the outliers.
+
+    Returns:
+        The detections, and the rows (K,) of the outliers among them.
+    """
+    uv = scene.pixels(q)[np.arange(len(q))[:, None], views]
+    uv = uv + noise[0] * noise_rng.standard_normal(uv.shape)
+    inside = np.zeros(uv.shape[:-1], dtype=bool)
+    for c, one in enumerate(scene.cameras):
+        inside[views == c] = one.in_image(uv[views == c])
+    pose, view, led = np.nonzero(inside)
+    camera, uv = views[pose, view], uv[inside]
+    rows = np.sort(outlier_rng.choice(len(uv), round(outliers * len(uv)), replace=False))
+    for row in rows:
+        uv[row] = _moved(uv[row], scene.cameras[camera[row]], outlier_rng)
+    return Detections(pose, camera, led, uv, np.array(noise[1])), rows
+
+
+def _moved(uv: Floats, camera: Camera, rng: np.random.Generator) -> Floats:
+    """Return another pixel (2,) in the image."""
+    while True:
+        angle, distance = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(*_OUTLIERS)
+        moved: Floats = uv + distance * np.array([np.cos(angle), np.sin(angle)])
+        if camera.in_image(moved):
+            return moved
