@@ -8,7 +8,7 @@ import pytest
 from tests.rosbag.bags import START, Recording
 from urdfcal.errors import SessionError
 from urdfcal.rosbag.bag import Message
-from urdfcal.rosbag.joints import JointStates, read_joint_states
+from urdfcal.rosbag.importing import JointStates, read_joint_states
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

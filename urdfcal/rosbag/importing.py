@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from urdfcal.errors import CameraError, OutputError
+from urdfcal.errors import CameraError, OutputError, SessionError
 from urdfcal.images.encodings import DamagedPictureError, decode_compressed, decode_raw
 from urdfcal.images.files import in_parallel, write_image
 from urdfcal.io.folder import IMAGES
@@ -18,18 +18,17 @@ from urdfcal.names import listed
 from urdfcal.rosbag.bag import TRANSFORMS
 from urdfcal.rosbag.cameras import TF_STATIC, read_bag_cameras
 from urdfcal.rosbag.clock import align_clock, timeline
-from urdfcal.rosbag.joints import read_joint_states
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
+    from urdfcal.arrays import Floats
     from urdfcal.cameras.camera import Camera
     from urdfcal.cameras.rig import Rig
     from urdfcal.robot.chain import Chain
     from urdfcal.robot.urdf.urdf import Urdf
     from urdfcal.rosbag.bag import Bag, Message
     from urdfcal.rosbag.clock import Timeline
-    from urdfcal.rosbag.joints import JointStates
     from urdfcal.rosbag.topics import ChosenTopics
     from urdfcal.session.knowledge import Led
 
@@ -55,6 +54,18 @@ class ImportSetup:
     chain: Chain
     led: Led
     rig: Rig | None
+
+
+class JointStates(NamedTuple):
+    """The readings of an arm's joints.
+
+    Attributes:
+        times: when each was taken, and which messages were left out.
+        readings: (K, k) of the joints asked for, in their order. [rad or m]
+    """
+
+    times: Timeline
+    readings: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,6 +139,87 @@ def import_bag(
     cameras = {name: times for name, (times, _) in frames.items()}
     warnings = tuple(warning for times in (states.times, *cameras.values()) for warning in times.warnings)
     return ImportSummary(origin, states.times, cameras, rig, notes, warnings)
+
+
+def read_joint_states(topic: str, messages: Iterable[Message], joints: Sequence[str]) -> JointStates:
+    """Read the positions of some joints.
+
+    Messages with none of them are another device's, and those without positions are of no use: they are left out.
+
+    Args:
+        topic: its name.
+        messages: of the topic, in the order in which they were recorded.
+        joints: names of those that every reading has.
+
+    Raises:
+        SessionError: no message has all joints, or one contradicts itself.
+    """
+    needed = set(joints)
+    stamps, received, rows = [], [], []
+    # Messages that cannot be used: by the joints that they have, and by the joint that is not a number.
+    parts: Counter[frozenset[str]] = Counter()
+    undefined: Counter[str] = Counter()
+    seen: dict[str, None] = {}
+    empty = 0
+    for number, message in enumerate(messages, 1):
+        names, positions = message.content.name, message.content.position
+        seen |= dict.fromkeys(names)
+        if not needed.intersection(names):
+            continue
+        if not len(positions):
+            empty += 1
+            continue
+        if len(positions) != len(names):
+            raise SessionError(f"message {number} has {len(names)} names and {len(positions)} positions", where=topic)
+        if len(set(names)) < len(names):
+            raise SessionError(f"message {number} names a joint twice: {listed(names)}", where=topic)
+        value = dict(zip(names, positions.tolist(), strict=True))
+        if not needed <= value.keys():
+            parts[frozenset(needed & value.keys())] += 1
+            continue
+        row = [value[name] for name in joints]
+        bad = [name for name, x in zip(joints, row, strict=True) if not np.isfinite(x)]
+        if bad:
+            undefined.update(bad[:1])
+            continue
+        stamps.append(message.stamp)
+        received.append(message.received)
+        rows.append(row)
+    warnings = [f"{topic}: {empty} messages have no positions and are left out"] if empty else []
+    if undefined:
+        warnings.append(
+            f"{topic}: {undefined.total()} messages are left out, in which the position of {listed(undefined)} "
+            "is no finite number"
+        )
+    if not rows:
+        raise _unusable(topic, joints, list(seen), parts, warnings)
+    if parts:
+        warnings.append(f"{topic}: {parts.total()} messages have only some of the joints and are left out")
+    times = timeline(topic, stamps, received, warnings)
+    return JointStates(times, np.array(rows)[times.kept])
+
+
+def _unusable(
+    topic: str, joints: Sequence[str], seen: Sequence[str], parts: Counter[frozenset[str]], warnings: Sequence[str]
+) -> SessionError:
+    """Say why no message can be used."""
+    missing = [name for name in joints if name not in seen]
+    if missing:
+        return SessionError(
+            f"no joint state has {listed(missing)}",
+            where=topic,
+            remedy=f"The joints in it are: {listed(seen)}. Other names? Another URDF, --base or --tip, or --joints.",
+        )
+    if parts:
+        sets = "; ".join(f"{listed(sorted(names))} ({count} messages)" for names, count in parts.most_common(4))
+        return SessionError(
+            f"no message has all joints of the arm: {sets}",
+            where=topic,
+            remedy="Record a topic on which one node publishes them together.",
+        )
+    return SessionError(
+        "no message can be used", where=topic, remedy=" ".join(f"{w.removeprefix(f'{topic}: ')}." for w in warnings)
+    )
 
 
 def _image_topics(rig: Rig, topics: ChosenTopics) -> dict[str, Camera]:
