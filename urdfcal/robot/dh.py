@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from functools import cached_property, reduce
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
@@ -90,13 +90,9 @@ class DHRow:
     @property
     def free(self) -> tuple[Parameter, ...]:
         """The parameters that the neighbouring rows' cannot replace (METHOD 3)."""
-        if self.directed:
-            shape: tuple[Parameter, ...] = ("alpha", "beta") if self.parallel else ("theta", "alpha")
-        elif self.parallel:
-            shape = ("theta", "a", "alpha", "beta")
-        else:
-            shape = ("theta", "d", "a", "alpha")
-        return tuple(p for p in PARAMETERS if p in shape or p == self.variable)
+        directions = ("alpha", "beta") if self.parallel else ("theta", "alpha")
+        lines = ("theta", "a", "alpha", "beta") if self.parallel else ("theta", "d", "a", "alpha")
+        return tuple(p for p in PARAMETERS if p in (directions if self.directed else lines) or p == self.variable)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +102,7 @@ class DHTable:
     Of a tree it has the rows of one serial branch after the other, each but the first with its mount before them.
 
     Attributes:
+        columns: the names of an offsets array's columns.
         chain: the joints that the rows describe.
         base: (4, 4) T_base_F0: F0 has z on the first axis and its origin at the foot of the base link's origin.
         rows: one per joint, and the mounts.
@@ -115,6 +112,7 @@ class DHTable:
         ends: (R, 4, 4) from each row's end to the next DH frame: none but a mount has its end elsewhere on the axis.
     """
 
+    columns: ClassVar[tuple[str, ...]] = PARAMETERS
     chain: Mechanism
     base: Floats
     rows: tuple[DHRow, ...]
@@ -128,11 +126,6 @@ class DHTable:
         from urdfcal.robot.tree_dh import derive
 
         return cls(chain, *derive(chain))
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """The names of an offsets array's columns."""
-        return PARAMETERS
 
     @property
     def parameters(self) -> tuple[tuple[int, Parameter], ...]:
