@@ -4,7 +4,7 @@ import pytest
 
 from urdfcal.errors import SessionError
 from urdfcal.rosbag.bag import CAMERA_INFO, COMPRESSED, IMAGE, JOINT_STATE, TRANSFORMS, Topic
-from urdfcal.rosbag.topics import CameraTopics, TopicOptions, choose_topics
+from urdfcal.rosbag.topics import TopicOptions, choose_topics
 
 NOTHING = TopicOptions()
 PAIR = {
@@ -24,10 +24,10 @@ def topics(of: dict[str, str], empty: tuple[str, ...] = ()) -> list[Topic]:
 def test_a_pair_is_found_by_its_types() -> None:
     chosen = choose_topics(topics(PAIR), NOTHING)
     assert chosen.joints == "/joint_states"
-    assert chosen.cameras == (
-        CameraTopics("left", "/left/image_raw", "/left/camera_info"),
-        CameraTopics("right", "/right/image_raw/compressed", "/right/camera_info"),
-    )
+    assert list(chosen.cameras.items()) == [
+        ("left", ("/left/image_raw", "/left/camera_info")),
+        ("right", ("/right/image_raw/compressed", "/right/camera_info")),
+    ]
     assert set(chosen.names) == PAIR.keys() - {"/tf"}
 
 
@@ -44,7 +44,7 @@ def test_cameras_are_called_by_their_namespaces(spaces: list[str], names: list[s
     of = {"/j": JOINT_STATE}
     for space in spaces:
         of |= {f"{space}/image": IMAGE, f"{space}/camera_info": CAMERA_INFO}
-    assert [camera.name for camera in choose_topics(topics(of), NOTHING).cameras] == names
+    assert list(choose_topics(topics(of), NOTHING).cameras) == names
 
 
 def test_what_is_named_is_used_and_nothing_else() -> None:
@@ -54,16 +54,16 @@ def test_what_is_named_is_used_and_nothing_else() -> None:
     )
     chosen = choose_topics(topics(of), options)
     assert chosen.joints == "/joint_states"
-    assert chosen.cameras == (
-        CameraTopics("b", "/right/image_raw/compressed", "/right/camera_info"),
-        CameraTopics("a", "/left/image_raw", "/my_info"),
-    )
+    assert list(chosen.cameras.items()) == [
+        ("b", ("/right/image_raw/compressed", "/right/camera_info")),
+        ("a", ("/left/image_raw", "/my_info")),
+    ]
 
 
 def test_cameras_described_elsewhere_need_no_info() -> None:
     of = {name: type_ for name, type_ in PAIR.items() if type_ != CAMERA_INFO} | {"/third/image_rect": IMAGE}
     chosen = choose_topics(topics(of), TopicOptions(infos=False))
-    assert [(camera.name, camera.info) for camera in chosen.cameras] == [
+    assert [(name, info) for name, (_, info) in chosen.cameras.items()] == [
         ("left", None),
         ("right", None),
         ("third", None),

@@ -25,35 +25,14 @@ if TYPE_CHECKING:
     from urdfcal.arrays import Floats
     from urdfcal.cameras.camera import Camera
     from urdfcal.cameras.rig import Rig
-    from urdfcal.robot.chain import Chain
-    from urdfcal.robot.urdf.urdf import Urdf
     from urdfcal.rosbag.bag import Bag, Message
     from urdfcal.rosbag.clock import Timeline
     from urdfcal.rosbag.topics import ChosenTopics
-    from urdfcal.session.knowledge import Led
+    from urdfcal.session.model import Setup
 
 
 # Nine hours of images at 30 Hz.
 _DIGITS = 6
-
-
-@dataclass(frozen=True, eq=False)
-class ImportSetup:
-    """What a session needs and a bag does not hold.
-
-    Attributes:
-        urdf: the robot description.
-        urdf_reference: how the session names it if it is in a package.
-        chain: the joints that are calibrated.
-        led: on the tip link.
-        rig: the cameras; None: as the bag describes them.
-    """
-
-    urdf: Urdf
-    urdf_reference: str
-    chain: Chain
-    led: Led
-    rig: Rig | None
 
 
 class JointStates(NamedTuple):
@@ -92,7 +71,7 @@ class ImportSummary:
 def import_bag(
     bag: Bag,
     topics: ChosenTopics,
-    setup: ImportSetup,
+    setup: Setup,
     folder: str | Path,
     progress: Callable[[int], object] | None = None,
 ) -> ImportSummary:
@@ -103,7 +82,7 @@ def import_bag(
     Args:
         bag: the recording.
         topics: of the joints and the cameras.
-        setup: what the bag does not hold.
+        setup: what the bag does not hold: the robot and its LEDs, and the cameras unless the bag describes them.
         folder: where to; made if need be, in a folder that exists. It must be empty.
         progress: called with the number of messages read since the last call: those of ``topics`` and /tf_static.
 
@@ -127,8 +106,8 @@ def import_bag(
     joints = setup.chain.actuated
     states = read_joint_states(topics.joints, read(topics.joints), joints)
     rig, notes = setup.rig, tuple[str, ...]()
-    if rig is None:
-        infos = [(camera.name, camera.info) for camera in topics.cameras if camera.info is not None]
+    if not rig.cameras:
+        infos = [(name, info) for name, (_, info) in topics.cameras.items() if info is not None]
         static = [topic.name for topic in bag.topics if topic.name == TF_STATIC and topic.type == TRANSFORMS]
         rig, notes = read_bag_cameras(infos, read(*(info for _, info in infos), *static))
     images = _image_topics(rig, topics)
@@ -224,7 +203,7 @@ def _unusable(
 
 def _image_topics(rig: Rig, topics: ChosenTopics) -> dict[str, Camera]:
     """Return the cameras by the topics of their images."""
-    images = {camera.name: camera.image for camera in topics.cameras}
+    images = {name: image for name, (image, _) in topics.cameras.items()}
     if set(images) != set(rig.names):
         raise CameraError(
             f"the cameras described are {listed(rig.names)}, those in the bag are called {listed(images)}",
@@ -233,19 +212,19 @@ def _image_topics(rig: Rig, topics: ChosenTopics) -> dict[str, Camera]:
     return {images[camera.name]: camera for camera in rig.cameras}
 
 
-def _write_setup(folder: Path, setup: ImportSetup, rig: Rig) -> None:
+def _write_setup(folder: Path, setup: Setup, rig: Rig) -> None:
     """Write session.yaml, the cameras, and the robot unless it is in a package."""
     import yaml
 
     from urdfcal.cameras.io.formats import write_kalibr
 
-    reference, chain, led = setup.urdf_reference, setup.chain, setup.led
-    if not reference.startswith("package://"):
+    reference, chain = setup.urdf_reference, setup.chain
+    if setup.urdf and not reference.startswith("package://"):
         reference = Path(reference).name
         (folder / reference).write_bytes(setup.urdf.data)
     content = {
         "robot": {"urdf": reference, "base_link": chain.base_link, "tip_link": chain.tip_link},
-        "leds": {led.name: {} if led.position is None else {"position": led.position.tolist()}},
+        "leds": {led.name: {} if led.position is None else {"position": led.position.tolist()} for led in setup.leds},
         "cameras": "cameras.yaml",
         "joints": "joints.csv",
         "frames": "frames.csv",
