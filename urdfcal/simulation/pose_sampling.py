@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from urdfcal.arrays import Floats, Ints
-    from urdfcal.robot.mechanism import Joint, Mechanism
+    from urdfcal.robot.mechanism import Mechanism
     from urdfcal.simulation.collision import CollisionChecker
     from urdfcal.simulation.scene import Scene
 
@@ -56,15 +56,15 @@ def sample_poses(
     Raises:
         SessionError: there are not enough such poses, with what stands in the way.
     """
-    found = _in_view(scene, count, rng)
-    cells, centres = _cells(scene, found), scene.camera_centres(found.q)
+    q, uv, drawn = _in_view(scene, count, rng)
+    cells, centres = _cells(scene, q, uv), scene.camera_centres(q)
     filled = np.zeros(cells.max(initial=0) + 1)
     open_, score = np.ones(len(cells), dtype=bool), np.full(len(cells), 1.0)
     chosen: list[int] = []
     while len(chosen) < count and open_.any():
         best = int(np.argmax(np.where(open_, score, -1.0)))
         open_[best] = False
-        if checker and not (checker.is_free(found.q[best]) and checker.is_seen(found.q[best], centres[best])):
+        if checker and not (checker.is_free(q[best]) and checker.is_seen(q[best], centres[best])):
             continue
         chosen.append(best)
         filled[cells[best]] += 1.0
@@ -73,23 +73,16 @@ def sample_poses(
             progress(1)
     if len(chosen) < count:
         raise SessionError(
-            f"{len(chosen)} of {count} poses found: of {found.drawn} random ones every camera sees the LED in "
+            f"{len(chosen)} of {count} poses found: of {drawn} random ones every camera sees the LED in "
             f"{len(cells)}, and {len(chosen)} of these keep clear of the arm, the table and the line of sight",
             where="stand",
             remedy="Let the cameras stand further away or look at the middle of the workspace, or ask for fewer poses.",
         )
-    return found.q[chosen]
+    return q[chosen]
 
 
-class _Candidates(NamedTuple):
-    """Poses with every LED in view: q (M, n), its pixels (M, C, L, 2), and of how many draws they are."""
-
-    q: Floats
-    uv: Floats
-    drawn: int
-
-
-def _in_view(scene: Scene, count: int, rng: np.random.Generator) -> _Candidates:
+def _in_view(scene: Scene, count: int, rng: np.random.Generator) -> tuple[Floats, Floats, int]:
+    """Draw poses (M, n) with every LED in view, their pixels (M, C, L, 2), and say of how many draws they are."""
     lower, upper = _limits(scene.chain)
     actuated = [i for i, joint in enumerate(scene.chain.joints) if joint.mimic is None]
     q: list[Floats] = []
@@ -104,18 +97,18 @@ def _in_view(scene: Scene, count: int, rng: np.random.Generator) -> _Candidates:
         q.append(values[good])
         uv.append(pixels[good])
         drawn += _BATCH
-    return _Candidates(np.concatenate(q)[:needed], np.concatenate(uv)[:needed], drawn)
+    return np.concatenate(q)[:needed], np.concatenate(uv)[:needed], drawn
 
 
-def _cells(scene: Scene, found: _Candidates) -> Ints:
+def _cells(scene: Scene, q: Floats, uv: Floats) -> Ints:
     """Number the cells that each candidate falls into, (M, features): one a camera and LED, one a joint."""
     columns, rows = _IMAGE_CELLS
     sizes = np.array([camera.resolution for camera in scene.cameras])[:, None]
-    across, down = np.moveaxis((found.uv - MARGIN) / (sizes - 2.0 * MARGIN), -1, 0)
+    across, down = np.moveaxis((uv - MARGIN) / (sizes - 2.0 * MARGIN), -1, 0)
     in_image = _bin(across, columns) * rows + _bin(down, rows)
     lower, upper = _limits(scene.chain)
-    in_joint = _bin((found.q - lower) / np.where(upper > lower, upper - lower, 1.0), _JOINT_CELLS)
-    cells = np.concatenate([in_image.reshape(len(found.q), in_image.shape[1] * in_image.shape[2]), in_joint], axis=1)
+    in_joint = _bin((q - lower) / np.where(upper > lower, upper - lower, 1.0), _JOINT_CELLS)
+    cells = np.concatenate([in_image.reshape(len(q), in_image.shape[1] * in_image.shape[2]), in_joint], axis=1)
     first = np.arange(cells.shape[1]) * max(columns * rows, _JOINT_CELLS)
     return np.asarray(cells + first)
 
@@ -125,18 +118,15 @@ def _bin(share: Floats, count: int) -> Ints:
 
 
 def _limits(chain: Mechanism) -> tuple[Floats, Floats]:
-    """Return the range of every joint that poses are drawn from, (n,) and (n,)."""
-    lower, upper = np.array([_range(joint) for joint in chain.joints]).T
+    """Return the range of every joint that poses are drawn from, (n,) and (n,).
+
+    Of more than a turn (or endless travel) it is the turn (or the metre) nearest to zero.
+    """
+    lower, upper = np.array([(joint.lower, joint.upper) for joint in chain.joints]).T
+    travel, slides = upper - lower, [joint.prismatic for joint in chain.joints]
+    longest = np.where(slides, np.where(np.isfinite(travel), travel, 1.0), 2.0 * np.pi)
+    middle = np.clip(0.0, lower + longest / 2.0, upper - longest / 2.0)
+    lower = np.where(travel > longest, middle - longest / 2.0, lower)
+    upper = np.where(travel > longest, middle + longest / 2.0, upper)
     margin = _LIMIT_MARGIN * (upper - lower)
     return lower + margin, upper - margin
-
-
-def _range(joint: Joint) -> tuple[float, float]:
-    """Return a joint's limits; of more than a turn (or endless travel) the turn (or the metre) nearest to zero."""
-    longest = 2.0 * np.pi
-    if joint.prismatic:
-        longest = joint.upper - joint.lower if np.isfinite(joint.upper - joint.lower) else 1.0
-    if joint.upper - joint.lower <= longest:
-        return joint.lower, joint.upper
-    middle = min(max(0.0, joint.lower + longest / 2.0), joint.upper - longest / 2.0)
-    return middle - longest / 2.0, middle + longest / 2.0
