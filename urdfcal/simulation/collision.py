@@ -57,26 +57,29 @@ class CollisionChecker:
         Raises:
             RobotError: a mesh cannot be found or read.
         """
+        solids = _solids(chain, urdf)
+        bulb, table = coal.Sphere(_BULB), coal.Halfspace(np.array([0.0, 0.0, 1.0]), _TABLE)
+        self._leds = [(joint + 1, pin.SE3(np.eye(3), position)) for joint, position in leds]
+        bulbs = [pin.GeometryObject(f"LED {i}", joint, M, bulb) for i, (joint, M) in enumerate(self._leds)]
+        self._geometry = pin.GeometryModel()
+        for one in (*solids, *bulbs, pin.GeometryObject("table", 0, pin.SE3.Identity(), table)):
+            self._geometry.addGeometryObject(one)
         self._model = chain.build_model()
         self._data = self._model.createData()
-        self._geometry = pin.GeometryModel()
-        for solid in _solids(chain, urdf):
-            self._geometry.addGeometryObject(solid)
-        solids = range(self._geometry.ngeoms)
-        self._leds = [(joint + 1, position) for joint, position in leds]
-        for i, (joint, position) in enumerate(self._leds):
-            self._geometry.addGeometryObject(
-                pin.GeometryObject(f"LED {i}", joint, pin.SE3(np.eye(3), position), coal.Sphere(_BULB))
-            )
-        table = coal.Halfspace(np.array([0.0, 0.0, 1.0]), _TABLE)
-        self._geometry.addGeometryObject(pin.GeometryObject("table", 0, pin.SE3.Identity(), table))
         self._add_pairs(chain)
         self._placed = self._geometry.createData()
         # A solid that holds an LED or a camera carries it: on which side of it that sits is unknown here.
-        ends = [*self._leds, *((joint + 1, position) for joint, position in centres)]
-        carriers = [{i for i in solids if self._joint(i) == joint and self._holds(i, p)} for joint, p in ends]
+        ends = [*self._leds, *((joint + 1, pin.SE3(np.eye(3), position)) for joint, position in centres)]
+        carriers = [
+            {
+                i
+                for i, solid in enumerate(solids)
+                if solid.parentJoint == joint and _touch(solid.geometry, solid.placement, bulb, M)
+            }
+            for joint, M in ends
+        ]
         self._screens = [
-            [[i for i in solids if i not in of_led | of_camera] for of_camera in carriers[len(leds) :]]
+            [[i for i in range(len(solids)) if i not in of_led | of_camera] for of_camera in carriers[len(leds) :]]
             for of_led in carriers[: len(leds)]
         ]
         self.empty = not solids
@@ -88,34 +91,23 @@ class CollisionChecker:
     def is_seen(self, q: Floats, centres: Floats) -> bool:
         """Return whether the arm at ``q`` (n,) hides no LED from a camera, ``centres`` (C, 3) in the base's frame."""
         pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._placed, q)
-        return not any(
-            self._blocked(self._data.oMi[joint].act(position), centre, screens)
-            for (joint, position), by_camera in zip(self._leds, self._screens, strict=True)
-            for centre, screens in zip(centres, by_camera, strict=True)
-        )
-
-    def _blocked(self, led: Floats, centre: Floats, screens: Sequence[int]) -> bool:
-        line = centre - led
-        turn = turn_z_to(line)
-        placement = pin.SE3(turn, (led + centre) / 2.0)
-        ray = coal.Capsule(_RAY, float(np.linalg.norm(line)))
-        return any(_touch(self._shape(i), self._placed.oMg[i], ray, placement) for i in screens)
-
-    def _holds(self, i: int, led: Floats) -> bool:
-        placement = self._geometry.geometryObjects[i].placement
-        return _touch(self._shape(i), placement, coal.Sphere(_BULB), pin.SE3(np.eye(3), led))
-
-    def _shape(self, i: int) -> Any:
-        return self._geometry.geometryObjects[i].geometry
-
-    def _joint(self, i: int) -> int:
-        return int(self._geometry.geometryObjects[i].parentJoint)
+        for (joint, M), by_camera in zip(self._leds, self._screens, strict=True):
+            led = (self._data.oMi[joint] * M).translation
+            for centre, screens in zip(centres, by_camera, strict=True):
+                line = centre - led
+                ray = coal.Capsule(_RAY, float(np.linalg.norm(line)))
+                placement = pin.SE3(turn_z_to(line), (led + centre) / 2.0)
+                shapes = ((self._geometry.geometryObjects[i].geometry, self._placed.oMg[i]) for i in screens)
+                if any(_touch(*shape, ray, placement) for shape in shapes):
+                    return False
+        return True
 
     def _add_pairs(self, chain: Mechanism) -> None:
-        table = self._geometry.ngeoms - 1
+        joints = [one.parentJoint for one in self._geometry.geometryObjects]
+        table = len(joints) - 1
         pairs = []
-        for i, j in combinations(range(self._geometry.ngeoms), 2):
-            a, b = sorted((self._joint(i), self._joint(j)))
+        for i, j in combinations(range(len(joints)), 2):
+            a, b = sorted((joints[i], joints[j]))
             # Neighbours touch by design. The table is on the base link's side, but nobody's neighbour.
             if a != b and (j == table or self._model.parents[b] != a):
                 pairs.append(pin.CollisionPair(i, j))

@@ -120,7 +120,7 @@ def write_simulated_images(
         CameraError: this OpenCV encodes no videos.
         OutputError: the folder holds a session or a truth already, or cannot be written.
     """
-    session, scene, motion = simulated.session, simulated.scene, simulated.session.motion
+    session, scene, motion = simulated.session, simulated.truth, simulated.session.motion
     if video_rate is not None and (not isinstance(motion, Trajectory) or len(session.leds) > 1):
         raise SessionError("a video shows a moving arm with one LED", where="simulate", remedy="Write images.")
     if len(session.attachments.eye_to_hand) < len(scene.cameras):

@@ -67,16 +67,16 @@ def set_in_motion(simulated: Simulated, settings: MotionSettings) -> Simulated:
     Raises:
         SessionError: there is not one time offset a camera, or no path between the poses.
     """
-    session, truth, scene = simulated.session, simulated.truth, simulated.scene
+    session, truth = simulated.session, simulated.truth
     offset_rng, phase_rng, joint_rng, noise_rng, outlier_rng = np.random.default_rng((truth.seed, _STREAM)).spawn(5)
-    count, rate = len(scene.cameras), settings.frame_rate
+    count, rate = len(truth.cameras), settings.frame_rate
     if settings.time_offsets and len(settings.time_offsets) != count:
         raise SessionError(
             f"{len(settings.time_offsets)} time offsets for {count} cameras", where="simulate", remedy="Name one each."
         )
     time_offsets = np.array(settings.time_offsets or offset_rng.uniform(-_OFFSET, _OFFSET, count))
 
-    path = _Path.through(_tour(truth.q, load_collision_checker(scene, session)[0]), settings.speed)
+    path = _Path.through(_tour(truth.q, load_collision_checker(truth, session)[0]), settings.speed)
     log_time = np.arange(0.0, path.end + _REST, 1.0 / settings.joint_rate)
     taken = [np.arange(_DARK + p / rate, path.end + _DARK, 1.0 / rate) for p in phase_rng.random(count)]
     camera = np.repeat(np.arange(count), [len(of) for of in taken])
@@ -90,10 +90,10 @@ def set_in_motion(simulated: Simulated, settings: MotionSettings) -> Simulated:
     )
     q = path.at(time)
     noise, share = (truth.pixel, session.noise.pixel), truth.outlier_share
-    detections, outliers = simulate_detections(scene, q, camera[:, None], noise, share, noise_rng, outlier_rng)
+    detections, outliers = simulate_detections(truth, q, camera[:, None], noise, share, noise_rng, outlier_rng)
     moving = replace(
         session,
-        poses=tuple(f"{scene.cameras[c].name}/{trajectory.label(k)}" for k, c in enumerate(camera.tolist())),
+        poses=tuple(f"{truth.cameras[c].name}/{trajectory.label(k)}" for k, c in enumerate(camera.tolist())),
         q=trajectory.values(np.zeros(count)),
         time=trajectory.time,
         motion=trajectory,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import Bools, Floats, Ints, inverse
+from urdfcal.arrays import Bools, Floats, Ints, frozen, inverse
 from urdfcal.estimation.measurements import Detections
 from urdfcal.robot.kinematics import link_poses
 from urdfcal.robot.mechanism import BASE, Tip
@@ -31,9 +31,9 @@ class Scene:
         placements: (n, 4, 4) its joint placements, used instead of the chain's own. [m]
         attachments: what LEDs and cameras are attached to.
         leds: (L, 3) in the frames they are fixed in. [m]
-        T_world_base: (4, 4) where the robot stands. [m]
+        T_world_base: (4, 4) where the robot stands; the world is the first standing camera's frame. [m]
         cameras: C of them.
-        T_cam_frame: (C, 4, 4) in each camera the frame that it is fixed in. [m]
+        T_cam_frame: (C, 4, 4) in each camera the frame that it is fixed in: the world, or its link. [m]
     """
 
     chain: Mechanism
@@ -43,6 +43,10 @@ class Scene:
     T_world_base: Floats
     cameras: tuple[Camera, ...]
     T_cam_frame: Floats
+
+    def __post_init__(self) -> None:
+        for name in ("placements", "leds", "T_world_base", "T_cam_frame"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
 
     def camera_centres(self, q: Floats) -> Floats:
         """Return the cameras' centres (N, C, 3) in the base link's frame at joint values ``q`` (N, n). [m]."""

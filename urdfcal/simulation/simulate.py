@@ -83,11 +83,11 @@ def simulate(
     table = rows_of(rig.chain)
     offsets = error_scale * draw_offsets(table, robot_rng)
     sigma = [_LED_SIGMA if led.sigma is None else led.sigma for led in rig.leds]
-    motion = stand_rng.normal(0.0, _STAND_SIGMA)
+    off = pin.exp6(stand_rng.normal(0.0, _STAND_SIGMA)).homogeneous if len(rig.attachments.eye_to_hand) else np.eye(4)
     true = replace(
         nominal,
         placements=table.placements(offsets),
-        T_world_base=nominal.T_world_base @ _exp(motion) if len(rig.attachments.eye_to_hand) else nominal.T_world_base,
+        T_world_base=nominal.T_world_base @ off,
         leds=nominal.leds + led_rng.standard_normal(nominal.leds.shape) * np.array(sigma)[:, None],
         T_cam_frame=_true_mounts(rig, nominal.T_cam_frame, led_rng),
     )
@@ -107,15 +107,12 @@ def simulate(
         warnings=warnings,
     )
     truth = Truth(
+        **vars(true),
         seed=seed,
         pixel=pixel,
         error_scale=error_scale,
         outlier_share=outliers,
         offsets=frozen(offsets),
-        placements=frozen(true.placements),
-        T_world_base=frozen(true.T_world_base),
-        leds=frozen(true.leds),
-        T_cam_frame=frozen(true.T_cam_frame),
         q=frozen(q),
         outliers=frozen(outlying, np.intp),
         urdf=b"" if rig.urdf is None else rewrite_origins(rig.urdf, origins_of(rig.urdf, rig.chain, true.placements)),
@@ -170,16 +167,10 @@ def _true_mounts(rig: RigDescription, T_cam_frame: Floats, rng: np.random.Genera
     sigma = {mount.camera: _STAND_SIGMA if mount.sigma is None else mount.sigma for mount in rig.mounts}
     true = np.array(T_cam_frame)
     for c in np.flatnonzero((attachments.camera != 0) & (attachments.reference == np.arange(len(names)))):
-        moved = _exp(rng.normal(0.0, sigma[names[c]])) @ T_cam_frame[c]
+        moved = pin.exp6(rng.normal(0.0, sigma[names[c]])).homogeneous @ T_cam_frame[c]
         for k in np.flatnonzero(attachments.reference == c):
             true[k] = T_cam_frame[k] @ inverse(T_cam_frame[c]) @ moved
     return true
-
-
-def _exp(motion: Floats) -> Floats:
-    """Return the transform (4, 4) of a small motion (6,) x y z rx ry rz."""
-    T: Floats = pin.exp6(pin.Motion(motion)).homogeneous
-    return T
 
 
 def draw_offsets(table: DHTable, rng: np.random.Generator) -> Floats:

@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 _URDF, _JSON = "truth.urdf", "truth.json"
 
 
-@dataclass(frozen=True, eq=False)
-class Truth:
-    """The true values behind a simulated session, which calibration never reads.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Truth(Scene):
+    """The true robot and cameras behind a simulated session, which calibration never reads, and how they were drawn.
 
     Attributes:
         seed: of all that is random.
@@ -34,10 +34,6 @@ class Truth:
         error_scale: factor on the offsets.
         outlier_share: of the detections, as asked for.
         offsets: (n, 5) of the DH rows, columns as ``PARAMETERS``. [rad, m]
-        placements: (n, 4, 4) of the joints. [m]
-        T_world_base: (4, 4) where the arm stands; the world is the first camera's frame. [m]
-        leds: (L, 3) in the frames that they are fixed in. [m]
-        T_cam_frame: (C, 4, 4) in each camera the frame that it is fixed in: the world, or its link. [m]
         q: (N, n) joint values. [rad or m]
         outliers: (K,) rows of the session's detections that are outliers.
         urdf: the true robot's description: the nominal one with other ``<origin>`` values.
@@ -49,10 +45,6 @@ class Truth:
     error_scale: float
     outlier_share: float
     offsets: Floats
-    placements: Floats
-    T_world_base: Floats
-    leds: Floats
-    T_cam_frame: Floats
     q: Floats
     outliers: Ints
     urdf: bytes
@@ -70,13 +62,6 @@ class Simulated:
 
     session: Session
     truth: Truth
-
-    @property
-    def scene(self) -> Scene:
-        """The true robot and its cameras."""
-        session, truth = self.session, self.truth
-        at, cameras = session.attachments, session.rig.cameras
-        return Scene(session.chain, truth.placements, at, truth.leds, truth.T_world_base, cameras, truth.T_cam_frame)
 
 
 def write_simulated(folder: str | Path, simulated: Simulated, *, detections: bool = True) -> None:
