@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from urdfcal.session.model import RigDescription
-    from urdfcal.simulation.truth import Simulated
+    from urdfcal.simulation.simulate import Simulated
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from urdfcal.io.folder import IMAGES
 from urdfcal.io.writing import write_table
 from urdfcal.session.trajectory import Trajectory
 from urdfcal.simulation.render import Light, Scenery, Sensor
-from urdfcal.simulation.truth import write_simulated
+from urdfcal.simulation.simulate import write_simulated
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from urdfcal.arrays import Bools, Floats
     from urdfcal.images.files import Image
     from urdfcal.simulation.scene import Scene
-    from urdfcal.simulation.truth import Simulated
+    from urdfcal.simulation.simulate import Simulated
 
 TRUTH = "truth_detections.csv"
 

@@ -15,7 +15,7 @@ from urdfcal.simulation.scene import noisy_values, simulate_detections
 
 if TYPE_CHECKING:
     from urdfcal.simulation.collision import CollisionChecker
-    from urdfcal.simulation.truth import Simulated
+    from urdfcal.simulation.simulate import Simulated
 
 # Keeps the motion's random numbers apart from the session's.
 _STREAM = 5

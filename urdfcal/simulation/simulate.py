@@ -1,15 +1,20 @@
-"""A session measured on a simulated robot, so that its truth is known."""
+"""A session measured on a simulated robot; its truth is written where calibration never reads it."""
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
-from typing import TYPE_CHECKING
+import json
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
 
 from urdfcal.arrays import Floats, frozen, inverse
-from urdfcal.errors import SessionError
+from urdfcal.errors import OutputError, SessionError
+from urdfcal.estimation.measurements import Detections
+from urdfcal.files import write_bytes, write_text
+from urdfcal.io.writing import write_session
 from urdfcal.robot.dh import PARAMETERS
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.robot.urdf.origins import origins_of, rewrite_origins
@@ -17,15 +22,15 @@ from urdfcal.session.model import MIN_POSES, Session, Setup
 from urdfcal.simulation.collision import load_collision_checker
 from urdfcal.simulation.pose_sampling import sample_poses
 from urdfcal.simulation.scene import Scene, look_at, noisy_values, simulate_detections
-from urdfcal.simulation.truth import Simulated, Truth, write_simulated
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from urdfcal.arrays import Ints
     from urdfcal.robot.dh import DHRow, DHTable
     from urdfcal.session.model import RigDescription
 
-__all__ = ["Simulated", "Truth", "draw_offsets", "simulate", "write_simulated"]
+_URDF, _JSON = "truth.urdf", "truth.json"
 
 # A tripod put up by tape measure and eye. [m, rad]
 _STAND_SIGMA = np.array([3e-3] * 3 + [3e-3] * 3)
@@ -44,6 +49,46 @@ _BETA_PARALLEL = 1.5e-3
 _ZERO_ANGLE = (1e-3, 5e-3)
 # What a homing switch repeats to.
 _ZERO_LENGTH = (0.2e-3, 0.8e-3)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Truth(Scene):
+    """The true robot and cameras behind a simulated session, which calibration never reads, and how they were drawn.
+
+    Attributes:
+        seed: of all that is random.
+        pixel: noise of the detections, one standard deviation. [px]
+        error_scale: factor on the offsets.
+        outlier_share: of the detections, as asked for.
+        offsets: (n, 5) of the DH rows, columns as ``PARAMETERS``. [rad, m]
+        q: (N, n) joint values. [rad or m]
+        outliers: (K,) rows of the session's detections that are outliers.
+        urdf: the true robot's description: the nominal one with other ``<origin>`` values.
+        time_offsets: (C,) of the cameras' clocks, t_robot = t_camera + offset; empty where the arm stood still. [s]
+    """
+
+    seed: int
+    pixel: float
+    error_scale: float
+    outlier_share: float
+    offsets: Floats
+    q: Floats
+    outliers: Ints
+    urdf: bytes
+    time_offsets: Floats = field(default_factory=lambda: np.zeros(0))
+
+
+@dataclass(frozen=True, eq=False)
+class Simulated:
+    """A session and the truth behind it.
+
+    Attributes:
+        session: as measured; its ``warnings`` say what could not be checked.
+        truth: what it was measured on.
+    """
+
+    session: Session
+    truth: Truth
 
 
 def simulate(
@@ -99,8 +144,7 @@ def simulate(
     views = np.tile(np.arange(len(true.cameras)), (poses, 1))
     detections, outlying = simulate_detections(true, q, views, (pixel, noise.pixel), outliers, noise_rng, outlier_rng)
     session = Session(
-        **{field.name: getattr(rig, field.name) for field in fields(Setup)}
-        | {"noise": noise, "sha256": {}, "folder": None},
+        **{one.name: getattr(rig, one.name) for one in fields(Setup)} | {"noise": noise, "sha256": {}, "folder": None},
         poses=tuple(f"{k:0{len(str(poses))}d}" for k in range(1, poses + 1)),
         q=noisy_values(rig, q, joint_rng),
         measurements=(detections,),
@@ -118,6 +162,66 @@ def simulate(
         urdf=b"" if rig.urdf is None else rewrite_origins(rig.urdf, origins_of(rig.urdf, rig.chain, true.placements)),
     )
     return Simulated(session, truth)
+
+
+def write_simulated(folder: str | Path, simulated: Simulated, *, detections: bool = True) -> None:
+    """Write a session, and beside it what no calibration reads: truth.urdf and truth.json.
+
+    Args:
+        folder: where to; made if need be, in a folder that exists.
+        simulated: what to write.
+        detections: whether to write them too; without, the session waits for images.
+
+    Raises:
+        OutputError: the folder holds a session or a truth already, or cannot be written.
+    """
+    folder, session = Path(folder), simulated.session
+    for name in (_URDF, _JSON):
+        if (folder / name).exists():
+            raise OutputError(f"there is a {name} already", where=str(folder), remedy="Name a new folder.")
+    if Path(session.urdf_reference).name == _URDF:
+        raise OutputError(f"the nominal robot's file is itself called {_URDF}", where=str(folder), remedy="Rename it.")
+    write_session(folder, session if detections else session.unmeasured())
+    write_bytes(folder / _URDF, simulated.truth.urdf)
+    write_text(folder / _JSON, json.dumps(_truth_to_dict(simulated), indent=1) + "\n")
+
+
+def _truth_to_dict(simulated: Simulated) -> dict[str, Any]:
+    session, truth = simulated.session, simulated.truth
+    table, cameras, leds = rows_of(session.chain), session.rig.names, session.led_names
+    offsets = dict(zip(cameras, truth.time_offsets.tolist(), strict=False))
+    detections = session.find(Detections)
+    return {
+        "seed": truth.seed,
+        "poses": len(session.poses),
+        "error_scale": truth.error_scale,
+        "outlier_share": truth.outlier_share,
+        "noise": {"pixel": truth.pixel, "joint": session.noise.joint},
+        "dh": [
+            {
+                "joint": label,
+                "parameter": name,
+                "unit": "m" if name in ("d", "a") else "rad",
+                "nominal": value + 0.0,  # no "-0.0"
+                "offset": float(offset),
+            }
+            for label, row, row_offsets in zip(table.labels, table.nominal.tolist(), truth.offsets, strict=True)
+            for name, value, offset in zip(PARAMETERS, row, row_offsets, strict=True)
+        ],
+        "T_world_base": truth.T_world_base.tolist(),
+        "leds": dict(zip(leds, truth.leds.tolist(), strict=True)),
+        "T_cam_frame": dict(zip(cameras, truth.T_cam_frame.tolist(), strict=True)),
+        **({"time_offsets": offsets} if offsets else {}),
+        "outliers": [
+            {
+                "pose": session.label(int(detections.pose[row])),
+                "camera": cameras[detections.camera[row]],
+                "led": leds[detections.led[row]],
+            }
+            for row in truth.outliers
+            if detections is not None
+        ],
+    }
 
 
 def _check_arguments(seed: int, poses: int, pixel: float | None, error_scale: float, outliers: float) -> None:
