@@ -10,8 +10,8 @@ import pytest
 from urdfcal.errors import SessionError
 from urdfcal.estimation.measurements import Detections
 from urdfcal.simulation import motion as simulated_motion
-from urdfcal.simulation.collision import load_collision_checker
 from urdfcal.simulation.motion import MotionSettings, _is_free, _Path, _tour, set_in_motion
+from urdfcal.simulation.planning import load_collision_checker
 
 if TYPE_CHECKING:
     from collections.abc import Callable

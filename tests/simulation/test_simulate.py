@@ -26,7 +26,7 @@ from urdfcal.robot.tree_dh import rows_of
 from urdfcal.robot.urdf.urdf import Urdf, find_urdf, package_roots
 from urdfcal.session.knowledge import Led
 from urdfcal.session.model import Stand
-from urdfcal.simulation.collision import CollisionChecker
+from urdfcal.simulation.planning import CollisionChecker
 from urdfcal.simulation.scene import look_at
 from urdfcal.simulation.simulate import draw_offsets, simulate, write_simulated
 

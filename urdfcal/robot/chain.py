@@ -164,10 +164,9 @@ def _bodies(model: pin.Model) -> list[str]:
 
 
 def _body(model: pin.Model, link: str) -> pin.Frame:
-    if model.existFrame(link, pin.FrameType.BODY):
-        return model.frames[model.getFrameId(link, pin.FrameType.BODY)]
-    if link == "universe":
-        return model.frames[0]
+    index = 0 if link == "universe" else model.getFrameId(link, pin.FrameType.BODY)
+    if index < model.nframes:
+        return model.frames[index]
     raise RobotError(f"there is no link {link!r}", where=model.name, remedy=suggest(link, _bodies(model), "links"))
 
 
@@ -191,11 +190,10 @@ def _joint(model: pin.Model, data: pin.Data, joint_id: int) -> Joint:
     if not np.any(axis) or not np.all(np.isfinite(axis)):
         raise RobotError("the joint's axis is zero", where=where, remedy="Give <axis xyz=...> the joint's direction.")
     continuous = jmodel.nq == 2
-    limits = slice(jmodel.idx_q, jmodel.idx_q + 1)
     return Joint(
         name=name,
         type="prismatic" if prismatic else "continuous" if continuous else "revolute",
         axis=frozen(axis),
-        lower=-np.inf if continuous else float(model.lowerPositionLimit[limits][0]),
-        upper=np.inf if continuous else float(model.upperPositionLimit[limits][0]),
+        lower=-np.inf if continuous else float(model.lowerPositionLimit[jmodel.idx_q]),
+        upper=np.inf if continuous else float(model.upperPositionLimit[jmodel.idx_q]),
     )

@@ -10,11 +10,11 @@ import numpy as np
 from urdfcal.arrays import Floats, frozen
 from urdfcal.errors import SessionError
 from urdfcal.session.trajectory import JointLog, Trajectory
-from urdfcal.simulation.collision import load_collision_checker
+from urdfcal.simulation.planning import load_collision_checker
 from urdfcal.simulation.scene import noisy_values, simulate_detections
 
 if TYPE_CHECKING:
-    from urdfcal.simulation.collision import CollisionChecker
+    from urdfcal.simulation.planning import CollisionChecker
     from urdfcal.simulation.simulate import Simulated
 
 # Keeps the motion's random numbers apart from the session's.

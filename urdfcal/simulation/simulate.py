@@ -19,8 +19,7 @@ from urdfcal.robot.dh import PARAMETERS
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.robot.urdf.origins import origins_of, rewrite_origins
 from urdfcal.session.model import MIN_POSES, Session, Setup
-from urdfcal.simulation.collision import load_collision_checker
-from urdfcal.simulation.pose_sampling import sample_poses
+from urdfcal.simulation.planning import load_collision_checker, sample_poses
 from urdfcal.simulation.scene import Scene, look_at, noisy_values, simulate_detections
 
 if TYPE_CHECKING:
