@@ -125,8 +125,9 @@ def apply_to_urdf(urdf: Urdf, chain: Mechanism, calibrated: Floats) -> bytes:
 
 def _base(model: pin.Model, chain: Mechanism) -> tuple[int, Floats, Floats]:
     """The joint that the chain hangs on, and its base link's frame there; a model without that link is trusted."""
-    if model.existFrame(chain.base_link, pin.FrameType.BODY):
-        frame = model.frames[model.getFrameId(chain.base_link, pin.FrameType.BODY)]
+    base = model.getFrameId(chain.base_link, pin.FrameType.BODY)
+    if base < model.nframes:
+        frame = model.frames[base]
         T = frame.placement.homogeneous
         return frame.parentJoint, T, T
     first = chain.names[0]

@@ -126,6 +126,7 @@ def open_bag(path: Path) -> Iterator[Bag]:
     """
     from rosbags.rosbag1 import Reader as Reader1
     from rosbags.rosbag2 import Reader as Reader2
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     if not path.exists():
         raise SessionError("there is no such bag", where=str(path))
@@ -142,7 +143,11 @@ def open_bag(path: Path) -> Iterator[Bag]:
             where=str(path),
             remedy=f"Those of ROS 1 end in {_SUFFIXES[0]}, files of ROS 2 in {' or '.join(_SUFFIXES[1:])}.",
         )
-    types = _typestore(path)
+    # A bag's own definitions are not needed: JointState, Image, CompressedImage, CameraInfo and TFMessage have been the
+    # same in all distributions of ROS 2, and in ROS 1 (compared: their hashes in rosbags, Dashing to Lyrical).
+    types = get_typestore(Stores.ROS1_NOETIC if _is_ros1(path) else Stores.ROS2_HUMBLE)
+    if _is_ros1(path):
+        types.register(get_types_from_msg(_TRANSFORMS_1, TRANSFORMS))
     with _errors_explained(path):
         reader = Reader1(path) if _is_ros1(path) else Reader2(path)
         reader.open()
@@ -160,21 +165,6 @@ def open_bag(path: Path) -> Iterator[Bag]:
 
 def _is_ros1(path: Path) -> bool:
     return path.suffix == ".bag" and not path.is_dir()
-
-
-def _typestore(path: Path) -> Typestore:
-    """Return the definitions of messages.
-
-    A bag's own are not needed: JointState, Image, CompressedImage, CameraInfo and TFMessage have been the same in all
-    distributions of ROS 2, and in ROS 1 (compared: their hashes in rosbags, Dashing to Lyrical).
-    """
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-    if not _is_ros1(path):
-        return get_typestore(Stores.ROS2_HUMBLE)
-    types = get_typestore(Stores.ROS1_NOETIC)
-    types.register(get_types_from_msg(_TRANSFORMS_1, TRANSFORMS))
-    return types
 
 
 @contextmanager

@@ -17,6 +17,7 @@ from urdfcal.io.folder import IMAGES
 from urdfcal.io.writing import write_table
 from urdfcal.session.trajectory import Trajectory
 from urdfcal.simulation.render import Light, Scenery, Sensor
+from urdfcal.simulation.scene import any_direction
 from urdfcal.simulation.simulate import write_simulated
 
 if TYPE_CHECKING:
@@ -217,7 +218,7 @@ def _views(
         moving, mirrors = (exposure.distractors and rng.random() < share for share in (_MOVING, _MIRRORS))
         for camera, led in np.ndindex(direct.shape[1:3]):
             hidden = exposure.distractors and rng.random() < _HIDDEN
-            motion = rng.uniform(*_STREAK) * _direction(rng) if moving else np.zeros(2)
+            motion = rng.uniform(*_STREAK) * any_direction(rng) if moving else np.zeros(2)
             peak = exposure.peak * (_NEAR / distance[pose, camera, led]) ** 2
             uv, mirror = direct[pose, camera, led], mirrored[pose, camera, led]
             lights = []
@@ -230,8 +231,3 @@ def _views(
             true = uv if found else np.full(2, np.nan)
             views.append(_View(camera, pose, led, true, tuple(lights), of_pose.spawn(1)[0]))
     return views
-
-
-def _direction(rng: np.random.Generator) -> Floats:
-    angle = rng.uniform(0.0, 2.0 * np.pi)
-    return np.array([np.cos(angle), np.sin(angle)])

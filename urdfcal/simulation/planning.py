@@ -180,16 +180,12 @@ def _solids(chain: Mechanism, urdf: Urdf) -> list[pin.GeometryObject]:
         carrier = joint = solid.parentJoint
         while carrier not in numbers:
             carrier = whole.parents[carrier]
-        placement = frames[carrier].actInv(data.oMi[joint] * solid.placement)
-        solids.append(pin.GeometryObject(solid.name, numbers[carrier], placement, _hull(solid.geometry)))
+        placement, shape = frames[carrier].actInv(data.oMi[joint] * solid.placement), solid.geometry
+        if isinstance(shape, coal.BVHModelBase):
+            shape.buildConvexHull(True, "Qt")
+            shape = shape.convex
+        solids.append(pin.GeometryObject(solid.name, numbers[carrier], placement, shape))
     return solids
-
-
-def _hull(shape: Any) -> Any:
-    if not isinstance(shape, coal.BVHModelBase):
-        return shape
-    shape.buildConvexHull(True, "Qt")
-    return shape.convex
 
 
 def _touch(a: Any, M_a: pin.SE3, b: Any, M_b: pin.SE3) -> bool:

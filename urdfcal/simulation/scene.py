@@ -58,11 +58,8 @@ class Scene:
         tips = [Tip("world", BASE, inverse(self.T_world_base)), *self.attachments.tips]
         centres = inverse(self.T_cam_frame)[:, :3, 3]
         leds, cameras = (
-            [(tips[f].joint, tips[f].T_joint_link[:3, :3] @ p + tips[f].T_joint_link[:3, 3]) for f, p in pairs]
-            for pairs in (
-                zip(self.attachments.led, self.leds, strict=True),
-                zip(self.attachments.camera, centres, strict=True),
-            )
+            [(tips[f].joint, (tips[f].T_joint_link @ [*p, 1.0])[:3]) for f, p in zip(of, points, strict=True)]
+            for of, points in ((self.attachments.led, self.leds), (self.attachments.camera, centres))
         )
         return leds, cameras
 
@@ -153,14 +150,14 @@ def simulate_detections(
     camera, uv = views[pose, view], uv[inside]
     rows = np.sort(outlier_rng.choice(len(uv), round(outliers * len(uv)), replace=False))
     for row in rows:
-        uv[row] = _moved(uv[row], scene.cameras[camera[row]], outlier_rng)
+        moved = np.full(2, np.nan)
+        while not scene.cameras[camera[row]].in_image(moved):
+            moved = uv[row] + any_direction(outlier_rng) * outlier_rng.uniform(*_OUTLIERS)
+        uv[row] = moved
     return Detections(pose, camera, led, uv, np.array(noise[1])), rows
 
 
-def _moved(uv: Floats, camera: Camera, rng: np.random.Generator) -> Floats:
-    """Return another pixel (2,) in the image."""
-    while True:
-        angle, distance = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(*_OUTLIERS)
-        moved: Floats = uv + distance * np.array([np.cos(angle), np.sin(angle)])
-        if camera.in_image(moved):
-            return moved
+def any_direction(rng: np.random.Generator) -> Floats:
+    """Draw a unit vector (2,) in the plane."""
+    angle = rng.uniform(0.0, 2.0 * np.pi)
+    return np.array([np.cos(angle), np.sin(angle)])

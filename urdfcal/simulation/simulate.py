@@ -224,17 +224,15 @@ def _truth_to_dict(simulated: Simulated) -> dict[str, Any]:
 
 
 def _check_arguments(seed: int, poses: int, pixel: float | None, error_scale: float, outliers: float) -> None:
-    where = "simulate"
-    if seed < 0:
-        raise SessionError(f"seed is {seed}, not a whole number from 0 up", where=where)
-    if poses < MIN_POSES:
-        raise SessionError(f"poses is {poses}: a session needs at least {MIN_POSES}", where=where)
-    if pixel is not None and not 0.0 <= pixel < np.inf:
-        raise SessionError(f"pixel is {pixel}, not a standard deviation", where=where)
-    if not 0.0 <= error_scale < np.inf:
-        raise SessionError(f"error_scale is {error_scale}, not a factor from 0 up", where=where)
-    if not 0.0 <= outliers <= 1.0:
-        raise SessionError(f"outliers is {outliers}, not a share from 0 to 1", where=where, remedy="5 % are 0.05.")
+    for good, what, remedy in (
+        (seed >= 0, f"seed is {seed}, not a whole number from 0 up", ""),
+        (poses >= MIN_POSES, f"poses is {poses}: a session needs at least {MIN_POSES}", ""),
+        (pixel is None or 0.0 <= pixel < np.inf, f"pixel is {pixel}, not a standard deviation", ""),
+        (0.0 <= error_scale < np.inf, f"error_scale is {error_scale}, not a factor from 0 up", ""),
+        (0.0 <= outliers <= 1.0, f"outliers is {outliers}, not a share from 0 to 1", "5 % are 0.05."),
+    ):
+        if not good:
+            raise SessionError(what, where="simulate", remedy=remedy)
 
 
 def _nominal_scene(rig: RigDescription) -> Scene:
