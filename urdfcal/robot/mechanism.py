@@ -285,15 +285,8 @@ def se3(T: Floats) -> pin.SE3:
     return pin.SE3(np.ascontiguousarray(T[:3, :3]), np.ascontiguousarray(T[:3, 3]))
 
 
-_ALIGNED = {
-    (False, 0): pin.JointModelRX, (False, 1): pin.JointModelRY, (False, 2): pin.JointModelRZ,
-    (True, 0): pin.JointModelPX, (True, 1): pin.JointModelPY, (True, 2): pin.JointModelPZ,
-}  # fmt: skip
-
-
 def _joint_model(joint: Joint) -> pin.JointModel:
-    along = np.flatnonzero(joint.axis == 1.0)
-    if len(along) == 1 and np.count_nonzero(joint.axis) == 1:
-        return _ALIGNED[joint.prismatic, int(along[0])]()
-    unaligned = pin.JointModelPrismaticUnaligned if joint.prismatic else pin.JointModelRevoluteUnaligned
-    return unaligned(*joint.axis)
+    kind = ("Revolute", "R") if not joint.prismatic else ("Prismatic", "P")
+    if 1.0 in joint.axis and np.count_nonzero(joint.axis) == 1:
+        return getattr(pin, f"JointModel{kind[1]}{'XYZ'[int(np.argmax(joint.axis))]}")()
+    return getattr(pin, f"JointModel{kind[0]}Unaligned")(*joint.axis)

@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
-from urdfcal.robot.urdf.markup import Edit, Element, ElementReader, apply_edits, changed_attributes, start_tag
+from urdfcal.robot.urdf.markup import (
+    Edit,
+    Element,
+    ElementReader,
+    apply_edits,
+    changed_attributes,
+    numbers_text,
+    start_tag,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -46,20 +54,16 @@ def with_places(data: bytes, moved: Iterable[tuple[Element, Floats, Floats]]) ->
 def _edits(data: bytes, body: Element, old: Floats, new: Floats) -> Iterator[Edit]:
     values = {}
     if not np.array_equal(old[:3, 3], new[:3, 3]):
-        values["pos"] = _text(new[:3, 3])
+        values["pos"] = numbers_text(new[:3, 3])
     if not np.array_equal(old[:3, :3], new[:3, :3]):
         x, y, z, w = pin.Quaternion(np.ascontiguousarray(new[:3, :3])).normalized().coeffs()
-        values["quat"] = _text(np.array([w, x, y, z]))
+        values["quat"] = numbers_text(np.array([w, x, y, z]))
     written = next((name for name in _ORIENTATIONS[1:] if name in body.attributes), None)
     if written is not None and "quat" in values:
         attribute = start_tag(data, body).attributes[written]
         quote = attribute["quote"]
         yield Edit(attribute.start("name"), attribute.end(), b"quat=" + quote + values.pop("quat") + quote)
     yield from changed_attributes(data, body, values)
-
-
-def _text(values: Floats) -> bytes:
-    return " ".join(repr(float(value) + 0.0) for value in values).encode()
 
 
 class _MjcfReader(ElementReader):

@@ -190,6 +190,11 @@ def too_large(size: int, source: str) -> RobotError:
     )
 
 
+def numbers_text(values: Iterable[float]) -> bytes:
+    """Write numbers as an attribute's value: the shortest ones that read back exactly."""
+    return " ".join(repr(float(value) + 0.0) for value in values).encode()  # + 0.0: no "-0.0"
+
+
 class Edit(NamedTuple):
     """Bytes from ``start`` up to ``stop`` that become ``text``."""
 

@@ -11,7 +11,7 @@ from urdfcal.arrays import inverse
 from urdfcal.errors import RobotError
 from urdfcal.names import suggest
 from urdfcal.robot.urdf import markup
-from urdfcal.robot.urdf.markup import Edit, apply_edits, changed_attributes, start_tag
+from urdfcal.robot.urdf.markup import Edit, apply_edits, changed_attributes, numbers_text, start_tag
 from urdfcal.robot.urdf.urdf import Urdf, UrdfJoint
 from urdfcal.rotations import matrix_to_rpy
 
@@ -87,7 +87,7 @@ def rewrite_origins(urdf: Urdf, placements: Mapping[str, ArrayLike]) -> bytes:
 
 def _edits(data: bytes, element: Element, joint: UrdfJoint, T: Floats, source: str) -> Iterator[Edit]:
     old = joint.T_parent_joint
-    values = {"xyz": _text(T[:3, 3]), "rpy": _text(matrix_to_rpy(T[:3, :3]))}
+    values = {"xyz": numbers_text(T[:3, 3]), "rpy": numbers_text(matrix_to_rpy(T[:3, :3]))}
     changed = {"xyz": np.abs(T[:3, 3] - old[:3, 3]).max() > SAME, "rpy": np.abs(T[:3, :3] - old[:3, :3]).max() > SAME}
     if not any(changed.values()):
         return
@@ -102,10 +102,6 @@ def _edits(data: bytes, element: Element, joint: UrdfJoint, T: Floats, source: s
             remedy="Replace it by rpy, then calibrate again.",
         )
     yield from changed_attributes(data, origin, {name: values[name] for name in values if changed[name]})
-
-
-def _text(values: Floats) -> bytes:
-    return " ".join(repr(float(value) + 0.0) for value in values).encode()  # + 0.0: no "-0.0"
 
 
 # A comment beside the opening tag belongs to that line, not to what is inserted below it.
