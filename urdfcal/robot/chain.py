@@ -42,7 +42,7 @@ class Tree(Mechanism):
         if not isinstance(urdf, Urdf):
             urdf = Urdf.read(urdf)
         where = str(urdf.path or urdf.name)
-        tip_links, base_link = _listed(tip_link), base_link or urdf.root
+        tip_links, base_link = [tip_link] if isinstance(tip_link, str) else tip_link, base_link or urdf.root
         paths = [_joint_path(urdf, link, base_link, where) for link in tip_links]
         _check(list(dict.fromkeys(joint for path in paths for joint in path)), base_link, tip_links, urdf, where)
         try:
@@ -75,7 +75,7 @@ class Tree(Mechanism):
         parents: list[int] = []
         placements: list[Floats] = []
         tips: list[Tip] = []
-        for link in _listed(tip_link):
+        for link in [tip_link] if isinstance(tip_link, str) else tip_link:
             tip = _body(model, link)
             support = list(model.supports[tip.parentJoint])
             if base.parentJoint not in support:
@@ -108,10 +108,6 @@ def read_mechanism(urdf: Urdf, tip_links: Sequence[str], base_link: str | None =
     """Read a chain where one link is asked for, else a tree; see :meth:`Tree.from_urdf`."""
     links = list(dict.fromkeys(tip_links))
     return (Chain if len(links) == 1 else Tree).from_urdf(urdf, links, base_link)
-
-
-def _listed(links: str | Sequence[str]) -> Sequence[str]:
-    return [links] if isinstance(links, str) else links
 
 
 def _joint_path(urdf: Urdf, tip_link: str, base_link: str, where: str) -> list[UrdfJoint]:
@@ -164,9 +160,11 @@ def _bodies(model: pin.Model) -> list[str]:
 
 
 def _body(model: pin.Model, link: str) -> pin.Frame:
-    index = 0 if link == "universe" else model.getFrameId(link, pin.FrameType.BODY)
+    index = model.getFrameId(link, pin.FrameType.BODY)
     if index < model.nframes:
         return model.frames[index]
+    if link == "universe":
+        return model.frames[0]
     raise RobotError(f"there is no link {link!r}", where=model.name, remedy=suggest(link, _bodies(model), "links"))
 
 

@@ -103,11 +103,10 @@ def _frames(model: pin.Model, q: Floats, tips: Sequence[Tip], regressors: Floats
     T[..., 3, 3] = 1.0
     aligned = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
     # Views of what every pass writes: asking Pinocchio for them each time costs a third of the loop.
-    views = [
-        (tip.joint + 1, se3(tip.T_joint_link), M.rotation, M.translation, T[i, :, :3, :3], T[i, :, :3, 3])
-        for i, tip in enumerate(tips)
-        for M in (data.oMi[tip.joint + 1],)
-    ]
+    views = []
+    for T_i, tip in zip(T, tips, strict=True):
+        M = data.oMi[tip.joint + 1]
+        views.append((tip.joint + 1, se3(tip.T_joint_link), M.rotation, M.translation, T_i[:, :3, :3], T_i[:, :3, 3]))
     for k, q_k in enumerate(q):
         pin.forwardKinematics(model, data, q_k)
         for i, (joint, link, rotation, translation, R_i, p_i) in enumerate(views):

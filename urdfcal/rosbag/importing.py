@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -33,18 +33,6 @@ if TYPE_CHECKING:
 
 # Nine hours of images at 30 Hz.
 _DIGITS = 6
-
-
-class JointStates(NamedTuple):
-    """The readings of an arm's joints.
-
-    Attributes:
-        times: when each was taken, and which messages were left out.
-        readings: (K, k) of the joints asked for, in their order. [rad or m]
-    """
-
-    times: Timeline
-    readings: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +92,7 @@ def import_bag(
             yield message
 
     joints = setup.chain.actuated
-    states = read_joint_states(topics.joints, read(topics.joints), joints)
+    times, readings = read_joint_states(topics.joints, read(topics.joints), joints)
     rig, notes = setup.rig, tuple[str, ...]()
     if not rig.cameras:
         infos = [(name, info) for name, (_, info) in topics.cameras.items() if info is not None]
@@ -113,14 +101,14 @@ def import_bag(
     images = _image_topics(rig, topics)
     with put_into(folder) as partial:
         _write_setup(partial, setup, rig)
-        frames = _write_images(partial / IMAGES, read(*images), images, states.times)
-        origin = _write_tables(partial, states, joints, frames)
-    cameras = {name: times for name, (times, _) in frames.items()}
-    warnings = tuple(warning for times in (states.times, *cameras.values()) for warning in times.warnings)
-    return ImportSummary(origin, states.times, cameras, rig, notes, warnings)
+        frames = _write_images(partial / IMAGES, read(*images), images, times)
+        origin = _write_tables(partial, times, dict(zip(joints, readings.T.tolist(), strict=True)), frames)
+    cameras = {name: taken for name, (taken, _) in frames.items()}
+    warnings = tuple(warning for of in (times, *cameras.values()) for warning in of.warnings)
+    return ImportSummary(origin, times, cameras, rig, notes, warnings)
 
 
-def read_joint_states(topic: str, messages: Iterable[Message], joints: Sequence[str]) -> JointStates:
+def read_joint_states(topic: str, messages: Iterable[Message], joints: Sequence[str]) -> tuple[Timeline, Floats]:
     """Read the positions of some joints.
 
     Messages with none of them are another device's, and those without positions are of no use: they are left out.
@@ -129,6 +117,10 @@ def read_joint_states(topic: str, messages: Iterable[Message], joints: Sequence[
         topic: its name.
         messages: of the topic, in the order in which they were recorded.
         joints: names of those that every reading has.
+
+    Returns:
+        When each reading was taken, and which messages were left out; and the readings (K, k) of these joints, in their
+        order. [rad or m]
 
     Raises:
         SessionError: no message has all joints, or one contradicts itself.
@@ -175,7 +167,7 @@ def read_joint_states(topic: str, messages: Iterable[Message], joints: Sequence[
     if parts:
         warnings.append(f"{topic}: {parts.total()} messages have only some of the joints and are left out")
     times = timeline(topic, stamps, received, warnings)
-    return JointStates(times, np.array(rows)[times.kept])
+    return times, np.array(rows)[times.kept]
 
 
 def _unusable(
@@ -320,16 +312,16 @@ def _write_one(path: Path, content: Any, camera: Camera) -> Path:
 
 
 def _write_tables(
-    folder: Path, states: JointStates, joints: Sequence[str], frames: Mapping[str, tuple[Timeline, list[str]]]
+    folder: Path, robot: Timeline, joints: Mapping[str, list[float]], frames: Mapping[str, tuple[Timeline, list[str]]]
 ) -> int:
     """Write joints.csv and frames.csv, and return the time that is 0 in them. [ns]."""
-    origin = int(min(times.time[0] for times in (states.times, *(times for times, _ in frames.values()))))
+    origin = int(min(times.time[0] for times in (robot, *(times for times, _ in frames.values()))))
 
     def seconds(times: Timeline) -> list[float]:
         # From there on a double holds 104 days to the nanosecond.
         return [ns / 1e9 for ns in (times.time - origin).tolist()]
 
-    write_table(folder / "joints.csv", ["time", *joints], [seconds(states.times), *states.readings.T.tolist()])
+    write_table(folder / "joints.csv", ["time", *joints], [seconds(robot), *joints.values()])
     rows = [
         (name, *row) for name, (times, labels) in frames.items() for row in zip(labels, seconds(times), strict=True)
     ]

@@ -237,8 +237,9 @@ def _joint(name: str, element: Element, version: str, source: str) -> UrdfJoint:
     if (kind := _TYPES.get(written)) is None:
         what = f"its type {written!r} is not known" if written else "it has no type"
         raise RobotError(what, where=where, remedy=f"URDF has: {', '.join(_TYPES)}.")
-    for tag in ("parent", "child"):
-        if not part(tag)[0].attributes.get("link"):
+    links = {tag: part(tag)[0].attributes.get("link", "") for tag in ("parent", "child")}
+    for tag, link in links.items():
+        if not link:
             raise RobotError(f"it has no {tag} link", where=where, remedy=f'Write <{tag} link="..."/>.')
     lower, upper = _limits(kind, *part("limit"), missing=element.first("limit") is None)
     # urdfdom reads no axis of a joint that has none.
@@ -246,8 +247,7 @@ def _joint(name: str, element: Element, version: str, source: str) -> UrdfJoint:
     return UrdfJoint(
         name=name,
         type=kind,
-        parent=part("parent")[0].attributes["link"],
-        child=part("child")[0].attributes["link"],
+        **links,
         T_parent_joint=frozen(_placement(*part("origin"), version)),
         axis=frozen(axis / (math.hypot(*axis) or 1.0)),
         lower=lower,
