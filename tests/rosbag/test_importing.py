@@ -24,7 +24,7 @@ from urdfcal.robot.urdf.urdf import Urdf
 from urdfcal.rosbag import importing
 from urdfcal.rosbag.bag import open_bag
 from urdfcal.rosbag.importing import ImportSummary, import_bag
-from urdfcal.rosbag.topics import TopicOptions, choose_topics
+from urdfcal.rosbag.topics import choose_topics
 from urdfcal.session.knowledge import Led
 from urdfcal.session.model import Setup
 
@@ -41,13 +41,11 @@ def known(tmp_path: Path) -> Setup:
     return Setup(chain=Chain.from_urdf(urdf, "tip"), leds=(led,), urdf=urdf, urdf_reference=str(tmp_path / "arm.urdf"))
 
 
-def bring(
-    bag: Recording, folder: Path, known: Setup, options: TopicOptions | None = None, progress: Any = None
-) -> ImportSummary:
+def bring(bag: Recording, folder: Path, known: Setup, infos: bool = True, progress: Any = None) -> ImportSummary:
     """Write the bag beside the session's folder, and import it."""
     path = bag.write(folder.parent / f"bag-{bag.kind}")
     with open_bag(path) as opened:
-        return import_bag(opened, choose_topics(opened.topics, options or TopicOptions()), known, folder, progress)
+        return import_bag(opened, choose_topics(opened.topics, infos=infos), known, folder, progress)
 
 
 def table(path: Path) -> list[dict[str, str]]:
@@ -168,7 +166,7 @@ def test_cameras_may_come_from_a_file(tmp_path: Path, known: Setup) -> None:
     bag = recording("sqlite3", 0.2)
     bag.drop("/left/camera_info")
     bag.drop("/right/camera_info")
-    bring(bag, tmp_path / "s", replace(known, rig=rig), TopicOptions(infos=False))
+    bring(bag, tmp_path / "s", replace(known, rig=rig), infos=False)
     read = read_kalibr(tmp_path / "s" / "cameras.yaml")
     assert read.names == ("right", "left")
     np.testing.assert_array_equal(read.T_cam_world[1], T)
@@ -256,9 +254,7 @@ def test_cameras_of_other_names_are_refused_before_anything_is_written(tmp_path:
     renamed = Rig((rig.cameras[0], replace(rig.cameras[1], name="cam1")), rig.T_cam_world)
     message = r"described are left, cam1, those in the bag are called left, right\. .* --camera left=/left/image_raw"
     with pytest.raises(CameraError, match=message):
-        bring(
-            recording("sqlite3", 0.2), tmp_path / "second" / "s", replace(known, rig=renamed), TopicOptions(infos=False)
-        )
+        bring(recording("sqlite3", 0.2), tmp_path / "second" / "s", replace(known, rig=renamed), infos=False)
     assert not (tmp_path / "second" / "s").exists()
 
 

@@ -88,7 +88,7 @@ def command(
     from urdfcal.robot.urdf.urdf import Urdf, find_urdf
     from urdfcal.rosbag.bag import open_bag
     from urdfcal.rosbag.importing import import_bag
-    from urdfcal.rosbag.topics import TopicOptions, choose_topics
+    from urdfcal.rosbag.topics import choose_topics
     from urdfcal.session.knowledge import Led
     from urdfcal.session.model import Setup
 
@@ -101,9 +101,9 @@ def command(
         urdf=robot,
         urdf_reference=urdf,
     )
-    options = TopicOptions(joints, {name: (image, info) for name, image, info in named}, infos=described is None)
+    cameras = {name: (image, info) for name, image, info in named}
     with open_bag(path) as bag:
-        topics = choose_topics(bag.topics, options)
+        topics = choose_topics(bag.topics, joints, cameras, infos=described is None)
         count = sum(topic.count for topic in bag.topics if topic.name in topics.names)
         with progress_bar("reading", count) as advance:
             summary = import_bag(bag, topics, setup, session, advance)

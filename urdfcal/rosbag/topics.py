@@ -21,21 +21,6 @@ _FOLDER = re.compile(r"\w[\w .-]*")
 
 
 @dataclass(frozen=True)
-class TopicOptions:
-    """What the user says about the topics of a bag.
-
-    Attributes:
-        joints: the topic with the joint states; None: the only one.
-        cameras: topics of the images, and of the camera_info if it has an unusual name, by camera; empty: all.
-        infos: whether the bag is to describe the cameras.
-    """
-
-    joints: str | None = None
-    cameras: Mapping[str, tuple[str, str | None]] | None = None
-    infos: bool = True
-
-
-@dataclass(frozen=True)
 class ChosenTopics:
     """The topics that a session is made of.
 
@@ -54,28 +39,36 @@ class ChosenTopics:
         return (self.joints, *(name for of in self.cameras.values() for name in of if name))
 
 
-def choose_topics(topics: Sequence[Topic], options: TopicOptions) -> ChosenTopics:
+def choose_topics(
+    topics: Sequence[Topic],
+    joints: str | None = None,
+    cameras: Mapping[str, tuple[str, str | None]] | None = None,
+    *,
+    infos: bool = True,
+) -> ChosenTopics:
     """Find the topics of the joints and the cameras.
 
     Args:
         topics: all of the bag.
-        options: what the user says about them.
+        joints: the topic with the joint states; None: the only one.
+        cameras: topics of the images, and of the camera_info if it has an unusual name, by camera; empty: all.
+        infos: whether the bag is to describe the cameras.
 
     Raises:
         SessionError: a topic is missing or of another type, or the choice between several is open.
     """
     filled = [topic for topic in topics if topic.count]
-    named = options.cameras or _by_namespace(filled)
-    cameras = {name: (image, _info(filled, name, image, info, options)) for name, (image, info) in named.items()}
-    for name, (image, _) in cameras.items():
+    named = cameras or _by_namespace(filled)
+    chosen = {name: (image, _info(filled, name, image, info, infos=infos)) for name, (image, info) in named.items()}
+    for name, (image, _) in chosen.items():
         if not _FOLDER.fullmatch(name):
             raise SessionError(
                 f"the camera's name {name!r} cannot be that of a folder",
                 remedy=f"Use letters and digits: --camera NAME={image}.",
             )
-    if len({image for image, _ in cameras.values()}) < len(cameras):
+    if len({image for image, _ in chosen.values()}) < len(chosen):
         raise SessionError("two cameras have the same images", remedy="Every camera has a topic of its own.")
-    return ChosenTopics(_joints(filled, options.joints), cameras)
+    return ChosenTopics(_joints(filled, joints), chosen)
 
 
 def _joints(topics: Sequence[Topic], named: str | None) -> str:
@@ -91,13 +84,13 @@ def _joints(topics: Sequence[Topic], named: str | None) -> str:
     return found[0]
 
 
-def _info(topics: Sequence[Topic], name: str, image: str, info: str | None, options: TopicOptions) -> str | None:
+def _info(topics: Sequence[Topic], name: str, image: str, info: str | None, *, infos: bool) -> str | None:
     """Return the topic of a camera's camera_info, if the bag is to describe it."""
     _known(topics, image, _IMAGES)
     usual = f"{_namespace(image)}/camera_info"  # where image_transport looks for it
     if info is not None:
         _known(topics, info, (CAMERA_INFO,))
-    elif not options.infos:
+    elif not infos:
         return None
     there = [topic.name for topic in topics if topic.type == CAMERA_INFO]
     if info is None and usual not in there:
