@@ -52,11 +52,9 @@ class DHRow:
     Attributes:
         joint: the joint that moves this row's frame; of a mount the one that it leads to.
         type: of the joint: revolute, continuous or prismatic.
-        theta: rotation about z at zero joint value. [rad]
-        d: shift along z. [m]
-        a: shift along x, the common normal. [m]
-        alpha: rotation about x. [rad]
-        beta: rotation about y, non-zero only where this axis and the next are almost parallel. [rad]
+        values: in the order of ``PARAMETERS`` theta, the rotation about z at zero joint value, d, the shift along z, a,
+            that along x, the common normal, alpha, the rotation about x, and beta, that about y, non-zero only where
+            this axis and the next are almost parallel. [rad, m]
         parallel: whether the next axis is within ``PARALLEL_ANGLE`` of (anti-)parallel.
         directed: whether the next axis is a prismatic joint's, which has a direction but no position.
         last: whether there is no next joint.
@@ -65,20 +63,11 @@ class DHRow:
 
     joint: str
     type: JointType
-    theta: float
-    d: float
-    a: float
-    alpha: float
-    beta: float
+    values: tuple[float, ...]
     parallel: bool
     directed: bool
     last: bool = False
     mount: bool = False
-
-    @property
-    def values(self) -> tuple[float, float, float, float, float]:
-        """The row in the order of ``PARAMETERS``."""
-        return (self.theta, self.d, self.a, self.alpha, self.beta)
 
     @property
     def variable(self) -> Parameter | None:

@@ -53,7 +53,8 @@ def derive(mechanism: Mechanism) -> tuple[Floats, tuple[DHRow, ...], Floats, Flo
             base = F
         else:
             start, values = _mount(joints[0], F)
-            rows.append(_row(joints[0], values, parallel=False, directed=joints[0].prismatic, mount=True))
+            first = joints[0]
+            rows.append(DHRow(first.name, first.type, tuple(values.tolist()), False, first.prismatic, mount=True))
             K.append(inverse(start))
             ends.append(inverse(start @ row_transform(values)) @ F)
         for i, joint in enumerate(joints):
@@ -67,14 +68,9 @@ def derive(mechanism: Mechanism) -> tuple[Floats, tuple[DHRow, ...], Floats, Flo
             height = float((inverse(F) @ L[-1])[2, 3]) if last else 0.0
             p, w = (inverse(F) @ [*point, 1.0])[:3], F[:3, :3].T @ axes[i + 1]
             values = _hayati_row(p, w, height) if parallel else _line_row(p, w)
-            rows.append(_row(joint, values, parallel=parallel, directed=directed, last=last))
+            rows.append(DHRow(joint.name, joint.type, tuple(values.tolist()), parallel, directed, last))
             F = F @ row_transform(values)
     return frozen(base), tuple(rows), frozen(inverse(F) @ L[-1]), frozen(K), frozen(ends)
-
-
-def _row(joint: Joint, values: Floats, **kind: bool) -> DHRow:
-    theta, d, a, alpha, beta = map(float, values)
-    return DHRow(joint.name, joint.type, theta, d, a, alpha, beta, **kind)
 
 
 def _mount(joint: Joint, F0: Floats) -> tuple[Floats, Floats]:
