@@ -81,27 +81,29 @@ def command(
     if len(set(names)) < len(names):
         raise click.UsageError(f"two cameras have the same name: {', '.join(names)}")
     from urdfcal.cameras.io.formats import read_cameras
+    from urdfcal.cameras.rig import Rig
     from urdfcal.cli.console import progress_bar
     from urdfcal.names import check_names
     from urdfcal.robot.chain import Chain
     from urdfcal.robot.urdf.urdf import Urdf, find_urdf
     from urdfcal.rosbag.bag import open_bag
-    from urdfcal.rosbag.importing import ImportSetup, import_bag
-    from urdfcal.rosbag.topics import TopicOptions, choose_topics
+    from urdfcal.rosbag.importing import import_bag
+    from urdfcal.rosbag.topics import choose_topics
     from urdfcal.session.knowledge import Led
+    from urdfcal.session.model import Setup
 
     check_names("LEDs", [led[0]])
     robot = Urdf.read(find_urdf(urdf))
-    setup = ImportSetup(
+    setup = Setup(
+        chain=Chain.from_urdf(robot, tip, base),
+        leds=(Led(*led),),  # type: ignore[arg-type]  # a list serves as an array
+        rig=Rig() if described is None else read_cameras([described]),
         urdf=robot,
         urdf_reference=urdf,
-        chain=Chain.from_urdf(robot, tip, base),
-        led=Led(*led),  # type: ignore[arg-type]  # a list serves as an array
-        rig=None if described is None else read_cameras([described]),
     )
-    options = TopicOptions(joints, {name: (image, info) for name, image, info in named}, infos=described is None)
+    cameras = {name: (image, info) for name, image, info in named}
     with open_bag(path) as bag:
-        topics = choose_topics(bag.topics, options)
+        topics = choose_topics(bag.topics, joints, cameras, infos=described is None)
         count = sum(topic.count for topic in bag.topics if topic.name in topics.names)
         with progress_bar("reading", count) as advance:
             summary = import_bag(bag, topics, setup, session, advance)
@@ -123,11 +125,10 @@ def _list(path: Path) -> None:
 
 def _print(topics: ChosenTopics, summary: ImportSummary) -> None:
     click.echo(f"{topics.joints}: {_of('joint states', summary.joints)}")
-    images = {camera.name: camera.image for camera in topics.cameras}
     for camera in summary.rig.cameras:
         width, height = camera.resolution
         taken = _of("images", summary.cameras[camera.name])
-        click.echo(f"{camera.name}: {images[camera.name]}, {taken}, {width} x {height} px")
+        click.echo(f"{camera.name}: {topics.cameras[camera.name][0]}, {taken}, {width} x {height} px")
     click.echo(f"time 0 is {summary.origin // 10**9}.{summary.origin % 10**9:09d} s")
     for note in (*summary.notes, *summary.warnings):
         click.echo(f"- {note}")

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from urdfcal.output.stream import Layer
     from urdfcal.robot.dh import DHTable
     from urdfcal.robot.mechanism import Mechanism
-    from urdfcal.robot.tree_dh import TreeTable
     from urdfcal.session.model import Session
 
 Tint = tuple[int, ...]
@@ -62,7 +61,7 @@ def _sticks(mechanism: Mechanism, frames: Floats) -> list[Floats]:
     return lines
 
 
-def log_dh(layer: Layer, table: DHTable | TreeTable, scene: CalibrationScene) -> None:
+def log_dh(layer: Layer, table: DHTable, scene: CalibrationScene) -> None:
     """Log the DH frames as axes, and each row's way from one to the next, with d and a as labels.
 
     Rows are numbered as in the table beside them, from 1.

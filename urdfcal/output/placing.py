@@ -8,16 +8,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.arrays import Floats, inverse
-from urdfcal.robot.dh import PARAMETERS, DHTable, row_transform
+from urdfcal.robot.dh import row_transform
 from urdfcal.robot.kinematics import link_poses
 from urdfcal.robot.mechanism import BASE, Tip
-from urdfcal.robot.tree_dh import Branch
 from urdfcal.session.attachments import WORLD
 
 if TYPE_CHECKING:
     from urdfcal.output.fitted import ArmEstimate
+    from urdfcal.robot.dh import DHTable
     from urdfcal.robot.mechanism import Mechanism
-    from urdfcal.robot.tree_dh import TreeTable
     from urdfcal.session.model import Setup
 
 
@@ -63,14 +62,7 @@ def link_frames(frames: Floats, tip: Tip) -> Floats:
     return result
 
 
-def branches_of(table: DHTable | TreeTable) -> tuple[Branch, ...]:
-    """The serial parts of a table; a serial one has one."""
-    if isinstance(table, DHTable):
-        return (Branch(tuple(range(len(table.rows))), table, None),)
-    return table.branches
-
-
-def dh_frames(table: DHTable | TreeTable, offsets: Floats, frames: Floats) -> Floats:
+def dh_frames(table: DHTable, offsets: Floats, frames: Floats) -> Floats:
     """T_base_F of the DH frames F_0 ... F_R at every pose, (N, R + 1, 4, 4) in m: row i leads to F_i+1.
 
     F_i moves with its joint's link: F_i = L_i K_i^-1 B_i, the joint variable's own offset being part of L_i already. A
@@ -81,23 +73,11 @@ def dh_frames(table: DHTable | TreeTable, offsets: Floats, frames: Floats) -> Fl
         offsets: (R, 5) added to them.
         frames: (N, n + 1, 4, 4) joint frames.
     """
-    T = np.empty((len(frames), len(offsets) + 1, 4, 4))
-    end = 0
-    for branch in branches_of(table):
-        carrier, mount = _carrier(table, branch, frames), branch.mount
-        if mount is None:
-            T[:, end] = carrier @ branch.table.base
-        else:
-            end += 1
-            T[:, end] = carrier @ mount.T_link_start @ row_transform(mount.values + offsets[end - 1]) @ mount.T_end_F0
-        for joint, row, K in zip(branch.joints, branch.table.rows, branch.table.K, strict=True):
-            own = np.where([p == row.variable for p in PARAMETERS], 0.0, offsets[end])
-            end += 1
-            T[:, end] = frames[:, joint + 1] @ inverse(K) @ row_transform(np.add(row.values, own))
-    return T
+    ends = table.start_frames(frames) @ row_transform(table.shape(offsets)) @ table.ends
+    return np.concatenate([frames[:, :1] @ table.base, ends], axis=1)
 
 
-def row_corners(table: DHTable | TreeTable, offsets: Floats, frames: Floats, dh: Floats) -> Floats:
+def row_corners(table: DHTable, offsets: Floats, frames: Floats, dh: Floats) -> Floats:
     """Where every row starts, where its common normal leaves its own axis, and where it ends.
 
     From start to foot is d, from foot to end is a.
@@ -113,18 +93,14 @@ def row_corners(table: DHTable | TreeTable, offsets: Floats, frames: Floats, dh:
     """
     values = table.nominal + offsets
     starts, ends = dh[:, :-1].copy(), dh[:, 1:].copy()
-    first = 0
-    for branch in branches_of(table):
-        if branch.mount is not None:
-            starts[:, first] = _carrier(table, branch, frames) @ branch.mount.T_link_start
-            ends[:, first] = starts[:, first] @ row_transform(values[first])
-            first += 1
-        first += len(branch.joints)
+    mounts = [row.mount for row in table.rows]
+    starts[:, mounts] = table.start_frames(frames)[:, mounts]
+    ends[:, mounts] = starts[:, mounts] @ row_transform(values[mounts])
     back = np.array([inverse(row_transform([0.0, 0.0, *row[2:]])) for row in values])
     return np.stack([T[..., :3, 3] for T in (starts, ends @ back, ends)], axis=2)
 
 
-def row_lines(table: DHTable | TreeTable, offsets: Floats, frames: Floats) -> list[Floats]:
+def row_lines(table: DHTable, offsets: Floats, frames: Floats) -> list[Floats]:
     """A line along each branch's rows: from the carrying link over F_0, foot, F_1, ... to the tip.
 
     Args:
@@ -137,24 +113,18 @@ def row_lines(table: DHTable | TreeTable, offsets: Floats, frames: Floats) -> li
     """
     dh = dh_frames(table, offsets, frames)
     corners = row_corners(table, offsets, frames, dh)
-    lines = []
+    chain, lines = table.chain, []
     first = 0
-    for branch in branches_of(table):
+    for branch in chain.branches:
         # The link's origin is where a mount starts; its foot and end come before F_0.
-        parts = [_carrier(table, branch, frames)[:, None, :3, 3]]
-        if branch.mount is not None:
+        parts = [frames[:, chain.parents[branch[0]] + 1, None, :3, 3]]
+        if table.rows[first].mount:
             parts.append(corners[:, first, 1:])
             first += 1
-        last = first + len(branch.joints)
+        last = first + len(branch)
         parts.append(dh[:, first, None, :3, 3])
         parts.append(corners[:, first:last, 1:].reshape(len(dh), -1, 3))
-        parts.append((frames[:, branch.joints[-1] + 1] @ branch.table.chain.T_last_tip)[:, None, :3, 3])
+        parts.append((frames[:, branch[-1] + 1] @ chain.end_on(branch[-1]))[:, None, :3, 3])
         lines.append(np.concatenate(parts, axis=1))
         first = last
     return lines
-
-
-def _carrier(table: DHTable | TreeTable, branch: Branch, frames: Floats) -> Floats:
-    """T_base_link (N, 4, 4) of the link that carries a branch."""
-    result: Floats = frames[:, table.chain.parents[branch.joints[0]] + 1]
-    return result

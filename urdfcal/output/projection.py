@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from urdfcal.output.fitted import ArmEstimate
     from urdfcal.result.fitted import FittedCalibration
     from urdfcal.robot.dh import DHTable
-    from urdfcal.robot.tree_dh import TreeTable
 
 # A lens bends straight lines: each is projected at so many points.
 _POINTS = 5
@@ -77,7 +76,7 @@ def project_line(camera: Camera, T_base_cam: Floats, corners: Floats) -> Floats:
     return uv
 
 
-def skeleton(table: DHTable | TreeTable, offsets: Floats, frames: Floats) -> Floats:
+def skeleton(table: DHTable, offsets: Floats, frames: Floats) -> Floats:
     """Corners of the arm's DH rows, (N, 2 n + 3, 3) in m in the base link's frame: base, F_0, foot, F_1, ..., tip.
 
     Of an arm that branches one such line after the other, NaN in between. Arguments as of :func:`row_lines`.

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from urdfcal.result.document import ResultDocument
     from urdfcal.robot.dh import DHTable
     from urdfcal.robot.mechanism import Mechanism
-    from urdfcal.robot.tree_dh import TreeTable
     from urdfcal.session.model import Session
 
 
@@ -48,7 +47,7 @@ class FittedCalibration(Calibration):
     """
 
     session: Session
-    table: DHTable | TreeTable
+    table: DHTable
     problem: Problem
     comparison: Comparison
     solutions: tuple[Minimum, ...]

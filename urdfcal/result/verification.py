@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.errors import OutputError
-from urdfcal.robot.chain import read_mechanism
-from urdfcal.robot.dh import DHTable
+from urdfcal.robot.chain import Chain, read_mechanism
 from urdfcal.robot.kinematics import link_poses
 from urdfcal.robot.urdf.urdf import Urdf
 
@@ -37,7 +36,7 @@ def verify_urdf(data: bytes, of: FittedCalibration) -> None:
     expected = np.array(link_poses(chain, q, chain.tips, of.placements))
     again = read_mechanism(Urdf.parse(data), [tip.link for tip in chain.tips], chain.base_link)
     tips = {"Pinocchio": np.array(link_poses(again, q, again.tips)), "yourdfpy": _yourdfpy_links(data, chain, q)}
-    if of.geometry is table and isinstance(table, DHTable):
+    if of.geometry is table and isinstance(chain, Chain):
         tips["the DH rows"] = np.array([[table.forward(q_k, of.estimate.offsets) for q_k in q]])
     for reader, T in tips.items():
         error = float(np.abs(T - expected).max())

@@ -56,9 +56,9 @@ def apply_to_model(model: pin.Model, chain: Mechanism, calibrated: Floats) -> No
             carriers.append((index, np.eye(4), np.eye(4)))
             continue
         # A reduced model keeps a locked joint as a frame.
-        if not model.existFrame(joint.name, pin.FrameType.FIXED_JOINT):
-            raise _missing(joint.name, model.name)
         frame = model.getFrameId(joint.name, pin.FrameType.FIXED_JOINT)
+        if frame == model.nframes:
+            raise _missing(joint.name, model.name)
         before = model.frames[frame].placement.homogeneous
         turned = inverse(nominal_T) @ before
         if model.frames[frame].parentJoint != support or not _is_motion_of(joint, turned):
@@ -67,9 +67,14 @@ def apply_to_model(model: pin.Model, chain: Mechanism, calibrated: Floats) -> No
         locked[frame] = after @ inverse(before)
         carriers.append((support, before, after))
     frames = dict(_moved_frames(model, locked))
-    others = [index for index in range(1, model.njoints) if index not in joints]
-    for index, correction in _moved_joints(model, others, locked, frames):
-        joints[index] = correction @ model.jointPlacements[index].homogeneous
+    for index in (index for index in range(1, model.njoints) if index not in joints):
+        own = model.getFrameId(model.names[index], pin.FrameType.JOINT)
+        # A joint that was added by hand may have no frame, which alone says what the joint hangs on.
+        if own == model.nframes:
+            if model.parents[index] in {model.frames[frame].parentJoint for frame in locked}:
+                raise _unknown_support(model.names[index], model.name)
+        elif model.frames[own].parentFrame in frames:
+            joints[index] = frames[model.frames[own].parentFrame] @ model.jointPlacements[index].homogeneous
     for index, T in joints.items():
         model.jointPlacements[index] = se3(T)
     for index, correction in frames.items():
@@ -120,8 +125,9 @@ def apply_to_urdf(urdf: Urdf, chain: Mechanism, calibrated: Floats) -> bytes:
 
 def _base(model: pin.Model, chain: Mechanism) -> tuple[int, Floats, Floats]:
     """The joint that the chain hangs on, and its base link's frame there; a model without that link is trusted."""
-    if model.existFrame(chain.base_link, pin.FrameType.BODY):
-        frame = model.frames[model.getFrameId(chain.base_link, pin.FrameType.BODY)]
+    base = model.getFrameId(chain.base_link, pin.FrameType.BODY)
+    if base < model.nframes:
+        frame = model.frames[base]
         T = frame.placement.homogeneous
         return frame.parentJoint, T, T
     first = chain.names[0]
@@ -147,21 +153,6 @@ def _moved_frames(model: pin.Model, locked: dict[int, Floats]) -> Iterator[tuple
                 raise _unknown_support(model.frames[below].name, model.name)
         if above in locked:
             yield index, locked[above]
-
-
-def _moved_joints(
-    model: pin.Model, joints: list[int], locked: dict[int, Floats], frames: dict[int, Floats]
-) -> Iterator[tuple[int, Floats]]:
-    """Those of the joints that hang on a moved frame, with that frame's correction."""
-    supports = {model.frames[frame].parentJoint for frame in locked}
-    for index in joints:
-        own = model.getFrameId(model.names[index], pin.FrameType.JOINT)
-        # A joint that was added by hand may have no frame, which alone says what the joint hangs on.
-        if own == model.nframes:
-            if model.parents[index] in supports:
-                raise _unknown_support(model.names[index], model.name)
-        elif model.frames[own].parentFrame in frames:
-            yield index, frames[model.frames[own].parentFrame]
 
 
 def _is_motion_of(joint: Joint, T: Floats) -> bool:

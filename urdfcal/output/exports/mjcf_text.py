@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
-from xml.parsers import expat
 
 import numpy as np
 import pinocchio as pin
 
-from urdfcal.errors import RobotError
-from urdfcal.robot.urdf.markup import Edit, Element, apply_edits, changed_attributes, start_tag
+from urdfcal.robot.urdf.markup import (
+    Edit,
+    Element,
+    ElementReader,
+    apply_edits,
+    changed_attributes,
+    numbers_text,
+    start_tag,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -31,15 +37,7 @@ def joint_bodies(data: bytes, path: str) -> dict[str, Element]:
         RobotError: it is no MuJoCo file, or one whose text does not say where its bodies are.
     """
     reader = _MjcfReader(path)
-    try:
-        reader.parser.Parse(data, True)
-    except expat.ExpatError as error:
-        raise RobotError(
-            f"not well-formed XML: {expat.ErrorString(error.code)}",
-            where=f"{path}:{error.lineno}, column {error.offset + 1}",
-        ) from error
-    except (LookupError, ValueError) as error:
-        raise RobotError(f"its encoding cannot be read: {error}", where=path, remedy="Save it as UTF-8.") from error
+    reader.read(data)
     return reader.bodies
 
 
@@ -56,10 +54,10 @@ def with_places(data: bytes, moved: Iterable[tuple[Element, Floats, Floats]]) ->
 def _edits(data: bytes, body: Element, old: Floats, new: Floats) -> Iterator[Edit]:
     values = {}
     if not np.array_equal(old[:3, 3], new[:3, 3]):
-        values["pos"] = _text(new[:3, 3])
+        values["pos"] = numbers_text(new[:3, 3])
     if not np.array_equal(old[:3, :3], new[:3, :3]):
         x, y, z, w = pin.Quaternion(np.ascontiguousarray(new[:3, :3])).normalized().coeffs()
-        values["quat"] = _text(np.array([w, x, y, z]))
+        values["quat"] = numbers_text(np.array([w, x, y, z]))
     written = next((name for name in _ORIENTATIONS[1:] if name in body.attributes), None)
     if written is not None and "quat" in values:
         attribute = start_tag(data, body).attributes[written]
@@ -68,57 +66,41 @@ def _edits(data: bytes, body: Element, old: Floats, new: Floats) -> Iterator[Edi
     yield from changed_attributes(data, body, values)
 
 
-def _text(values: Floats) -> bytes:
-    return " ".join(repr(float(value) + 0.0) for value in values).encode()
-
-
-class _MjcfReader:
-    """Expat's handlers and what they have gathered."""
+class _MjcfReader(ElementReader):
+    """Gathers the body of every named joint."""
 
     def __init__(self, path: str) -> None:
+        super().__init__(path)
         self.bodies: dict[str, Element] = {}
-        self._open: list[Element] = []
-        self._path = path
-        self.parser = expat.ParserCreate()
-        self.parser.StartDoctypeDeclHandler = self._doctype
-        self.parser.StartElementHandler = self._start
-        self.parser.EndElementHandler = self._end
 
-    def _refuse(self, what: str, remedy: str) -> RobotError:
-        return RobotError(what, where=f"{self._path}:{self.parser.CurrentLineNumber}", remedy=remedy)
+    def doctype(self, name: str, system_id: str | None, public_id: str | None, internal_subset: int) -> None:
+        raise self.refusal(f"it has a document type, <!DOCTYPE {name} ...>", "Remove it: MuJoCo reads none.")
 
-    def _doctype(self, name: str, system_id: str | None, public_id: str | None, internal_subset: int) -> None:
-        raise self._refuse(f"it has a document type, <!DOCTYPE {name} ...>", "Remove it: MuJoCo reads none.")
-
-    def _start(self, tag: str, attributes: dict[str, str]) -> None:
-        if not self._open and tag != "mujoco":
-            raise self._refuse(
+    def started(self, element: Element) -> None:
+        tag, attributes = element.tag, element.attributes
+        if not self.opened and tag != "mujoco":
+            raise self.refusal(
                 f"the root element is <{tag}>, not <mujoco>",
                 "For another URDF: urdfcal apply OUT OTHER.urdf." if tag == "robot" else "Is it a MuJoCo file?",
             )
         if tag == "include":
-            raise self._refuse(
+            raise self.refusal(
                 "it includes another file, in which bodies may be", "Name the file that holds the robot's bodies."
             )
         if tag == "compiler" and attributes.get("fusestatic") == "true":
-            raise self._refuse(
+            raise self.refusal(
                 "fusestatic merges bodies, so that places are not those in the file", 'Write fusestatic="false".'
             )
-        element = Element(tag, attributes, self.parser.CurrentByteIndex, self.parser.CurrentLineNumber)
         if tag == "joint" and "name" in attributes:
             self._joint(attributes["name"])
-        self._open.append(element)
 
     def _joint(self, name: str) -> None:
-        bodies = [i for i, element in enumerate(self._open) if element.tag == "body"]
-        if not bodies or self._open[1].tag != "worldbody":
+        bodies = [i for i, element in enumerate(self.opened) if element.tag == "body"]
+        if not bodies or self.opened[1].tag != "worldbody":
             return  # of an equality, a tendon, a default
-        if self._open[bodies[-1] - 1].tag not in ("body", "worldbody"):
-            raise self._refuse(
-                f"the body of joint {name!r} is inside <{self._open[bodies[-1] - 1].tag}>",
-                "Write it directly in the body that carries it.",
+        above = self.opened[bodies[-1] - 1].tag
+        if above not in ("body", "worldbody"):
+            raise self.refusal(
+                f"the body of joint {name!r} is inside <{above}>", "Write it directly in the body that carries it."
             )
-        self.bodies[name] = self._open[bodies[-1]]
-
-    def _end(self, _tag: str) -> None:
-        self._open.pop()
+        self.bodies[name] = self.opened[bodies[-1]]
