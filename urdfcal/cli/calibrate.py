@@ -167,6 +167,11 @@ def _print(overview: Overview, paths: Sequence[Path], remarks: Sequence[str]) ->
         for unit in ("px", "mm")
         if f"rms_{unit}" in fit
     ]
+    parts += [
+        f"{each['kind']} {each['rms_nominal']:.3f} -> {each['rms']:.3f} {each['unit']}"
+        for each in fit["residuals"]
+        if each["kind"] not in ("detections", "points")
+    ]
     chi2 = fit["reduced_chi2"]
     noise = f", {chi2**0.5:.2g} times the declared noise" if chi2 is not None else ""
     line(f"residual {', '.join(parts)} rms{noise}")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from urdfcal.estimation.measurements import Points
 from urdfcal.estimation.snapshot import Snapshot
 
 if TYPE_CHECKING:
@@ -66,11 +67,12 @@ class ResidualTable:
         unit: of residuals: px for pixels, mm for points.
         scale: what residuals are multiplied by to be in that unit.
         components: the name of each component.
-        by_camera: whether cameras measured; else it is in the world.
+        by_camera: whether cameras measured.
+        in_world: whether the numbers are the LED's position in the world.
         pose: (S,) index of the pose.
         led: (S,) index of the LED.
         camera: (S,) index of the camera; -1 for points.
-        measured: (S, D) in px of the camera, or m in the world.
+        measured: (S, D) in px of the camera, m in the world, or the kind's own unit.
         sigma: (S,) standard deviation of each component.
         predicted: (S, D) by the calibrated arm.
         nominal: (S, D) by the nominal arm.
@@ -83,6 +85,7 @@ class ResidualTable:
     scale: float
     components: tuple[str, ...]
     by_camera: bool
+    in_world: bool
     pose: Ints
     led: Ints
     camera: Ints
@@ -130,6 +133,7 @@ def measurements_of(calibration: FittedCalibration) -> tuple[ResidualTable, ...]
                 scale=scale,
                 components=block.table.columns,
                 by_camera="camera" in block.index,
+                in_world=isinstance(block.table, Points),
                 pose=np.broadcast_to(block.pose[:, None], rows.shape)[rows],
                 led=block.index["led"][rows],
                 camera=block.index.get("camera", np.full_like(block.row, -1))[rows],

@@ -178,11 +178,13 @@ def _leds(
     keys, row = np.unique(np.ravel_multi_index((block.pose, block.led, view), shape), return_inverse=True)
     pose, led, view = np.unravel_index(keys, shape)
     # A tracker measures every LED once a pose: the keys are in its table's order.
-    if not block.by_camera:
+    if block.in_world:
         T_base_world = poses.T_base_frame[0, pose]
         measured, covariance = _moved(T_base_world, block.measured, block.sigma[:, None, None] ** 2 * np.eye(3))
-    else:
+    elif block.by_camera:
         measured, covariance = _triangulated(block, arm, fastened, poses, row, pose, view)
+    else:  # what was measured does not say where the LED was: it is shown where it is predicted
+        measured, covariance = poses.leds[pose, led], np.zeros((len(pose), 3, 3))
     # Where a single camera sees an LED there is no distance: its ray is taken at the predicted distance.
     alone = np.isnan(measured[row]).any(axis=1)
     if alone.any():

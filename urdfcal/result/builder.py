@@ -195,15 +195,19 @@ def _camera(of: FittedCalibration, c: int) -> d.CameraEntry:
 
 def _fit(of: FittedCalibration) -> d.FitSection:
     fit, rms = of.fit, {}
+    states = {"nominal_": of.nominal_fit.state, "": fit.state}
     found = triangulate(of.session) if of.estimate.cameras else None
-    points = arrange(of.session, found) if found is not None else None
-    for prefix, solution in (("nominal_", of.nominal_fit), ("", fit)):
-        for block, kept in zip(of.observations, fit.kept, strict=True):
-            unit, scale = block.table.report
-            rms[f"rms_{prefix}{unit}"] = scale * _rms(of.problem.residual(block, solution.state)[kept])
-        if points is not None:
-            used = points.valid & ~of.problem.suspect(points, fit.outlier)
-            rms[f"rms_{prefix}mm"] = 1e3 * _rms(of.problem.residual(points, solution.state)[used])
+    if found is not None:
+        points = arrange(of.session, found)
+        used = points.valid & ~of.problem.suspect(points, fit.outlier)
+        rms = {f"rms_{p}mm": 1e3 * _rms(of.problem.residual(points, state)[used]) for p, state in states.items()}
+    residuals = []
+    for block, kept in zip(of.observations, fit.kept, strict=True):
+        unit, scale = block.table.report
+        each = {p: scale * _rms(of.problem.residual(block, state)[kept]) for p, state in states.items()}
+        residuals.append(d.ResidualEntry(kind=block.table.kind, unit=unit, rms_nominal=each["nominal_"], rms=each[""]))
+        if unit in ("px", "mm"):
+            rms = {f"rms_{p}{unit}": value for p, value in each.items()} | rms
     return d.FitSection(
         poses=len(of.session.poses),
         observations=fit.observations,
@@ -212,6 +216,7 @@ def _fit(of: FittedCalibration) -> d.FitSection:
         iterations=len(fit.history),
         converged=fit.converged,
         reduced_chi2=fit.reduced_chi2 if fit.freedom > 0 else None,
+        residuals=residuals,
         **rms,
     )
 

@@ -169,8 +169,18 @@ class ParameterEntry(_Section):
 
     name: str
     unit: str
+    nominal: float | None = None
     offset: float
     sigma: float | None
+
+
+class ResidualEntry(_Section):
+    """The rms residual of one kind of measurement, outliers left out, nominal and calibrated, in its own unit."""
+
+    kind: str
+    unit: str
+    rms_nominal: float
+    rms: float
 
 
 class FitSection(_Section):
@@ -187,6 +197,7 @@ class FitSection(_Section):
     rms_nominal_mm: float | None = None
     rms_px: float | None = None
     rms_mm: float | None = None
+    residuals: list[ResidualEntry] = []
 
 
 class VerdictSection(_Section):

@@ -98,10 +98,16 @@ class Block(ABC, Generic[V]):
         if self.own_section:
             return ()
         offsets, _ = self.local(value)
+        nominal = self.coordinates or (None,) * len(self)
         return tuple(
-            {"name": name, "unit": unit, "offset": float(offset), "sigma": float(s) if np.isfinite(s) else None}
-            for name, unit, offset, s in zip(self.names, self.units, offsets, sigma, strict=True)
+            {"name": name, "unit": unit, "nominal": at, "offset": float(offset), "sigma": s if np.isfinite(s) else None}
+            for name, unit, at, offset, s in zip(self.names, self.units, nominal, offsets, sigma.tolist(), strict=True)
         )
+
+    @property
+    def coordinates(self) -> tuple[float, ...]:
+        """The nominal value's own coordinates, where it has any that offsets add to; by default none."""
+        return ()
 
     @property
     def active(self) -> Bools:
@@ -130,6 +136,11 @@ class VectorBlock(Block[Floats]):
     def local(self, value: Floats) -> tuple[Floats, Floats]:
         """Return the difference from the nominal value, and the identity."""
         return (value - self.nominal).ravel(), np.eye(len(self))
+
+    @property
+    def coordinates(self) -> tuple[float, ...]:
+        """The nominal value."""
+        return tuple(np.ravel(self.nominal).tolist())
 
 
 class LeftPoseBlock(Block[Floats]):
