@@ -18,8 +18,9 @@ if TYPE_CHECKING:
     from urdfcal.cameras.rig import Rig
     from urdfcal.errors import UrdfcalError
     from urdfcal.estimation.measurements import Detections, Points
-    from urdfcal.io.folder import read_rig, read_session, write_session
+    from urdfcal.io.folder import read_rig, read_session
     from urdfcal.io.recorder import Recorder
+    from urdfcal.io.writing import write_session
     from urdfcal.output.recording import log_calibration as log
     from urdfcal.pipeline import calibrate
     from urdfcal.result.calibration import Calibration
@@ -38,7 +39,8 @@ _HOMES = {
     "urdfcal.robot.chain": ("Chain",),
     "urdfcal.robot.dh": ("DHTable",),
     "urdfcal.robot.urdf.urdf": ("Urdf",),
-    "urdfcal.io.folder": ("read_rig", "read_session", "write_session"),
+    "urdfcal.io.folder": ("read_rig", "read_session"),
+    "urdfcal.io.writing": ("write_session",),
     "urdfcal.estimation.measurements": ("Detections", "Points"),
     "urdfcal.session.knowledge": ("Estimate", "Led", "LedDistance", "Noise", "Tolerances"),
     "urdfcal.session.model": ("Session", "Setup"),

@@ -65,15 +65,17 @@ def command(
     quiet: bool,
 ) -> None:
     """Calibrate the robot of SESSION and write URDF, calibration.json, report and recording."""
-    from urdfcal.io.folder import lacks_detections, read_session
+    from urdfcal.io.folder import read_session
 
     report: Report = "nothing" if quiet else "json" if as_json else "text"
-    if lacks_detections(session):
+
+    def look() -> None:
         with redirect_stdout({"text": sys.stdout, "json": sys.stderr, "nothing": io.StringIO()}[report]):
             click.echo(f"{session}: images and no detections: looking for the LEDs first (urdfcal detect)")
             detect.run(session)
+
     run(
-        read_session(session),
+        read_session(session, look),
         output,
         seed,
         method=method,

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from urdfcal.arrays import finite_array
 from urdfcal.errors import SessionError
 from urdfcal.estimation.measurements import Detections, Points
 from urdfcal.io.checks.plausibility import OVERRUN
 from urdfcal.names import flaw, suggest
-from urdfcal.session.finite import finite_array
 from urdfcal.session.model import Positions, Session, Setup
 
 if TYPE_CHECKING:

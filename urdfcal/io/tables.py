@@ -9,7 +9,7 @@ import numpy as np
 
 from urdfcal.arrays import Floats, Ints, frozen
 from urdfcal.errors import SessionError
-from urdfcal.io.csv_table import Table
+from urdfcal.io.csv_table import Table, repeats
 from urdfcal.session.model import MIN_POSES
 
 if TYPE_CHECKING:
@@ -26,55 +26,75 @@ _KNOWN = {"pose": "poses of joints.csv", "camera": "cameras", "led": "LEDs"}
 
 @dataclass(frozen=True, eq=False)
 class JointTable:
-    """joints.csv.
+    """joints.csv, of an arm at rest by pose and of a moving one by time.
 
     Attributes:
         table: its text.
-        poses: (N) labels.
         readings: (N, k) of the chain's actuated joints, in the chain's order. [rad or m]
-        time: (N,) where recorded. [s]
         warnings: columns that were ignored.
+        poses: (N) labels; none of a moving arm.
+        time: (N,) where recorded. [s]
     """
 
     table: Table
-    poses: tuple[str, ...]
     readings: Floats
-    time: Floats | None
     warnings: tuple[str, ...]
+    poses: tuple[str, ...] = ()
+    time: Floats | None = None
+
+    @classmethod
+    def read(
+        cls, path: Path, chain: Mechanism, robot_joints: Collection[str], required: str, optional: Sequence[str] = ()
+    ) -> JointTable:
+        """Read joint readings, with a warning for each column that does not matter and why.
+
+        Args:
+            path: the file.
+            chain: whose actuated joints must each have a column.
+            robot_joints: names of all joints of the robot; columns of those off the chain are ignored.
+            required: name of the column that must be there, too, pose or time.
+            optional: names of columns that may be there.
+
+        Raises:
+            SessionError: with the place in the file.
+        """
+        others = set(robot_joints) - set(chain.actuated)
+        table = Table.read(path, [required, *chain.actuated], optional, others)
+        follow = {joint.name: f"follows {joint.mimic.joint!r}" for joint in chain.joints if joint.mimic}
+        elsewhere = f"is not between {chain.base_link!r} and {chain.tip_link!r}"
+        warnings = tuple(
+            f"{path}: the column {name!r} is ignored: the joint {follow.get(name, elsewhere)}"
+            for name in table.columns
+            if name in others
+        )
+        time = frozen(table.numbers(["time"])[:, 0]) if "time" in table.columns else None
+        poses = table.labels("pose") if "pose" in table.columns else ()
+        return cls(table, frozen(table.numbers(chain.actuated)), warnings, poses, time)
 
 
 @dataclass(frozen=True, eq=False)
 class MeasurementTable:
-    """A table of measurements of one kind, sorted by its keys.
+    """A table of measurements of one kind.
 
     Attributes:
-        kind: of what was measured.
         table: its text.
         rows: (S,) row of the table that each measurement comes from.
-        index: the indices by column: pose, camera, led, ..., each (S,).
-        names: what the indices stand for, by column.
-        values: (S, D) what was measured. [unit of the kind]
-        sigma: (S,) of each number; where the table has none, the same for all. [unit of the kind]
+        measurements: sorted by their keys.
+        names: what their indices stand for, by column.
     """
 
-    kind: type[Measurement]
     table: Table
     rows: Ints
-    index: Mapping[str, Ints]
-    names: Mapping[str, tuple[str, ...]]
-    values: Floats
-    sigma: Floats
+    measurements: Measurement
+    names: Mapping[str, Sequence[str]]
 
     def place(self, measurement: int, column: str) -> str:
         """Where a cell of a measurement is: file:line:column."""
         return self.table.place(int(self.rows[measurement]), column)
 
-    @property
-    def measurements(self) -> Measurement:
-        """The measurements of the table."""
-        own = {key: names for key, names in self.names.items() if key not in _KNOWN}
-        values = {self.kind.array: self.values} if self.kind.array else {}
-        return self.kind(**{**self.index, **values, "sigma": self.sigma, "names": own})  # type: ignore[arg-type]
+    def first(self, measurements: Ints) -> int:
+        """Which of some measurements comes first in the file."""
+        return int(measurements[np.argmin(self.rows[measurements])])
 
 
 def read_joints(path: Path, chain: Mechanism, robot_joints: Collection[str]) -> JointTable:
@@ -88,46 +108,14 @@ def read_joints(path: Path, chain: Mechanism, robot_joints: Collection[str]) -> 
     Raises:
         SessionError: with the place in the file.
     """
-    names = chain.actuated
-    others = set(robot_joints) - set(names)
-    table = Table.read(path, ["pose", *names], ["time"], others)
-    poses = table.labels("pose")
-    first: dict[str, int] = {}
-    for row, pose in enumerate(poses):
-        if first.setdefault(pose, row) != row:
-            raise SessionError(
-                f"pose {pose!r} is already in line {first[pose] + 2}",
-                where=table.place(row, "pose"),
-                remedy="Give every pose its own label.",
-            )
-    if len(poses) < MIN_POSES:
-        raise SessionError(
-            f"{len(poses)} poses are too few",
-            where=str(path),
-            remedy=f"Measure at least {MIN_POSES}, better 30 or more.",
-        )
-    return JointTable(
-        table,
-        poses,
-        frozen(table.numbers(names)),
-        frozen(table.numbers(["time"])[:, 0]) if "time" in table.columns else None,
-        ignored_columns(table, chain, others),
-    )
-
-
-def ignored_columns(table: Table, chain: Mechanism, others: Collection[str]) -> tuple[str, ...]:
-    """Say which columns of joint readings do not matter, those of ``others``, and why."""
-    following = {joint.name: joint.mimic.joint for joint in chain.joints if joint.mimic}
-    return tuple(
-        f"{table.path}: the column {name!r} is ignored: "
-        + (
-            f"the joint follows {following[name]!r}"
-            if name in following
-            else f"the joint is not between {chain.base_link!r} and {chain.tip_link!r}"
-        )
-        for name in table.columns
-        if name in others
-    )
+    joints = JointTable.read(path, chain, robot_joints, "pose", ["time"])
+    for first, row in repeats(joints.poses)[:1]:
+        what = f"pose {joints.poses[row]!r} is already in line {first + 2}"
+        raise joints.table.wrong(what, row, "pose", "Give every pose its own label.")
+    if len(joints.poses) < MIN_POSES:
+        remedy = f"Measure at least {MIN_POSES}, better 30 or more."
+        raise SessionError(f"{len(joints.poses)} poses are too few", where=str(path), remedy=remedy)
+    return joints
 
 
 def read_measurements(
@@ -154,7 +142,7 @@ def sorted_measurements(
     table: Table,
     kind: type[Measurement],
     index: Mapping[str, Ints],
-    names: Mapping[str, tuple[str, ...]],
+    names: Mapping[str, Sequence[str]],
     sigma: float,
 ) -> MeasurementTable:
     """Read the numbers of a table of measurements, and sort it.
@@ -169,19 +157,19 @@ def sorted_measurements(
     Raises:
         SessionError: a number is none, or there are two measurements of the same, with the place in the file.
     """
-    count = len(table.lines) - 1
-    numbers = table.numbers(kind.columns, _MISSING) if kind.columns else np.zeros((count, kind.dimension))
-    spread = table.positive("sigma") if "sigma" in table.columns else np.full(count, sigma)
+    numbers = table.numbers(kind.columns, _MISSING)
+    own = "sigma" in table.columns
+    spread = table.numbers(["sigma"], positive=True)[:, 0] if own else np.full(len(numbers), sigma)
     order = np.lexsort([index[key] for key in reversed(list(index))])
     order = order[np.logical_and.reduce([index[key][order] >= 0 for key in index])]
-    index = {key: frozen(column[order], np.intp) for key, column in index.items()}
-    twice = np.flatnonzero(np.logical_and.reduce([np.diff(column) == 0 for column in index.values()]))
-    if twice.size:
-        # lexsort is stable: of equal measurements the second comes later in the file.
-        first, second = int(order[twice[0]]), int(order[twice[0] + 1])
+    # lexsort is stable: of equal measurements the second comes later in the file.
+    same = np.logical_and.reduce([np.diff(column[order]) == 0 for column in index.values()])
+    for first, second in zip(order[:-1][same].tolist(), order[1:][same].tolist(), strict=True):
         what = ", ".join(f"{key} {table.columns[key][second].strip()!r}" for key in index)
-        raise SessionError(
-            f"{what} is already in line {first + 2}", where=table.place(second, "pose"), remedy="Keep one."
-        )
-    numbers, spread = frozen(numbers[order]), frozen(spread[order])
-    return MeasurementTable(kind, table, frozen(order, np.intp), index, names, numbers, spread)
+        raise table.wrong(f"{what} is already in line {first + 2}", second, "pose", "Keep one.")
+    columns = {key: column[order] for key, column in index.items()} | {"sigma": spread[order]}
+    if kind.array:
+        columns[kind.array] = numbers[order]
+    own_names = {key: of for key, of in names.items() if key not in _KNOWN}
+    measurements = kind(**columns, names=own_names)  # type: ignore[arg-type]
+    return MeasurementTable(table, frozen(order, np.intp), measurements, names)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import Floats, Ints, frozen, inverse
+from urdfcal.arrays import Floats, Ints, frozen, inverse, keep
 from urdfcal.errors import SessionError
 from urdfcal.robot.mechanism import Tip  # noqa: TC001  # a field's type
 
@@ -51,14 +51,14 @@ class CameraMount:
             R = T[:3, :3] if T.shape == (4, 4) else np.zeros((3, 3))
             if not np.allclose(R @ R.T, np.eye(3), rtol=0.0, atol=1e-9) or np.linalg.det(R) < 0.0:
                 raise SessionError("T_link_camera is no rigid 4 x 4 transform", where=where)
-            object.__setattr__(self, "T_link_camera", T)
+            keep(self, T_link_camera=T)
         if self.sigma is not None:
             sigma = frozen(self.sigma)
             if self.T_link_camera is None:
                 raise SessionError("sigma is given without a place", where=where)
             if sigma.shape != (6,) or not np.all(np.isfinite(sigma) & (sigma > 0.0)):
                 raise SessionError(f"sigma is {sigma.tolist()}, not six positive numbers", where=where)
-            object.__setattr__(self, "sigma", sigma)
+            keep(self, sigma=sigma)
 
 
 @dataclass(frozen=True, eq=False)

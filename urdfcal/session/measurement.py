@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from urdfcal.arrays import Floats, Ints, ReadOnly, Rebuilt, frozen
+from urdfcal.arrays import Floats, Ints, ReadOnly, Rebuilt, finite_array, frozen, keep
 from urdfcal.errors import SessionError
-from urdfcal.session.finite import finite_array
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -81,8 +80,8 @@ class Measurements(Rebuilt, ABC):
             columns[self.array] = finite_array(self.values, (count, self.dimension), self.array, self.kind)
         order = np.lexsort([index[key] for key in reversed(self.keys)])
         for name, column in columns.items():
-            object.__setattr__(self, name, frozen(np.asarray(column)[order], np.intp if name in index else float))
-        object.__setattr__(self, "names", ReadOnly(self.names))
+            keep(self, **{name: frozen(np.asarray(column)[order], np.intp if name in index else float)})
+        keep(self, names=ReadOnly(self.names))
         twice = np.logical_and.reduce([np.diff(getattr(self, key)) == 0 for key in self.keys])
         if twice.any():
             first = int(np.flatnonzero(twice)[0])

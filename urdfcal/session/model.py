@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from urdfcal.arrays import Floats, Ints, ReadOnly, Rebuilt
+from urdfcal.arrays import Floats, Ints, ReadOnly, Rebuilt, finite_array, keep
 from urdfcal.cameras.rig import Rig
 from urdfcal.errors import SessionError
-from urdfcal.names import check_names, suggest
+from urdfcal.names import check_known, check_names
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.session.attachments import Attachments, CameraMount, attach
-from urdfcal.session.finite import finite_array
 from urdfcal.session.knowledge import Estimate, Led, LedDistance, Noise, Tolerances
 from urdfcal.session.measurement import Measurements
 from urdfcal.session.motion import AT_REST, Motion
@@ -70,42 +69,23 @@ class Setup(Rebuilt):
     folder: Path | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "leds", tuple(self.leds))
-        object.__setattr__(self, "led_distances", tuple(self.led_distances))
+        keep(self, leds=tuple(self.leds), led_distances=tuple(self.led_distances), mounts=tuple(self.mounts))
+        keep(self, sha256=ReadOnly(self.sha256), joint_models=ReadOnly(self.joint_models))
         for name in (name for distance in self.led_distances for name in distance.leds):
-            if name not in self.led_names:
-                raise SessionError(
-                    f"there is no LED {name!r}", where="led_distances", remedy=suggest(name, self.led_names, "LEDs")
-                )
-        object.__setattr__(self, "sha256", ReadOnly(self.sha256))
-        object.__setattr__(self, "joint_models", ReadOnly(self.joint_models))
+            check_known(name, self.led_names, "LEDs", "led_distances")
         if not self.leds:
             raise SessionError("there is no LED", remedy="Name at least one.")
-        check_names("LEDs", [led.name for led in self.leds])
+        check_names("LEDs", self.led_names)
         rows = rows_of(self.chain).labels if self.tolerances.joints else ()
         for joint in self.tolerances.joints:
-            if joint not in rows:
-                raise SessionError(
-                    f"there is no joint {joint!r} between {self.chain.base_link!r} and {self.chain.tip_link!r}",
-                    where="tolerances",
-                    remedy=suggest(joint, rows, "joints"),
-                )
-        object.__setattr__(self, "mounts", tuple(self.mounts))
-        names = self.rig.names
+            between = f" between {self.chain.base_link!r} and {self.chain.tip_link!r}"
+            check_known(joint, rows, "joints", f"tolerances.{joint}", between)
         for mount in self.mounts:
-            if mount.camera not in names:
-                raise SessionError(
-                    f"there is no camera {mount.camera!r}",
-                    where="cameras",
-                    remedy=suggest(mount.camera, names, "cameras"),
-                )
+            check_known(mount.camera, self.rig.names, "cameras", f"cameras.{mount.camera}")
         check_names("cameras on links", [mount.camera for mount in self.mounts])
         for said in (self.estimate.intrinsics, self.estimate.extrinsics):
             for name in () if said is None or isinstance(said, str) else said:
-                if name not in names:
-                    raise SessionError(
-                        f"there is no camera {name!r}", where="estimate", remedy=suggest(name, names, "cameras")
-                    )
+                check_known(name, self.rig.names, "cameras", "estimate")
         _ = self.attachments  # a link that is none of the robot's is refused now, not when it is first needed
 
     @cached_property
@@ -132,8 +112,8 @@ class Stand:
     look_at: Floats
 
     def __post_init__(self) -> None:
-        for name in ("position", "look_at"):
-            object.__setattr__(self, name, finite_array(getattr(self, name), (3,), name, "stand"))
+        places = {name: finite_array(getattr(self, name), (3,), name, "stand") for name in ("position", "look_at")}
+        keep(self, **places)
         if np.array_equal(self.position, self.look_at):
             raise SessionError("the camera looks at its own place", where="stand")
 
@@ -178,17 +158,16 @@ class Positions(Setup):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "poses", tuple(map(str, self.poses)))
-        object.__setattr__(self, "warnings", tuple(self.warnings))
+        keep(self, poses=tuple(map(str, self.poses)), warnings=tuple(self.warnings))
         count = len(self.poses)
         if count < MIN_POSES:
             raise SessionError(f"{count} poses are too few", remedy=f"Measure at least {MIN_POSES}, better 30 or more.")
         check_names("poses", self.poses)
-        object.__setattr__(self, "q", finite_array(self.q, (count, len(self.chain.joints)), "q", "session"))
+        keep(self, q=finite_array(self.q, (count, len(self.chain.joints)), "q", "session"))
         if not np.allclose(self.chain.joint_values(self.readings), self.q, rtol=0.0, atol=_MIMIC_ROUNDING):
             raise SessionError("a mimic joint's value in q is not what it follows from", where="session")
         if self.time is not None:
-            object.__setattr__(self, "time", finite_array(self.time, (count,), "time", "session"))
+            keep(self, time=finite_array(self.time, (count,), "time", "session"))
 
     @property
     def readings(self) -> Floats:
@@ -198,6 +177,11 @@ class Positions(Setup):
     def label(self, pose: int) -> str:
         """What the tables and the images' file names call a pose: a frame goes by the name its camera gave it."""
         return self.motion.label(pose, self.poses)
+
+    def measured(self, measurements: tuple[Measurements, ...], **changes: Any) -> Session:
+        """Return the same with what was measured, and with changes to other fields."""
+        own = {entry.name: getattr(self, entry.name) for entry in fields(Positions)}
+        return Session(**{**own, **changes}, measurements=measurements)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -212,7 +196,7 @@ class Session(Positions):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "measurements", tuple(self.measurements))
+        keep(self, measurements=tuple(self.measurements))
         if not self.measurements:
             raise SessionError("there are no measurements", remedy="There is nothing to calibrate from.")
         counts = {"pose": len(self.poses), "led": len(self.leds), "camera": len(self.rig.cameras)}

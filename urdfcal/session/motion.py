@@ -53,7 +53,6 @@ class AtRest(Motion):
 
     def at(self, poses: Ints) -> AtRest:
         """Return the same."""
-        del poses
         return self
 
     def label(self, pose: int, labels: Sequence[str]) -> str:
@@ -62,12 +61,10 @@ class AtRest(Motion):
 
     def joint_values(self, q: Floats, time_offsets: Floats) -> Floats:
         """Return the readings: clocks do not matter to an arm at rest."""
-        del time_offsets
         return q
 
     def covered(self, count: int, time_offsets: Floats) -> Bools:
         """Return that all poses have readings."""
-        del time_offsets
         return np.ones(count, dtype=bool)
 
     def independent(self, count: int) -> Ints:

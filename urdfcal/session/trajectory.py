@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import Bools, Floats, Ints, frozen
+from urdfcal.arrays import Bools, Floats, Ints, frozen, keep
 from urdfcal.errors import SessionError
 from urdfcal.session.motion import Motion
 
@@ -42,8 +42,7 @@ class JointLog:
     values: Floats
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "time", frozen(self.time))
-        object.__setattr__(self, "values", frozen(self.values))
+        keep(self, time=frozen(self.time), values=frozen(self.values))
         if self.time.ndim != 1 or len(self.time) < 2 or self.values.shape[:1] != self.time.shape:
             raise SessionError(
                 f"a log of joint values has times {self.time.shape} and values {self.values.shape}", where="session"
@@ -99,8 +98,7 @@ class Trajectory(Motion):
     time: Floats
 
     def __post_init__(self) -> None:
-        for name, dtype in (("camera", np.intp), ("row", np.intp), ("time", np.float64)):
-            object.__setattr__(self, name, frozen(getattr(self, name), dtype))
+        keep(self, camera=frozen(self.camera, np.intp), row=frozen(self.row, np.intp), time=frozen(self.time))
         if not len(self.camera) == len(self.row) == len(self.time):
             raise SessionError("the frames' cameras, rows and times differ in number", where="trajectory")
 
@@ -110,7 +108,6 @@ class Trajectory(Motion):
 
     def label(self, pose: int, labels: Sequence[str] = ()) -> str:
         """Return what its camera calls a frame."""
-        del labels
         return self.frames[int(self.camera[pose])][int(self.row[pose])]
 
     def robot_time(self, time_offsets: Floats) -> Floats:
@@ -128,23 +125,19 @@ class Trajectory(Motion):
 
     def joint_values(self, q: Floats, time_offsets: Floats) -> Floats:
         """Return what the log says: ``q`` is what it said with other offsets."""
-        del q
         return self.values(time_offsets)
 
     def covered(self, count: int, time_offsets: Floats) -> Bools:
         """Return which frames are well within the log."""
-        del count
         return self.log.covers(self.robot_time(time_offsets))
 
     def independent(self, count: int) -> Ints:
         """Number the seconds: the errors of neighbouring frames are alike."""
-        del count
         result: Ints = np.floor(self.time - self.time.min()).astype(np.intp)
         return result
 
     def folds(self, count: int, folds: int, seed: int) -> Ints:
         """Divide the frames into stretches of time: to predict one from its neighbours would be no test."""
-        del seed
         fold = np.empty(count, dtype=np.intp)
         fold[np.argsort(self.time, kind="stable")] = np.arange(count) * folds // count
         return fold

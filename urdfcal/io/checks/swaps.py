@@ -71,7 +71,8 @@ def check_names_by_rays(rig: Rig, table: MeasurementTable) -> tuple[Rays, list[s
         SessionError: an exchange makes the rays meet.
     """
     placed = [i for i, T in enumerate(rig.T_cam_world) if T is not None]
-    _, _, uv, sigma = side_by_side(table.index, table.values, table.sigma, len(rig.cameras))
+    seen = table.measurements
+    _, _, uv, sigma = side_by_side(seen.index, seen.values, seen.sigma, len(rig.cameras))
     uv, sigma = uv[:, placed], sigma[:, placed]
     several = np.flatnonzero(np.isfinite(uv[:, :, 0]).sum(axis=1) > 1)
     if len(several) < _FEWEST:
