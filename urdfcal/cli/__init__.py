@@ -1,4 +1,4 @@
-"""The command line: parse, run, report errors; each command in its own module."""
+"""The command line: parse, run, report errors; commands of one purpose share a module."""
 
 from __future__ import annotations
 
@@ -7,20 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from urdfcal.cli import (
-    apply,
-    calibrate,
-    cameras,
-    compensate,
-    demo,
-    detect,
-    dh,
-    evaluate,
-    export,
-    import_,
-    simulate,
-    view,
-)
+from urdfcal.cli import calibrate, cameras, detect, import_, results, robots, simulate
 from urdfcal.errors import UrdfcalError
 
 if TYPE_CHECKING:
@@ -28,7 +15,7 @@ if TYPE_CHECKING:
 
 
 @click.group(
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110, "show_default": True},
     epilog="Any command: --debug shows the traceback of an error.",
 )
 @click.version_option(package_name="urdfcal")
@@ -36,8 +23,11 @@ def cli() -> None:
     """Make the URDF match the arm, with two cameras and an LED."""
 
 
-for _module in (demo, simulate, import_, cameras, detect, calibrate, evaluate, dh, view, compensate, apply, export):
-    cli.add_command(_module.command)
+for _command in (
+    *(simulate.demo, simulate.simulate, import_.command, cameras.command, detect.command, calibrate.command),
+    *(robots.evaluate, robots.dh, results.view, results.compensate, results.apply, results.export),
+):
+    cli.add_command(_command)
 
 
 def run(arguments: Sequence[str]) -> int:

@@ -6,20 +6,19 @@ import io
 import json
 import sys
 from contextlib import redirect_stdout
-from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
 from urdfcal.cli import detect
-from urdfcal.cli.options import seed_option
+from urdfcal.cli.options import PATH, seed_option
 from urdfcal.errors import CalibrationError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
     from urdfcal.output.findings import Overview
-    from urdfcal.pipeline import Method
     from urdfcal.result.fitted import FittedCalibration
     from urdfcal.session.model import Session
 
@@ -30,40 +29,23 @@ _MOST_LINES, _MOST_ROWS, _MOST_REMARKS = 25, 8, 6
 
 
 @click.command("calibrate")
-@click.argument("session", type=click.Path(path_type=Path))
-@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="Folder of the results.")
+@click.argument("session", type=PATH)
+@click.option("-o", "--output", type=PATH, required=True, help="Folder of the results.")
 @seed_option
 @click.option(
-    "--method",
-    type=click.Choice(["pixels", "points"]),
-    default="pixels",
-    show_default=True,
+    "--method", type=click.Choice(["pixels", "points"]), default="pixels",
     help="What the estimate rests on: pixels, or points triangulated from them.",
-)
+)  # fmt: skip
 @click.option("--no-priors", is_flag=True, help="Plain least squares, without manufacturing tolerances.")
 @click.option(
-    "--starts",
-    type=click.IntRange(min=0),
-    default=0,
-    metavar="N",
+    "--starts", type=click.IntRange(min=0), default=0, show_default=False, metavar="N",
     help="Start from N other arms, too, and screen the minima.",
-)
+)  # fmt: skip
 @click.option("--force", is_flag=True, help="Write the result even if its assessment has failures.")
 @click.option("--live", is_flag=True, help="Show the solver at work in the rerun viewer.")
 @click.option("--json", "as_json", is_flag=True, help="Print calibration.json and the files instead of a summary.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
-def command(
-    session: Path,
-    output: Path,
-    seed: int,
-    method: Method,
-    no_priors: bool,
-    starts: int,
-    force: bool,
-    live: bool,
-    as_json: bool,
-    quiet: bool,
-) -> None:
+def command(session: Path, output: Path, no_priors: bool, live: bool, as_json: bool, quiet: bool, **how: Any) -> None:
     """Calibrate the robot of SESSION and write URDF, calibration.json, report and recording."""
     from urdfcal.io.folder import read_session
 
@@ -74,32 +56,13 @@ def command(
             click.echo(f"{session}: images and no detections: looking for the LEDs first (urdfcal detect)")
             detect.run(session)
 
-    run(
-        read_session(session, look),
-        output,
-        seed,
-        method=method,
-        priors=not no_priors,
-        starts=starts,
-        force=force,
-        live=live,
-        report=report,
-    )
+    run(read_session(session, look), output, live=live, report=report, priors=not no_priors, **how)
 
 
 def run(
-    session: Session,
-    output: Path,
-    seed: int,
-    *,
-    method: Method = "pixels",
-    priors: bool = True,
-    starts: int = 0,
-    force: bool = False,
-    live: bool = False,
-    report: Report = "text",
+    session: Session, output: Path, *, live: bool = False, report: Report = "text", **how: Any
 ) -> FittedCalibration:
-    """Calibrate a session, write its results and print the summary."""
+    """Calibrate a session as :func:`urdfcal.pipeline.calibrate` does, write its results and print the summary."""
     from urdfcal.cli.console import status_line
     from urdfcal.output.findings import Overview
     from urdfcal.output.recording import write_results
@@ -121,9 +84,7 @@ def run(
                 view.step(iteration, cost)
 
         try:
-            calibration = calibrate(
-                session, method=method, priors=priors, starts=starts, seed=seed, force=force, progress=note
-            )
+            calibration = calibrate(session, **how, progress=note)
         except CalibrationError:
             # What looked odd in the session is often why.
             for warning in session.warnings:

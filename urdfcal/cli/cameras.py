@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
 import click
 
+from urdfcal.cli.options import PATH, POSITIVE
 from urdfcal.errors import CameraError
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from urdfcal.cameras.board.board import Board
     from urdfcal.cameras.board.calibration import BoardCalibration
     from urdfcal.cameras.io.formats import Format
@@ -32,16 +34,9 @@ def _pair(value: str | tuple[int, int]) -> tuple[int, int]:
 class _CalibrateUnlessNamed(click.Group):
     """A group whose first argument may be left out where it would be ``calibrate``."""
 
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
-        if args and self.get_command(ctx, args[0]) is None:
-            args = ["calibrate", *args]
-        return super().resolve_command(ctx, args)
-
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        # Options before the folder belong to calibrate: the group itself has --help alone.
-        if args and args[0].startswith("-") and args[0] not in ctx.help_option_names:
+        # Options before the folder belong to calibrate, too: the group itself has --help alone.
+        if args and args[0] not in (*self.commands, *ctx.help_option_names):
             args = ["calibrate", *args]
         return super().parse_args(ctx, args)
 
@@ -55,19 +50,17 @@ def command() -> None:
 
 
 @command.command("calibrate")
-@click.argument("folder", metavar="BOARD_FOLDER", type=click.Path(path_type=Path))
-@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="Camera file to write (Kalibr).")
+@click.argument("folder", metavar="BOARD_FOLDER", type=PATH)
+@click.option("-o", "--output", type=PATH, required=True, help="Camera file to write (Kalibr).")
 @click.option(
     "--board", type=(click.Choice(["chessboard", "charuco"]), _pair), metavar="KIND WxH",
     help="chessboard 9x6 counts inner corners, charuco 10x7 squares.  [default: BOARD_FOLDER/board.yaml]",
 )  # fmt: skip
-@click.option("--square", type=click.FloatRange(min=0.0, min_open=True), metavar="M", help="Side of a square, m.")
-@click.option(
-    "--marker", type=click.FloatRange(min=0.0, min_open=True), metavar="M", help="ChArUco: side of a marker, m."
-)
+@click.option("--square", type=POSITIVE, metavar="M", help="Side of a square, m.")
+@click.option("--marker", type=POSITIVE, metavar="M", help="ChArUco: side of a marker, m.")
 @click.option("--dictionary", metavar="NAME", help="ChArUco: OpenCV's name, such as DICT_4X4_50.")
 @click.option(
-    "--distortion", type=click.Choice(["radtan", "equidistant", "none"]), default="radtan", show_default=True,
+    "--distortion", type=click.Choice(["radtan", "equidistant", "none"]), default="radtan",
     help="Lens model; equidistant for a fisheye.",
 )  # fmt: skip
 def calibrate(
@@ -99,8 +92,8 @@ def calibrate(
 
 
 @command.command("convert")
-@click.argument("files", metavar="IN...", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.argument("output", metavar="OUT", type=click.Path(path_type=Path))
+@click.argument("files", metavar="IN...", nargs=-1, required=True, type=PATH)
+@click.argument("output", metavar="OUT", type=PATH)
 @click.option(
     "--to", "format_", type=click.Choice(["kalibr", "ros", "opencv"]),
     help="Format of OUT.  [default: opencv for .xml and .yml, kalibr for .yaml, ros for a folder]",

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from urdfcal.cli.options import PATH
+
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from urdfcal.images.files import Colour
 
 # As in urdfcal.images.files, which takes long to import.
@@ -15,13 +18,9 @@ _COLOURS = ("any", "red", "green", "blue")
 
 
 @click.command("detect")
-@click.argument("session", type=click.Path(path_type=Path))
-@click.option(
-    "--colour", type=click.Choice(_COLOURS), default="any", show_default=True, help="Of the LED, in colour images."
-)
-@click.option(
-    "--debug-images", type=click.Path(path_type=Path), help="Folder for drawings of what was found in each image."
-)
+@click.argument("session", type=PATH)
+@click.option("--colour", type=click.Choice(_COLOURS), default="any", help="Of the LED, in colour images.")
+@click.option("--debug-images", type=PATH, help="Folder for drawings of what was found in each image.")
 def command(session: Path, colour: Colour, debug_images: Path | None) -> None:
     """Find the LEDs in SESSION/images/<camera>/<pose>.png, or <camera>.mp4, and write detections.csv.
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from urdfcal.cli.options import base_option
+from urdfcal.cli.options import PATH, base_option
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from urdfcal.rosbag.clock import Timeline
     from urdfcal.rosbag.importing import ImportSummary
     from urdfcal.rosbag.topics import ChosenTopics
@@ -39,8 +40,8 @@ def _camera(value: str) -> tuple[str, str, str | None]:
 
 
 @click.command("import")
-@click.argument("path", metavar="BAG", type=click.Path(path_type=Path))
-@click.option("-o", "--output", "session", type=click.Path(path_type=Path), help="Folder to write.")
+@click.argument("path", metavar="BAG", type=PATH)
+@click.option("-o", "--output", "session", type=PATH, help="Folder to write.")
 @click.option("--urdf", metavar="ROBOT.urdf", help="The nominal robot: a file, or package://...")
 @click.option("--tip", metavar="LINK", help="Link at the end of the chain.")
 @base_option
@@ -49,9 +50,12 @@ def _camera(value: str) -> tuple[str, str, str | None]:
     "--camera", "named", type=_camera, multiple=True, metavar="NAME=TOPIC[,INFO]",
     help="A camera: its images, and its camera_info if that is not beside them.  [default: all]",
 )  # fmt: skip
-@click.option("--led", type=_led, default="led", metavar="NAME[=X,Y,Z]", help="The LED, in the tip's frame, m.")
 @click.option(
-    "--cameras", "described", type=click.Path(path_type=Path), metavar="FILE",
+    "--led", type=_led, default="led", show_default=False, metavar="NAME[=X,Y,Z]",
+    help="The LED, in the tip's frame, m.",
+)  # fmt: skip
+@click.option(
+    "--cameras", "described", type=PATH, metavar="FILE",
     help="A camera file instead of camera_info, with the cameras' names.",
 )  # fmt: skip
 @click.option("--list", "listing", is_flag=True, help="Print the topics and write nothing.")

@@ -148,22 +148,12 @@ class TolerancesKeys(_Keys):
     angle: NotNegative = Tolerances.angle
     zero: NotNegative = Tolerances.zero
 
-    @property
-    def joints(self) -> dict[str, dict[str, float]]:
-        """The exceptions, by joint and parameter."""
-        return {joint: {str(k): value for k, value in of.items()} for joint, of in self.__pydantic_extra__.items()}
-
 
 class StandKeys(_Keys):
     """Where a rig's first camera stands and looks, in the base link's frame, in m."""
 
     position: Vector
     look_at: Vector
-
-
-def _noise(keys: dict[str, float]) -> Noise:
-    own = {name: keys.pop(name) for name in ("pixel", "point", "joint") if name in keys}
-    return Noise(**own, other=keys)
 
 
 def _nothing_is_empty(value: Any) -> Any:
@@ -197,15 +187,16 @@ class SetupFile(_Keys):
 
     def setup(self) -> dict[str, Any]:
         """The parts that need no other file, as arguments of :class:`~urdfcal.session.model.Setup`."""
+        noise, tolerances = self.noise.model_dump(exclude_unset=True), self.tolerances
+        own = {name: noise.pop(name) for name in ("pixel", "point", "joint") if name in noise}
+        exceptions: Any = tolerances.__pydantic_extra__
         return {
-            "leds": tuple(Led(name, led.position, led.sigma, led.link) for name, led in self.leds.items()),  # type: ignore[arg-type]
+            "leds": tuple(Led(name, **dict(led)) for name, led in self.leds.items()),
             "mounts": self.cameras.mounts if self.cameras is not None else (),
-            "led_distances": tuple(LedDistance(d.leds, d.distance, d.sigma) for d in self.led_distances),
-            "noise": _noise(self.noise.model_dump(exclude_unset=True)),
-            "estimate": Estimate(**self.estimate.model_dump()),
-            "tolerances": Tolerances(
-                self.tolerances.length, self.tolerances.angle, self.tolerances.zero, self.tolerances.joints
-            ),
+            "led_distances": tuple(LedDistance(**dict(distance)) for distance in self.led_distances),
+            "noise": Noise(**own, other=noise),
+            "estimate": Estimate(**dict(self.estimate)),
+            "tolerances": Tolerances(tolerances.length, tolerances.angle, tolerances.zero, exceptions),
             "joint_models": self.joint_models,
         }
 
