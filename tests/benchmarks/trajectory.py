@@ -45,7 +45,7 @@ from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.chain import Chain
 from urdfcal.session.knowledge import Estimate
-from urdfcal.session.motion import AT_REST
+from urdfcal.session.trajectory import AT_REST
 from urdfcal.simulation.motion import MotionSettings, set_in_motion
 from urdfcal.simulation.simulate import Simulated, simulate
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -11,9 +11,10 @@ from urdfcal.cli.options import PATH, POSITIVE
 from urdfcal.errors import CameraError
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
-    from urdfcal.cameras.board.board import Board
+    from urdfcal.cameras.board.board import Board, BoardKind
     from urdfcal.cameras.board.calibration import BoardCalibration
     from urdfcal.cameras.io.formats import Format
     from urdfcal.cameras.rig import Rig
@@ -64,13 +65,7 @@ def command() -> None:
     help="Lens model; equidistant for a fisheye.",
 )  # fmt: skip
 def calibrate(
-    folder: Path,
-    output: Path,
-    board: tuple[str, tuple[int, int]] | None,
-    square: float | None,
-    marker: float | None,
-    dictionary: str | None,
-    distortion: str,
+    folder: Path, output: Path, board: tuple[BoardKind, tuple[int, int]] | None, distortion: str, **details: Any
 ) -> None:
     """Calibrate one or several cameras from BOARD_FOLDER/<camera>/<view>.png.
 
@@ -82,7 +77,7 @@ def calibrate(
     from urdfcal.cameras.io.formats import write_kalibr
     from urdfcal.cli.console import progress_bar
 
-    chosen = _board(folder, board, square, marker, dictionary)
+    chosen = _board(folder, board, details)
     count = sum(len(views) for views in find_images(folder).values())
     with progress_bar("looking for the board", count) as advance:
         views = read_views(folder, chosen, advance)
@@ -129,17 +124,11 @@ def _say_what_is_lost(rig: Rig, format_: Format) -> None:
         click.echo("not kept: the standard deviations, which only Kalibr's format as urdfcal writes it has", err=True)
 
 
-def _board(
-    folder: Path,
-    board: tuple[str, tuple[int, int]] | None,
-    square: float | None,
-    marker: float | None,
-    dictionary: str | None,
-) -> Board:
-    from urdfcal.cameras.board.board import Board, BoardKind, read_board
+def _board(folder: Path, board: tuple[BoardKind, tuple[int, int]] | None, details: Mapping[str, Any]) -> Board:
+    from urdfcal.cameras.board.board import Board, read_board
 
     if board is None:
-        if any(option is not None for option in (square, marker, dictionary)):
+        if any(option is not None for option in details.values()):
             raise click.UsageError("--square, --marker and --dictionary go with --board")
         if not (folder / _BOARD_FILE).exists() and folder.is_dir():
             raise CameraError(
@@ -148,11 +137,10 @@ def _board(
                 remedy="Write one (type, columns, rows, square), or use --board chessboard 9x6 --square 0.025.",
             )
         return read_board(folder / _BOARD_FILE)
-    if square is None:
+    if details["square"] is None:
         raise click.UsageError("--board needs --square, the side of a square in metres")
     kind, (columns, rows) = board
-    names: tuple[BoardKind, ...] = get_args(BoardKind)
-    return Board(names[names.index(kind)], columns, rows, square, marker, dictionary)
+    return Board(kind, columns, rows, **details)
 
 
 def _print(calibration: BoardCalibration, output: Path) -> None:
@@ -168,15 +156,9 @@ def _print(calibration: BoardCalibration, output: Path) -> None:
     quality = sheet("images", ["camera", "used", "corners", "residual (px)", "coverage", "tilt (deg)", "worst view"])
     for q in calibration.qualities:
         worst = int(np.argmax(q.rms))
-        quality.add_row(
-            q.name,
-            f"{len(q.views)}",
-            f"{q.corners}",
-            f"{q.sigma:.3f}",
-            f"{100 * q.coverage:.0f} %",
-            f"{q.tilts.min():.0f} to {q.tilts.max():.0f}",
-            f"{q.views[worst]}, {q.rms[worst]:.3f} px",
-        )
+        seen = [q.name, f"{len(q.views)}", f"{q.corners}", f"{q.sigma:.3f}", f"{100 * q.coverage:.0f} %"]
+        tilts = f"{q.tilts.min():.0f} to {q.tilts.max():.0f}"
+        quality.add_row(*seen, tilts, f"{q.views[worst]}, {q.rms[worst]:.3f} px")
     console.print(quality)
 
     lenses = sheet("cameras ± standard deviation", ["camera", "parameter", "value", "±"], texts=2)
@@ -197,8 +179,7 @@ def _print(calibration: BoardCalibration, output: Path) -> None:
             lenses.add_row(camera.name, "rotation (mrad)", "", f"{1e3 * np.linalg.norm(sigma.pose[3:]):.3f}")
     console.print(lenses)
 
-    for rejection in calibration.rejected:
-        console.print(f"- {rejection.camera}/{rejection.view} not used: {rejection.reason}", markup=False)
-    for text in calibration.warnings:
+    rejected = [f"{of.camera}/{of.view} not used: {of.reason}" for of in calibration.rejected]
+    for text in (*rejected, *calibration.warnings):
         console.print(f"- {text}", markup=False)
     console.print(str(output), markup=False)

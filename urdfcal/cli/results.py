@@ -12,13 +12,12 @@ from urdfcal.cli.options import PATH, result_argument
 from urdfcal.errors import OutputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
     from urdfcal.arrays import Floats
     from urdfcal.output.trajectory import CommandTable
     from urdfcal.result.calibration import Calibration
     from urdfcal.robot.compensation import Compensation
-    from urdfcal.robot.urdf.urdf import Urdf
 
 _FORMATS = ("ros-kinematics", "ros-static-tf", "mjcf", "offsets", "dh-csv", "xacro-patch")
 _BLOCK = 4096  # poses between two steps of the progress bar
@@ -174,26 +173,20 @@ def _files(
     from urdfcal.result.calibration import Calibration
 
     calibration = Calibration.load(result)
-
-    def urdf() -> Urdf:
-        return origins.corrected_urdf(calibration, beside)
-
-    def keys() -> Mapping[str, str]:
-        return origins.link_keys(calibration, urdf()) if link_keys else origins.joint_keys(calibration)
-
-    def found() -> Mapping[str, str | bytes]:
-        own = frames.found_frames(calibration)
-        return frames.urdf_with_frames(urdf(), own) if add_frames else frames.static_transforms(own)
-
-    exports: dict[str, Callable[[], Mapping[str, str | bytes]]] = {
-        "ros-kinematics": lambda: origins.ros_kinematics(calibration, keys()),
-        "ros-static-tf": found,
-        "mjcf": lambda: mjcf.mjcf(calibration, urdf(), model or Path()),
-        "offsets": lambda: tables.joint_offsets(calibration, urdf()),
-        "dh-csv": lambda: tables.dh_csv(calibration),
-        "xacro-patch": lambda: origins.xacro_patch(calibration),
-    }
-    return exports[target]()
+    if target == "ros-static-tf" and not add_frames:
+        return frames.static_transforms(frames.found_frames(calibration))
+    if target == "dh-csv":
+        return tables.dh_csv(calibration)
+    if target == "xacro-patch":
+        return origins.xacro_patch(calibration)
+    if target == "ros-kinematics" and not link_keys:
+        return origins.ros_kinematics(calibration, origins.joint_keys(calibration))
+    urdf = origins.corrected_urdf(calibration, beside)
+    if target == "ros-kinematics":
+        return origins.ros_kinematics(calibration, origins.link_keys(calibration, urdf))
+    if target == "ros-static-tf":
+        return frames.urdf_with_frames(urdf, frames.found_frames(calibration))
+    return tables.joint_offsets(calibration, urdf) if model is None else mjcf.mjcf(calibration, urdf, model)
 
 
 @click.command("view")

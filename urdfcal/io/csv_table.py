@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from dataclasses import dataclass
 from math import isfinite
 from typing import TYPE_CHECKING
@@ -10,8 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.errors import SessionError
+from urdfcal.files import Source
 from urdfcal.names import flaw, listed, suggest
-from urdfcal.source import Source
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
@@ -78,17 +79,9 @@ class Table:
 
     def place(self, row: int, column: str) -> str:
         """Where a cell is: file:line:column, counted from 1."""
-        index, line = list(self.columns).index(column), self.lines[row + 1]
-        position = 0
-        for _ in range(index):
-            # A comma inside quotes separates nothing.
-            quoted = False
-            while quoted or line[position] != ",":
-                quoted ^= line[position] == '"'
-                position += 1
-            position += 1
-        position += len(line[position:]) - len(line[position:].lstrip(" "))
-        return f"{self.path}:{row + 2}:{position + 1}"
+        # A comma inside quotes separates nothing.
+        cells = list(re.finditer(r'(?:^|,) *((?:"[^"]*"|[^,])*)', self.lines[row + 1]))
+        return f"{self.path}:{row + 2}:{cells[list(self.columns).index(column)].start(1) + 1}"
 
     def wrong(self, what: str, row: int, column: str, remedy: str = "") -> SessionError:
         """The error to raise about a cell."""

@@ -11,21 +11,20 @@ import numpy as np
 from urdfcal.cameras.rig import Rig
 from urdfcal.errors import SessionError
 from urdfcal.estimation.measurements import MEASUREMENTS, Detections, Points
+from urdfcal.files import Source
 from urdfcal.io.checks.plausibility import Inputs, check, check_positions
-from urdfcal.io.frame_tables import read_frame_detections, read_frames, read_log
-from urdfcal.io.tables import MeasurementTable, read_joints, read_measurements
+from urdfcal.io.frame_tables import read_frames, read_log
+from urdfcal.io.tables import read_joints, read_measurements
 from urdfcal.names import check_known, suggest
 from urdfcal.robot.chain import read_mechanism
 from urdfcal.robot.urdf.urdf import Urdf, find_urdf
 from urdfcal.session.attachments import WORLD
 from urdfcal.session.knowledge import Led
 from urdfcal.session.model import Positions, RigDescription, Session, Stand
-from urdfcal.source import Source
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from urdfcal.estimation.measurements import Measurement
     from urdfcal.io.schema import SessionFile, SetupFile
     from urdfcal.io.yaml_document import Document
     from urdfcal.robot.mechanism import Mechanism
@@ -67,12 +66,15 @@ def read_session(path: str | Path, look: Callable[[], object] | None = None) -> 
             where=document.place(),
             remedy="Run `urdfcal detect` on its images first." if images else "",
         )
-    tables = {kind: _read_table(inputs, kind, files[kind]) for kind in MEASUREMENTS if kind in files}
-    hashes = {keys.tables.get(kind, DETECTIONS): table.table.source.sha256 for kind, table in tables.items()}
-    return inputs.positions.measured(
-        tuple(table.measurements for table in tables.values()),
-        sha256={**inputs.positions.sha256, **hashes},
-        warnings=inputs.positions.warnings + check(replace(inputs, tables=tuple(tables.values()))),
+    positions, hashes, tables = inputs.positions, dict(inputs.positions.sha256), []
+    known = {"pose": positions.poses, "camera": positions.rig.names, "led": positions.led_names}
+    for kind in (kind for kind in MEASUREMENTS if kind in files):
+        tables.append(read_measurements(files[kind], kind, known, positions.noise.of(kind), inputs.frames))
+        hashes[keys.tables.get(kind, DETECTIONS)] = tables[-1].table.source.sha256
+    return positions.measured(
+        tuple(table.measurements for table in tables),
+        sha256=hashes,
+        warnings=positions.warnings + check(replace(inputs, tables=tuple(tables))),
     )
 
 
@@ -173,14 +175,6 @@ def _read_positions(document: Document, keys: SessionFile) -> Inputs:
     with document.placing():
         positions = Positions(**setup, **poses, warnings=joints.warnings + (frames.warnings if frames else ()))
     return Inputs(document, positions, joints, frames)
-
-
-def _read_table(inputs: Inputs, kind: type[Measurement], path: Path) -> MeasurementTable:
-    positions, sigma = inputs.positions, inputs.positions.noise.of(kind)
-    known = {"pose": positions.poses, "camera": positions.rig.names, "led": positions.led_names}
-    if inputs.frames is None:
-        return read_measurements(path, kind, known, sigma)
-    return read_frame_detections(path, inputs.frames, known, sigma)
 
 
 def _yaml_file(path: Path, name: str) -> Path:

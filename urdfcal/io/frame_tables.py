@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.errors import SessionError
-from urdfcal.estimation.measurements import Detections
 from urdfcal.io.csv_table import Table, repeats
-from urdfcal.io.tables import JointTable, MeasurementTable, sorted_measurements
+from urdfcal.io.tables import JointTable, read_joints
 from urdfcal.names import listed, suggest
 from urdfcal.session.model import MIN_POSES
 from urdfcal.session.trajectory import LONGEST_GAP, MARGIN, JointLog, Trajectory
@@ -45,6 +44,33 @@ class FrameTable:
     pose: Mapping[tuple[int, str], int]
     warnings: tuple[str, ...]
 
+    def poses(self, table: Table, camera: Ints, cameras: Sequence[str]) -> Ints:
+        """The pose of each row (S,) of a table that has a column of frames.
+
+        Args:
+            table: with a column ``pose`` of labels.
+            camera: (S,) of each row.
+            cameras: their names.
+
+        Raises:
+            SessionError: there is no such frame, or there are joint values for none, with the place in the file.
+        """
+        poses = []
+        for row, key in enumerate(zip(camera.tolist(), table.labels("pose"), strict=True)):
+            if key not in self.pose:
+                c, name = key
+                known = [frame for of, frame in self.pose if of == c]
+                remedy = suggest(name, known, f"frames in {self.table.path.name}")
+                raise table.wrong(f"camera {cameras[c]!r} has no frame {name!r}", row, "pose", remedy)
+            poses.append(self.pose[key])
+        if max(poses) < 0:
+            raise SessionError(
+                "no LED was seen in a frame for which there are joint readings",
+                where=str(table.path),
+                remedy="Do the times of cameras and robot count from the same moment?",
+            )
+        return np.array(poses, dtype=np.intp)
+
 
 def read_log(path: Path, chain: Mechanism, robot_joints: Collection[str]) -> tuple[JointTable, JointLog]:
     """Read joints.csv of a moving arm.
@@ -60,7 +86,7 @@ def read_log(path: Path, chain: Mechanism, robot_joints: Collection[str]) -> tup
     Raises:
         SessionError: with the place in the file: time that repeats, runs backward, or is not in seconds.
     """
-    joints = JointTable.read(path, chain, robot_joints, "time")
+    joints = read_joints(path, chain, robot_joints, moving=True)
     table, time = joints.table, np.asarray(joints.time)
     if len(time) < 2:
         raise SessionError("one reading is no motion", where=str(path), remedy="Record the joints at their own rate.")
@@ -116,41 +142,6 @@ def read_frames(path: Path, cameras: Sequence[str], joints: JointTable, log: Joi
     names = listed(sorted({cameras[c] for c in camera[outside]}))
     warnings = _left_out(table, joints.table, log, names, covered, outside)
     return FrameTable(table, trajectory, dict(zip(keys, pose, strict=True)), tuple(warnings))
-
-
-def read_frame_detections(
-    path: Path, frames: FrameTable, known: Mapping[str, Sequence[str]], sigma: float
-) -> MeasurementTable:
-    """Read detections.csv of a moving arm; detections in frames without joint values are left out.
-
-    Args:
-        path: the file.
-        frames: to which its labels refer.
-        known: the names that there are, of each camera and led.
-        sigma: standard deviation where the table has no such column. [px]
-
-    Raises:
-        SessionError: with the place in the file.
-    """
-    table = Table.read(path, [*Detections.keys, *Detections.columns], ["sigma"])
-    camera, led = table.indices("camera", known["camera"], "cameras"), table.indices("led", known["led"], "LEDs")
-    pose = []
-    for row, key in enumerate(zip(camera.tolist(), table.labels("pose"), strict=True)):
-        if key not in frames.pose:
-            c, name = key
-            remedy = suggest(
-                name, [frame for of, frame in frames.pose if of == c], f"frames in {frames.table.path.name}"
-            )
-            raise table.wrong(f"camera {known['camera'][c]!r} has no frame {name!r}", row, "pose", remedy)
-        pose.append(frames.pose[key])
-    index = {"pose": np.array(pose), "camera": camera, "led": led}
-    if np.all(index["pose"] < 0):
-        raise SessionError(
-            "no LED was seen in a frame for which there are joint readings",
-            where=str(path),
-            remedy="Do the times of cameras and robot count from the same moment?",
-        )
-    return sorted_measurements(table, Detections, index, known, sigma)
 
 
 def _check_increasing(table: Table, time: Floats, rows: Ints, whose: str) -> None:

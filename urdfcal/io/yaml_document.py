@@ -12,8 +12,8 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from urdfcal.errors import SessionError
+from urdfcal.files import Source
 from urdfcal.names import listed, suggest
-from urdfcal.source import Source
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -16,8 +16,7 @@ from urdfcal.robot.tree_dh import rows_of
 from urdfcal.session.attachments import Attachments, CameraMount, attach
 from urdfcal.session.knowledge import Estimate, Led, LedDistance, Noise, Tolerances
 from urdfcal.session.measurement import Measurements
-from urdfcal.session.motion import AT_REST, Motion
-from urdfcal.session.trajectory import Trajectory
+from urdfcal.session.trajectory import AT_REST, Motion, Trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -204,7 +203,12 @@ class Session(Positions):
             if "camera" in table.keys and not self.rig.cameras:
                 raise SessionError(f"there are {table.kind}, but no cameras", remedy="Give the session a rig.")
             table.check(counts)
-        self._check_motion()
+            if isinstance(self.motion, Trajectory):
+                # Of a moving arm each pose is one camera's frame: what is measured is measured by that camera.
+                if "camera" not in table.keys:
+                    raise SessionError("a moving arm is measured by cameras alone", where="session")
+                if np.any(table.index["camera"] != self.motion.camera[table.pose]):
+                    raise SessionError("a detection is by another camera than its frame", where=table.kind)
 
     def find(self, kind: type[Kind]) -> Kind | None:
         """Return the measurements of a kind; None if there are none."""
@@ -244,14 +248,3 @@ class Session(Positions):
     def unmeasured(self) -> Positions:
         """Return the same without its measurements."""
         return Positions(**{f.name: getattr(self, f.name) for f in fields(Positions)})
-
-    def _check_motion(self) -> None:
-        """Of a moving arm each pose is one camera's frame: what is measured is measured by that camera."""
-        if not isinstance(self.motion, Trajectory):
-            return
-        for table in self.measurements:
-            camera = table.index.get("camera")
-            if camera is None:
-                raise SessionError("a moving arm is measured by cameras alone", where="session")
-            if np.any(camera != self.motion.camera[table.pose]):
-                raise SessionError("a detection is by another camera than its frame", where=table.kind)

@@ -12,8 +12,7 @@ import numpy as np
 
 from urdfcal.errors import SessionError
 from urdfcal.estimation.measurements import Detections, Points
-from urdfcal.io.checks.content import check_images, frozen_recording, unseen
-from urdfcal.io.checks.swaps import check_names_by_rays
+from urdfcal.io.checks.content import check_images, check_names_by_rays, frozen_recording, unseen
 from urdfcal.io.csv_table import repeats
 from urdfcal.names import listed
 from urdfcal.session.attachments import WORLD
