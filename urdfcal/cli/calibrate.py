@@ -125,17 +125,15 @@ def _print(overview: Overview, paths: Sequence[Path], remarks: Sequence[str]) ->
     line(f"{calibration.chain.name}: {assessment.sentence}", tone)
     interval = f"(95 %: {low:.3g} to {high:.3g})"
     line(f"{headline(document)} {interval} {HEADLINE}, nominal -> calibrated", "bold")
-    parts = [
-        f"{fit[f'rms_nominal_{unit}']:.3f} -> {fit[f'rms_{unit}']:.3f} {unit}"
-        for unit in ("px", "mm")
-        if f"rms_{unit}" in fit
-    ]
+    units = [unit for unit in ("px", "mm") if f"rms_{unit}" in fit]
+    parts = [f"{fit[f'rms_nominal_{unit}']:.3f} -> {fit[f'rms_{unit}']:.3f} {unit}" for unit in units]
     chi2 = fit["reduced_chi2"]
     noise = f", {chi2**0.5:.2g} times the declared noise" if chi2 is not None else ""
     line(f"residual {', '.join(parts)} rms{noise}")
+    outliers = len(document["outliers"])
     line(
         f"{fit['poses']} poses, {fit['observations']} measured numbers, {fit['parameters']} parameters "
-        f"({calibration.comparison.chosen.spec}), {_counted(len(document['outliers']), 'outlier')}"
+        f"({calibration.comparison.chosen.spec}), {outliers} outlier{'s' if outliers != 1 else ''}"
     )
     cameras = document["cameras"].items()
     clocks = [f"{name} {_clock(**camera['time_offset'])}" for name, camera in cameras if "time_offset" in camera]
@@ -146,11 +144,8 @@ def _print(overview: Overview, paths: Sequence[Path], remarks: Sequence[str]) ->
     if rows <= _MOST_ROWS:
         console.print(_corrections(calibration))
         printed += rows + 5  # title, head, rule, and a blank line above and below
-    texts = [
-        *assessment.reasons,
-        *remarks,
-        *(f"unidentifiable: {lost}" for lost in document["identifiability"]["lost"]),
-    ]
+    unidentifiable = [f"unidentifiable: {lost}" for lost in document["identifiability"]["lost"]]
+    texts = [*assessment.reasons, *remarks, *unidentifiable]
     room = min(_MOST_REMARKS, _MOST_LINES - printed)
     if len(texts) > room:
         texts = [*texts[: room - 1], f"{len(texts) - room + 1} more remarks in the report"]
@@ -159,10 +154,6 @@ def _print(overview: Overview, paths: Sequence[Path], remarks: Sequence[str]) ->
     for path in paths:
         if path.suffix != ".json":
             line(str(path) if path.suffix != ".rrd" else f"{path}   (urdfcal view {path.parent})")
-
-
-def _counted(count: int, what: str) -> str:
-    return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 
 def _clock(value: float, sigma: float | None) -> str:

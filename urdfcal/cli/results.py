@@ -35,14 +35,14 @@ def apply(result: Path, urdf: str, output: Path | None) -> None:
     """
     from urdfcal import files
     from urdfcal.result.calibration import Calibration, corrected_name
-    from urdfcal.robot.urdf.urdf import Urdf, find_urdf
+    from urdfcal.robot.urdf.urdf import Urdf
 
     if output is None:
         if urdf.startswith("package://"):
             raise click.UsageError("a package's URDF needs -o FILE: nothing is written into packages")
         output = Path(urdf).with_name(corrected_name(urdf))
     calibration = Calibration.load(result)
-    files.write_bytes(output, calibration.apply_to_urdf(Urdf.read(find_urdf(urdf))))
+    files.write_bytes(output, calibration.apply_to_urdf(Urdf.read(urdf)))
     click.echo(output)
 
 
@@ -58,10 +58,13 @@ def compensate(result: Path, trajectory: Path, output: Path) -> None:
     OUT is a folder that calibrate has written, or its calibration.json. Columns are joint names, in rad and m; others,
     such as time, are kept.
     """
+    import numpy as np
+
     from urdfcal import files
     from urdfcal.cli.console import progress_bar
     from urdfcal.output.trajectory import CommandTable
     from urdfcal.result.calibration import Calibration
+    from urdfcal.robot.compensation import Compensation
 
     calibration = Calibration.load(result)
     given = CommandTable.read(trajectory, calibration.chain)
@@ -74,7 +77,7 @@ def compensate(result: Path, trajectory: Path, output: Path) -> None:
         for first in range(0, len(given.q), _BLOCK):
             parts.append(calibration.compensate(given.q[first : first + _BLOCK]))
             advance(len(parts[-1].q))
-    found = _joined(parts)
+    found = Compensation(*(np.concatenate([getattr(p, name) for p in parts]) for name in ("q", "position", "angle")))
     files.write_text(output, given.with_commands(found.q))
     before, after = (_errors(calibration, given.q, commands) for commands in (given.q, found.q))
     _print_errors(output, given, found, next(iter(before.values())))
@@ -83,14 +86,6 @@ def compensate(result: Path, trajectory: Path, output: Path) -> None:
             f"{link} is not compensated: {1e3 * before[link]:.3g} mm rms with the nominal commands, "
             f"{1e3 * after[link]:.3g} mm with the corrected ones"
         )
-
-
-def _joined(parts: list[Compensation]) -> Compensation:
-    import numpy as np
-
-    from urdfcal.robot.compensation import Compensation
-
-    return Compensation(*(np.concatenate([getattr(p, name) for p in parts]) for name in ("q", "position", "angle")))
 
 
 def _errors(calibration: Calibration, nominal_commands: Floats, commands: Floats) -> dict[str, float]:
@@ -107,9 +102,7 @@ def _errors(calibration: Calibration, nominal_commands: Floats, commands: Floats
 
 def _print_errors(path: Path, given: CommandTable, found: Compensation, before: float) -> None:
     """Print the error that the commands leave, and the lines of the worst poses: singular, at a limit, out of reach."""
-    import numpy as np
-
-    worst, most_turned = int(np.argmax(found.position)), int(np.argmax(found.angle))
+    worst, most_turned = int(found.position.argmax()), int(found.angle.argmax())
     click.echo(
         f"{path}: {len(given.q)} poses\n"
         f"distance of the calibrated tip from the nominal one: {1e3 * before:.3g} mm rms with the nominal commands, "
@@ -120,9 +113,7 @@ def _print_errors(path: Path, given: CommandTable, found: Compensation, before: 
 
 
 def _rms_length(vectors: Floats) -> float:
-    import numpy as np
-
-    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
+    return float((vectors**2).sum(axis=1).mean() ** 0.5)
 
 
 @click.command("export")

@@ -58,21 +58,21 @@ def evaluate(
     elif tip is None:
         raise click.UsageError("two URDFs need --tip LINK")
     else:
-        result = _robots(urdf, other, tip, base, poses or 1000, seed)
+        result = compared(urdf, other, tip, base, poses or 1000, seed)
     if as_json:
         click.echo(json.dumps(result, indent=2))
     else:
         _print_residuals(result)
 
 
-def _robots(a: str, b: str, tip: str, base: str | None, poses: int, seed: int) -> dict[str, Any]:
+def compared(a: str, b: str, tip: str, base: str | None, poses: int, seed: int) -> dict[str, Any]:
+    """How far the tips of two URDFs are apart over the workspace, in mm and mrad."""
     import numpy as np
 
     from urdfcal.estimation.evaluation import compare
     from urdfcal.robot.chain import Chain
-    from urdfcal.robot.urdf.urdf import Urdf, find_urdf
 
-    chain_a, chain_b = (Chain.from_urdf(Urdf.read(find_urdf(path)), tip, base) for path in (a, b))
+    chain_a, chain_b = (Chain.from_urdf(path, tip, base) for path in (a, b))
     q = chain_a.random_values(poses, np.random.default_rng(seed))
     difference = compare(chain_a, chain_b, q)
     units = {"position": "mm", "orientation": "mrad", "position_unaligned": "mm", "orientation_unaligned": "mrad"}
@@ -86,7 +86,7 @@ def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
     from urdfcal.estimation.evaluation import explain
     from urdfcal.io.folder import read_points, read_session
     from urdfcal.robot.chain import read_mechanism
-    from urdfcal.robot.urdf.urdf import Urdf, find_urdf
+    from urdfcal.robot.urdf.urdf import Urdf
 
     session = read_session(folder)
     for warning in session.warnings:
@@ -102,7 +102,7 @@ def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
             )
         session = replace(session, measurements=(measured,), leds=leds)
     links = [tip.link for tip in session.chain.tips]
-    chain = read_mechanism(Urdf.read(find_urdf(urdf)), links, session.chain.base_link)
+    chain = read_mechanism(Urdf.read(urdf), links, session.chain.base_link)
     explained = explain(chain, session)
     result: dict[str, Any] = {"a": urdf, "session": str(folder), "points": points and str(points)}
     for table, residual in zip(session.measurements, explained.residuals, strict=True):
@@ -143,9 +143,8 @@ def dh(urdf: str, tip: str, base: str | None, convention: Convention, as_json: b
     """Print the Denavit-Hartenberg rows of a robot's chain of joints."""
     from urdfcal.robot.chain import Chain
     from urdfcal.robot.dh import DHTable
-    from urdfcal.robot.urdf.urdf import Urdf, find_urdf
 
-    table = DHTable.from_chain(Chain.from_urdf(Urdf.read(find_urdf(urdf)), tip, base))
+    table = DHTable.from_chain(Chain.from_urdf(urdf, tip, base))
     if as_json:
         click.echo(json.dumps(table.to_dict(convention), indent=2))
     else:

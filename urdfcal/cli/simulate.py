@@ -59,17 +59,16 @@ def simulate(
     from urdfcal.io.shipped_rigs import find_rig
     from urdfcal.simulation import simulate as simulation
 
-    filmed = images or video
-    if distractors and not filmed:
-        raise click.UsageError("--distractors goes with --images")
-    if filmed and (outliers or pixel is not None):
-        raise click.UsageError("--pixel and --outliers do not go with --images: the images decide")
-    if video and not trajectory:
-        raise click.UsageError("--video goes with --trajectory")
-    if images and video:
-        raise click.UsageError("--images and --video: choose one")
-    if motion["time_offsets"] and not trajectory:
-        raise click.UsageError("--time-offset goes with --trajectory")
+    filmed, noisy = images or video, outliers or pixel is not None
+    for given, wrong in (
+        (distractors and not filmed, "--distractors goes with --images"),
+        (filmed and noisy, "--pixel and --outliers do not go with --images: the images decide"),
+        (video and not trajectory, "--video goes with --trajectory"),
+        (images and video, "--images and --video: choose one"),
+        (motion["time_offsets"] and not trajectory, "--time-offset goes with --trajectory"),
+    ):
+        if given:
+            raise click.UsageError(wrong)
     description = read_rig(find_rig(rig))
     errors: dict[str, Any] = {"pixel": pixel, "error_scale": error_scale, "outliers": outliers}
     with progress_bar("sampling poses", poses) as advance:
@@ -100,16 +99,11 @@ def simulate(
 @seed_option
 def demo(rig: str, output: Path | None, seed: int) -> None:
     """Simulate a session of RIG, calibrate it, and compare the result with the truth."""
-    from dataclasses import asdict
-
-    import numpy as np
-
     from urdfcal.cli.calibrate import run
+    from urdfcal.cli.robots import compared
     from urdfcal.errors import OutputError
-    from urdfcal.estimation.evaluation import Spread, compare
     from urdfcal.io.folder import read_rig, read_session
     from urdfcal.io.shipped_rigs import find_rig
-    from urdfcal.robot.chain import Chain
     from urdfcal.robot.mechanism import BASE
     from urdfcal.robot.urdf.urdf import find_urdf
     from urdfcal.simulation import simulate as simulation
@@ -126,17 +120,13 @@ def demo(rig: str, output: Path | None, seed: int) -> None:
     simulation.write_simulated(folder / "session", simulation.simulate(description, poses=50, seed=seed))
     calibration = run(read_session(folder / "session"), folder / "result", seed=seed)
 
-    session = calibration.session
-    urdfs = (
-        find_urdf(session.urdf_reference, relative_to=session.folder),
-        folder / "result" / calibration.urdf_name,
-        folder / "session" / "truth.urdf",
-    )
+    session, truth = calibration.session, str(folder / "session" / "truth.urdf")
+    nominal = find_urdf(session.urdf_reference, relative_to=session.folder)
+    urdfs = (str(nominal), str(folder / "result" / calibration.urdf_name))
     tips = [tip.link for tip in session.chain.tips if tip.joint != BASE]
     for link in tips:
-        nominal, calibrated, truth = (Chain.from_urdf(urdf, link, session.chain.base_link) for urdf in urdfs)
-        q = nominal.random_values(1000, np.random.default_rng(seed))
-        before, after = (asdict(Spread.of(1e3 * compare(robot, truth, q).position)) for robot in (nominal, calibrated))
+        found = [compared(urdf, truth, link, session.chain.base_link, 1000, seed) for urdf in urdfs]
+        before, after = (difference["position_mm"] for difference in found)
         click.echo(
             f"{'tip' if len(tips) == 1 else link} against the true robot over the workspace: "
             f"{before['rms']:.2f} -> {after['rms']:.2f} mm rms, {before['max']:.2f} -> {after['max']:.2f} mm max"
