@@ -6,12 +6,13 @@ import io
 import json
 import sys
 from contextlib import redirect_stdout
+from math import isfinite
 from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
 from urdfcal.cli import detect
-from urdfcal.cli.options import PATH, seed_option
+from urdfcal.cli.console import PATH, seed_option, sheet, status_line, terminal
 from urdfcal.errors import CalibrationError
 
 if TYPE_CHECKING:
@@ -63,7 +64,6 @@ def run(
     session: Session, output: Path, *, live: bool = False, report: Report = "text", **how: Any
 ) -> FittedCalibration:
     """Calibrate a session as :func:`urdfcal.pipeline.calibrate` does, write its results and print the summary."""
-    from urdfcal.cli.console import status_line
     from urdfcal.output.findings import Overview
     from urdfcal.output.recording import write_results
     from urdfcal.pipeline import calibrate
@@ -107,10 +107,9 @@ def _print(overview: Overview, paths: Sequence[Path], remarks: Sequence[str]) ->
     """Print assessment, numbers, corrections, warnings and files, in at most 25 lines."""
     from rich.text import Text
 
-    from urdfcal.cli.console import output
     from urdfcal.output.findings import HEADLINE, headline
 
-    console = output()
+    console = terminal()
     document, assessment, calibration = overview.document, overview.assessment, overview.calibration
     fit, (low, high) = document["fit"], document["validation"]["interval_mm"]
 
@@ -162,9 +161,6 @@ def _clock(value: float, sigma: float | None) -> str:
 
 
 def _corrections(calibration: FittedCalibration) -> object:
-    import numpy as np
-
-    from urdfcal.cli.console import sheet
     from urdfcal.estimation.blocks.arm import LENGTHS
 
     columns = [f"{name} ({'mm' if name in LENGTHS else 'mrad'})" for name in calibration.geometry.columns]
@@ -172,6 +168,6 @@ def _corrections(calibration: FittedCalibration) -> object:
     for joint, offsets, sigmas in zip(
         calibration.geometry.labels, 1e3 * calibration.estimate.offsets, 1e3 * calibration.sigmas(), strict=True
     ):
-        cells = [f"{o:.3f} ± {s:.3f}" if np.isfinite(s) else "" for o, s in zip(offsets, sigmas, strict=True)]
+        cells = [f"{o:.3f} ± {s:.3f}" if isfinite(s) else "" for o, s in zip(offsets, sigmas, strict=True)]
         table.add_row(joint, *cells)
     return table

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from urdfcal.cli.options import PATH, POSITIVE
+from urdfcal.cli.console import PATH, POSITIVE, progress_bar, sheet, terminal
 from urdfcal.errors import CameraError
 
 if TYPE_CHECKING:
@@ -75,7 +75,6 @@ def calibrate(
     from urdfcal.cameras.board.calibration import calibrate_cameras
     from urdfcal.cameras.board.views import find_images, read_views
     from urdfcal.cameras.io.formats import write_kalibr
-    from urdfcal.cli.console import progress_bar
 
     chosen = _board(folder, board, details)
     count = sum(len(views) for views in find_images(folder).values())
@@ -145,9 +144,6 @@ def _board(folder: Path, board: tuple[BoardKind, tuple[int, int]] | None, detail
 
 def _print(calibration: BoardCalibration, output: Path) -> None:
     import numpy as np
-
-    from urdfcal.cli.console import output as terminal
-    from urdfcal.cli.console import sheet
 
     console = terminal()
     console.print(calibration.board.title, markup=False)

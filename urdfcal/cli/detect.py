@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from urdfcal.cli.options import PATH
+from urdfcal.cli.console import PATH, progress_bar
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -32,7 +32,6 @@ def command(session: Path, colour: Colour, debug_images: Path | None) -> None:
 
 def run(session: Path, colour: Colour = "any", debug_images: Path | None = None) -> None:
     """Find the LEDs in a session's images, write the tables and print what came of it."""
-    from urdfcal.cli.console import progress_bar
     from urdfcal.detection.detect import detect_in, open_images, write_debug_images, write_detected
 
     positions, index = open_images(session)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from urdfcal.cli.options import PATH, base_option
+from urdfcal.cli.console import PATH, base_option, progress_bar, sheet, terminal
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -85,7 +85,6 @@ def command(
     if len(set(names)) < len(names):
         raise click.UsageError(f"two cameras have the same name: {', '.join(names)}")
     from urdfcal.cameras.io.formats import read_cameras
-    from urdfcal.cli.console import progress_bar
     from urdfcal.names import check_names
     from urdfcal.robot.chain import Chain
     from urdfcal.robot.urdf.urdf import Urdf, find_urdf
@@ -114,7 +113,6 @@ def command(
 
 
 def _list(path: Path) -> None:
-    from urdfcal.cli.console import output, sheet
     from urdfcal.rosbag.bag import open_bag
 
     with open_bag(path) as bag:
@@ -122,7 +120,7 @@ def _list(path: Path) -> None:
         for topic in bag.topics:
             rate = f"{(topic.count - 1) / bag.duration:.1f}" if bag.duration and topic.count > 1 else ""
             table.add_row(topic.name, topic.type, f"{topic.count}", rate)
-    output().print(table)
+    terminal().print(table)
 
 
 def _print(topics: ChosenTopics, summary: ImportSummary) -> None:

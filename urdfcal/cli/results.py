@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from urdfcal.cli.options import PATH, result_argument
+from urdfcal import files
+from urdfcal.cli.console import PATH, progress_bar, result_argument
 from urdfcal.errors import OutputError
 
 if TYPE_CHECKING:
@@ -33,7 +34,6 @@ def apply(result: Path, urdf: str, output: Path | None) -> None:
     OUT is a folder that calibrate has written, or its calibration.json. A joint whose nominal origin is not the one
     that was calibrated is refused by name.
     """
-    from urdfcal import files
     from urdfcal.result.calibration import Calibration, corrected_name
     from urdfcal.robot.urdf.urdf import Urdf
 
@@ -60,8 +60,6 @@ def compensate(result: Path, trajectory: Path, output: Path) -> None:
     """
     import numpy as np
 
-    from urdfcal import files
-    from urdfcal.cli.console import progress_bar
     from urdfcal.output.trajectory import CommandTable
     from urdfcal.result.calibration import Calibration
     from urdfcal.robot.compensation import Compensation
@@ -136,8 +134,6 @@ def export(
     enter in a controller, and the URDF without them. dh-csv: the calibrated DH rows. xacro-patch: a table of origins
     for a xacro file.
     """
-    from urdfcal import files
-
     for given, option, needed in (
         (link_keys, "--link-keys", "ros-kinematics"),
         (add_frames, "--add-frames", "ros-static-tf"),
@@ -191,7 +187,6 @@ def _files(
 @click.option("--save", type=PATH, help="Write the recording, or the overlay, to this file.")
 def view(result: Path, web: bool, port: int, overlay: str | None, save: Path | None) -> None:
     """Open the recording in OUT, a folder that calibrate has written, in the rerun viewer."""
-    from urdfcal.files import replacing
     from urdfcal.output.viewer import find_recording, open_recording, serve_recording
 
     recording = find_recording(result)
@@ -202,7 +197,7 @@ def view(result: Path, web: bool, port: int, overlay: str | None, save: Path | N
         write_overlay(path, recording, overlay)
         click.echo(path)
     elif save is not None:
-        with replacing(save) as temporary:
+        with files.replacing(save) as temporary:
             shutil.copyfile(recording, temporary)
         click.echo(save)
     elif web:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from urdfcal.cli.options import PATH, base_option, json_option, seed_option, tip_option
+from urdfcal.cli.console import PATH, base_option, json_option, seed_option, sheet, terminal, tip_option
 from urdfcal.errors import SessionError
 
 if TYPE_CHECKING:
@@ -118,7 +118,6 @@ def _spread(values: Floats, scale: float) -> dict[str, float]:
 
 
 def _print_residuals(result: Mapping[str, Any]) -> None:
-    from urdfcal.cli.console import output, sheet
 
     against = result.get("b") or result.get("points") or result["session"]
     rows = sheet(f"{result['a']}\nagainst {against}", ["", "rms", "mean", "median", "95 %", "max"])
@@ -127,7 +126,7 @@ def _print_residuals(result: Mapping[str, Any]) -> None:
             quantity, _, unit = name.rpartition("_")
             cells = [f"{spread[key]:.4f}" for key in ("rms", "mean", "median", "p95", "max")]
             rows.add_row(f"{quantity.replace('_', ' ')} ({unit})", *cells)
-    output().print(rows)
+    terminal().print(rows)
 
 
 @click.command("dh")
@@ -154,8 +153,6 @@ def dh(urdf: str, tip: str, base: str | None, convention: Convention, as_json: b
 def _print_rows(table: DHTable, convention: Convention) -> None:
     import numpy as np
 
-    from urdfcal.cli.console import output, sheet
-
     data = table.to_dict(convention)
     order = ("theta", "d", "a", "alpha", "beta") if convention == "standard" else ("a", "alpha", "beta", "theta", "d")
     scales = {name: (1e3, "mm") if name in "da" else (np.degrees(1.0), "deg") for name in order}
@@ -168,7 +165,7 @@ def _print_rows(table: DHTable, convention: Convention) -> None:
         # Rounding first, or tiny negative numbers print as -0.0000.
         cells = [f"{round(scale * row[name], 4) + 0.0:.4f}" for name, (scale, _) in scales.items()]
         rows.add_row(row["joint"], row["type"], *cells)
-    console = output()
+    console = terminal()
     console.print(rows)
     console.print(data["composition"])
     for name in ("base", "tool"):

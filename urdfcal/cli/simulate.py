@@ -1,14 +1,12 @@
 """``urdfcal simulate`` and ``demo``: a session from a robot whose errors are known, and what comes of one."""
 
-from __future__ import annotations
-
 from itertools import count
 from pathlib import Path
 from typing import Any
 
 import click
 
-from urdfcal.cli.options import PATH, POSITIVE, seed_option
+from urdfcal.cli.console import PATH, POSITIVE, progress_bar, seed_option
 
 
 @click.command("simulate")
@@ -54,7 +52,6 @@ def simulate(
     **motion: Any,
 ) -> None:
     """Simulate a session of RIG (a shipped rig's name or a folder), with the truth beside it."""
-    from urdfcal.cli.console import progress_bar
     from urdfcal.io.folder import read_rig
     from urdfcal.io.shipped_rigs import find_rig
     from urdfcal.simulation import simulate as simulation

@@ -13,8 +13,7 @@ from urdfcal.errors import SessionError
 from urdfcal.estimation.measurements import MEASUREMENTS, Detections, Points
 from urdfcal.files import Source
 from urdfcal.io.checks.plausibility import Inputs, check, check_positions
-from urdfcal.io.frame_tables import read_frames, read_log
-from urdfcal.io.tables import read_joints, read_measurements
+from urdfcal.io.tables import read_frames, read_joints, read_log, read_measurements
 from urdfcal.names import check_known, suggest
 from urdfcal.robot.chain import read_mechanism
 from urdfcal.robot.urdf.urdf import Urdf, find_urdf

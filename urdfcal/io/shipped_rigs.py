@@ -1,7 +1,5 @@
 """The rigs that come with urdfcal, and where to find any other."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from urdfcal.errors import SessionError

@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 
     from urdfcal.arrays import Bools
     from urdfcal.estimation.measurements import Measurement
-    from urdfcal.io.frame_tables import FrameTable
-    from urdfcal.io.tables import JointTable, MeasurementTable
+    from urdfcal.io.tables import FrameTable, JointTable, MeasurementTable
     from urdfcal.io.yaml_document import Document
     from urdfcal.session.model import Positions
 
