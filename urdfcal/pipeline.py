@@ -84,10 +84,9 @@ def calibrate(
     comparison = compare_models(session, problem, start, priors=priors, seed=seed, progress=progress)
     solutions: tuple[Minimum, ...] = ()
     if starts:
-        fit = comparison.chosen.fit
-        solutions = multistart(session, problem, fit, starts, seed, progress)
+        solutions = multistart(session, problem, comparison.chosen.fit, starts, seed, progress)
         kept = solutions[0].solution if solutions[0].kept else None
-        if kept is not None and kept is not fit:
+        if kept is not None and kept is not comparison.chosen.fit:
             comparison = with_fit(comparison, kept, problem, seed)
     assessment = assess(session, problem, comparison)
     if assessment.failures and not force:

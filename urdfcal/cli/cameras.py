@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from urdfcal.cameras.board.board import Board, BoardKind
     from urdfcal.cameras.board.calibration import BoardCalibration
     from urdfcal.cameras.io.formats import Format
-    from urdfcal.cameras.rig import Rig
 
 _BOARD_FILE = "board.yaml"
 
@@ -104,7 +103,11 @@ def convert(files: tuple[Path, ...], output: Path, format_: Format | None, size:
     rig = read_cameras(files, size)
     for path in write_cameras(output, rig, chosen):
         click.echo(str(path))
-    _say_what_is_lost(rig, chosen)
+    unplaced = [name for name, T in zip(rig.names, rig.T_cam_world, strict=True) if T is None]
+    if unplaced:
+        click.echo(f"not known: where {', '.join(unplaced)} stands", err=True)
+    if chosen != "kalibr" and any(rig.sigmas):
+        click.echo("not kept: the standard deviations, which only Kalibr's format as urdfcal writes it has", err=True)
 
 
 def _format_by_name(output: Path) -> Format:
@@ -113,14 +116,6 @@ def _format_by_name(output: Path) -> Format:
     if suffix not in formats:
         raise click.UsageError(f"'{output.name}' does not tell a format; name it with --to")
     return formats[suffix]
-
-
-def _say_what_is_lost(rig: Rig, format_: Format) -> None:
-    unplaced = [name for name, T in zip(rig.names, rig.T_cam_world, strict=True) if T is None]
-    if unplaced:
-        click.echo(f"not known: where {', '.join(unplaced)} stands", err=True)
-    if format_ != "kalibr" and any(rig.sigmas):
-        click.echo("not kept: the standard deviations, which only Kalibr's format as urdfcal writes it has", err=True)
 
 
 def _board(folder: Path, board: tuple[BoardKind, tuple[int, int]] | None, details: Mapping[str, Any]) -> Board:

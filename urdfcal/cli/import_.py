@@ -30,13 +30,13 @@ def _led(value: str) -> tuple[str, list[float] | None]:
     return name, position
 
 
-def _camera(value: str) -> tuple[str, str, str | None]:
+def _camera(value: str) -> tuple[str, tuple[str, str | None]]:
     """Parse NAME=IMAGE_TOPIC[,INFO_TOPIC]."""
     name, _, topics = value.partition("=")
     image, _, info = topics.partition(",")
     if not name or not image:
         raise click.BadParameter(f"'{value}' is not NAME=TOPIC")
-    return name, image, info or None
+    return name, (image, info or None)
 
 
 @click.command("import")
@@ -66,7 +66,7 @@ def command(
     tip: str | None,
     base: str | None,
     joints: str | None,
-    named: tuple[tuple[str, str, str | None], ...],
+    named: tuple[tuple[str, tuple[str, str | None]], ...],
     led: tuple[str, list[float] | None],
     described: Path | None,
     listing: bool,
@@ -81,20 +81,19 @@ def command(
         return
     if session is None or urdf is None or tip is None:
         raise click.UsageError("-o, --urdf and --tip are needed; --list prints the topics")
-    names = [name for name, *_ in named]
-    if len(set(names)) < len(names):
-        raise click.UsageError(f"two cameras have the same name: {', '.join(names)}")
+    if len(dict(named)) < len(named):
+        raise click.UsageError(f"two cameras have the same name: {', '.join(name for name, _ in named)}")
     from urdfcal.cameras.io.formats import read_cameras
     from urdfcal.names import check_names
     from urdfcal.robot.chain import Chain
-    from urdfcal.robot.urdf.urdf import Urdf, find_urdf
+    from urdfcal.robot.urdf.urdf import Urdf
     from urdfcal.rosbag.bag import open_bag
     from urdfcal.rosbag.importing import ImportSetup, import_bag
     from urdfcal.rosbag.topics import TopicOptions, choose_topics
     from urdfcal.session.knowledge import Led
 
     check_names("LEDs", [led[0]])
-    robot = Urdf.read(find_urdf(urdf))
+    robot = Urdf.read(urdf)
     setup = ImportSetup(
         urdf=robot,
         urdf_reference=urdf,
@@ -102,7 +101,7 @@ def command(
         led=Led(*led),  # type: ignore[arg-type]  # a list serves as an array
         rig=None if described is None else read_cameras([described]),
     )
-    options = TopicOptions(joints, {name: (image, info) for name, image, info in named}, infos=described is None)
+    options = TopicOptions(joints, dict(named), infos=described is None)
     with open_bag(path) as bag:
         topics = choose_topics(bag.topics, options)
         count = sum(topic.count for topic in bag.topics if topic.name in topics.names)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -197,8 +196,7 @@ def view(result: Path, web: bool, port: int, overlay: str | None, save: Path | N
         write_overlay(path, recording, overlay)
         click.echo(path)
     elif save is not None:
-        with files.replacing(save) as temporary:
-            shutil.copyfile(recording, temporary)
+        files.write_bytes(save, recording.read_bytes())
         click.echo(save)
     elif web:
         serve_recording(recording, port)

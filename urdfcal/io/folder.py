@@ -65,16 +65,14 @@ def read_session(path: str | Path, look: Callable[[], object] | None = None) -> 
             where=document.place(),
             remedy="Run `urdfcal detect` on its images first." if images else "",
         )
-    positions, hashes, tables = inputs.positions, dict(inputs.positions.sha256), []
+    positions, hashes, tables = inputs.positions, dict(inputs.positions.sha256), {}
     known = {"pose": positions.poses, "camera": positions.rig.names, "led": positions.led_names}
     for kind in (kind for kind in MEASUREMENTS if kind in files):
-        tables.append(read_measurements(files[kind], kind, known, positions.noise.of(kind), inputs.frames))
-        hashes[keys.tables.get(kind, DETECTIONS)] = tables[-1].table.source.sha256
-    return positions.measured(
-        tuple(table.measurements for table in tables),
-        sha256=hashes,
-        warnings=positions.warnings + check(replace(inputs, tables=tuple(tables))),
-    )
+        tables[kind] = read_measurements(files[kind], kind, known, positions.noise.of(kind), inputs.frames)
+        hashes[keys.tables.get(kind, DETECTIONS)] = tables[kind].table.source.sha256
+    warnings = positions.warnings + check(replace(inputs, tables=tables))
+    measurements = tuple(table.measurements for table in tables.values())
+    return positions.measured(measurements, sha256=hashes, warnings=warnings)
 
 
 def read_positions(path: str | Path) -> Positions:
@@ -117,9 +115,8 @@ def read_rig(path: str | Path) -> RigDescription:
         CameraError: the camera file is not one.
     """
     from urdfcal.io.schema import RigFile
-    from urdfcal.io.yaml_document import Document
 
-    document = Document.read(_yaml_file(Path(path), _RIG))
+    document = _read_yaml(Path(path), _RIG)
     keys = document.validate(RigFile)
     stand = None if keys.stand is None else Stand(keys.stand.position, keys.stand.look_at)  # type: ignore[arg-type]
     setup = _read_setup(document, keys)
@@ -149,9 +146,8 @@ def read_points(path: str | Path, session: Session) -> tuple[Points, tuple[Led, 
 
 def _read_document(path: Path) -> tuple[Document, SessionFile]:
     from urdfcal.io.schema import SessionFile
-    from urdfcal.io.yaml_document import Document
 
-    document = Document.read(_yaml_file(path, _SESSION))
+    document = _read_yaml(path, _SESSION)
     return document, document.validate(SessionFile)
 
 
@@ -176,23 +172,23 @@ def _read_positions(document: Document, keys: SessionFile) -> Inputs:
     return Inputs(document, positions, joints, frames)
 
 
-def _yaml_file(path: Path, name: str) -> Path:
-    """The YAML file meant by ``path``, a folder or the file itself."""
+def _read_yaml(path: Path, name: str) -> Document:
+    """Read the YAML file meant by ``path``, a folder or the file itself."""
+    from urdfcal.io.yaml_document import Document
+
+    remedy = f"Name a folder with a {name}."
     try:
-        if not path.is_dir():
-            if not path.exists():
-                raise SessionError("there is no such folder", where=str(path), remedy=f"Name a folder with a {name}.")
-            return path
-        if (path / name).is_file():
-            return path / name
+        if not path.exists():
+            raise SessionError("there is no such folder", where=str(path), remedy=remedy)
+        file = path / name if path.is_dir() else path
+        if not path.is_dir() or file.is_file():
+            return Document.read(file)
     except PermissionError as error:
         raise SessionError(f"cannot be read: {error.strerror}", where=str(path)) from error
     if name == _SESSION and (path / _RIG).is_file():
         remedy = "It is a rig: `urdfcal simulate` makes a session of it."
     elif name == _RIG and (path / _SESSION).is_file():
         remedy = "It is a session, not a rig."
-    else:
-        remedy = f"Name a folder with a {name}."
     raise SessionError(f"there is no {name} in this folder", where=str(path), remedy=remedy)
 
 

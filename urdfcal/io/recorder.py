@@ -122,7 +122,7 @@ class Recorder:
             raise SessionError(f"({place[0]:g}, {place[1]:g}) is outside the {width} x {height} image", where=where)
         if key in self._measured[Detections]:
             raise SessionError("it was seen there already", where=where, remedy="Keep one detection.")
-        self._measured[Detections][key] = place, _positive(self._setup.noise.pixel if sigma is None else sigma, where)
+        self._add(Detections, key, place, sigma, where)
 
     def point(self, pose: str, led: str, xyz: ArrayLike, *, sigma: float | None = None) -> None:
         """Add where a tracker measured an LED.
@@ -140,7 +140,7 @@ class Recorder:
         key, place = self._indices(pose=pose, led=led), finite_array(xyz, (3,), "xyz", where)
         if key in self._measured[Points]:
             raise SessionError("it was measured already", where=where, remedy="Keep one point.")
-        self._measured[Points][key] = place, _positive(self._setup.noise.point if sigma is None else sigma, where)
+        self._add(Points, key, place, sigma, where)
 
     def session(self) -> Session:
         """What was recorded so far, validated; recording may go on.
@@ -172,6 +172,14 @@ class Recorder:
             raise SessionError(f"there is no reading of {', '.join(missing)}", where=where)
         return [joints[name] for name in chain.actuated]
 
+    def _add(
+        self, kind: type[Measurement], key: tuple[int, ...], values: Floats, sigma: float | None, where: str
+    ) -> None:
+        spread = float(finite_array([self._setup.noise.of(kind) if sigma is None else sigma], (1,), "sigma", where)[0])
+        if spread <= 0.0:
+            raise SessionError(f"sigma is {spread:g}; it must be positive", where=where)
+        self._measured[kind][key] = values, spread
+
     def _indices(self, **names: str) -> tuple[int, ...]:
         """What is named by each key of a kind of measurement, by its index."""
         known = {"pose": tuple(self._readings), "camera": self._setup.rig.names, "led": self._setup.led_names}
@@ -180,13 +188,6 @@ class Recorder:
                 kind = _PLURALS[key]
                 raise SessionError(f"{name!r} is none of the {kind}", remedy=suggest(str(name), known[key], kind))
         return tuple(known[key].index(name) for key, name in names.items())
-
-
-def _positive(sigma: float, where: str) -> float:
-    value = float(finite_array([sigma], (1,), "sigma", where)[0])
-    if value <= 0.0:
-        raise SessionError(f"sigma is {value:g}; it must be positive", where=where)
-    return value
 
 
 def _columns(kind: type[Measurement], rows: Mapping[tuple[int, ...], _Value]) -> dict[str, Any]:

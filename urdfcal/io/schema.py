@@ -111,9 +111,7 @@ class CamerasKeys(_Keys):
         return tuple(keys.mount(camera) for camera, keys in self.__pydantic_extra__.items())
 
 
-def _file_alone(value: Any) -> Any:
-    return {"file": value} if isinstance(value, str) else value
-
+_Cameras = Annotated[CamerasKeys, BeforeValidator(lambda value: {"file": value} if isinstance(value, str) else value)]
 
 if TYPE_CHECKING:
     NoiseKeys: TypeAlias = _Keys
@@ -138,6 +136,9 @@ class EstimateKeys(_Keys):
     time_offset: TimeOffset | None = None
 
 
+_Estimate = Annotated[EstimateKeys, BeforeValidator(lambda value: {} if value == "auto" else value)]
+
+
 class TolerancesKeys(_Keys):
     """How far the robot may be from nominal; every other key is a joint, with the exceptions for its row."""
 
@@ -156,20 +157,16 @@ class StandKeys(_Keys):
     look_at: Vector
 
 
-def _nothing_is_empty(value: Any) -> Any:
-    # "led:" with nothing behind it is the natural way to write an LED of unknown place.
-    return {} if value is None else value
-
-
 class SetupFile(_Keys):
     """What rig.yaml and session.yaml share."""
 
     robot: RobotKeys
-    leds: dict[Name, Annotated[LedKeys, BeforeValidator(_nothing_is_empty)]]
+    # "led:" with nothing behind it is the natural way to write an LED of unknown place.
+    leds: dict[Name, Annotated[LedKeys, BeforeValidator(lambda value: {} if value is None else value)]]
     led_distances: list[LedDistanceKeys] = []
-    cameras: Annotated[CamerasKeys, BeforeValidator(_file_alone)] | None = None
+    cameras: _Cameras | None = None
     noise: NoiseKeys = NoiseKeys()
-    estimate: EstimateKeys = EstimateKeys()
+    estimate: _Estimate = EstimateKeys()
     tolerances: TolerancesKeys = TolerancesKeys()
     joint_models: dict[JointModelName, bool] = {}
 
@@ -179,11 +176,6 @@ class SetupFile(_Keys):
         if not leds:
             raise ValueError("there is no LED: name at least one")
         return leds
-
-    @field_validator("estimate", mode="before")
-    @classmethod
-    def _auto(cls, value: Any) -> Any:
-        return {} if value == "auto" else value
 
     def setup(self) -> dict[str, Any]:
         """The parts that need no other file, as arguments of :class:`~urdfcal.session.model.Setup`."""
@@ -204,7 +196,7 @@ class SetupFile(_Keys):
 class RigFile(SetupFile):
     """rig.yaml."""
 
-    cameras: Annotated[CamerasKeys, BeforeValidator(_file_alone)]
+    cameras: _Cameras
     stand: StandKeys | None = None
 
     @field_validator("stand")

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
 _Model = TypeVar("_Model", bound=BaseModel)
-_KEY_OF_MAPPING = "[key]"
 _SHORT = reprlib.Repr()
 _SHORT.maxstring, _SHORT.maxlist, _SHORT.maxdict, _SHORT.maxlevel = 60, 4, 4, 1
 
@@ -98,16 +97,14 @@ class Document:
         try:
             return model.model_validate(self.data)
         except ValidationError as error:
-            raise self._translated(model, error.errors()) from None
-
-    def _translated(self, model: type[BaseModel], errors: Sequence[ErrorDetails]) -> SessionError:
+            errors = error.errors()
         # A misspelt key is unknown and, under its right name, missing: the first says more.
         first = min(errors, key=lambda error: error["type"] != "extra_forbidden")
-        keys = [key for key in first["loc"] if key != _KEY_OF_MAPPING]
+        keys = [key for key in first["loc"] if key != "[key]"]  # of a mapping, pydantic's
         what, remedy = _explained(first, _allowed(model, keys))
         if len(errors) > 1:
             what += f" (and {len(errors) - 1} more to put right)"
-        return SessionError(what, where=self.place(*keys), remedy=remedy)
+        raise SessionError(what, where=self.place(*keys), remedy=remedy)
 
 
 _WRONG = {

@@ -121,15 +121,10 @@ def attach(
         SessionError: nothing is on the robot, a camera's pose is given by one in another frame, or on its link though
             its reference camera gives it there.
     """
-    names = [WORLD]
-
-    def frame(link: str) -> int:
-        if link not in names:
-            names.append(link)
-        return names.index(link)
-
-    led = [frame(link or mechanism.tip_link) for link in led_links]
-    camera = [frame(mounts[name].link) if name in mounts else 0 for name in rig.names]
+    led_at = [link or mechanism.tip_link for link in led_links]
+    camera_at = [mounts[name].link if name in mounts else WORLD for name in rig.names]
+    names = list(dict.fromkeys([WORLD, *led_at, *camera_at]))
+    led, camera = ([names.index(link) for link in links] for links in (led_at, camera_at))
     reference = [camera.index(of) for of in camera]
     if len(names) == 1:
         raise SessionError("neither an LED nor a camera is on the robot", remedy="Name the link that carries one.")
@@ -149,10 +144,8 @@ def attach(
                 where=f"camera {name!r}",
                 remedy="Leave position, rpy and sigma out: T_cn_cnm1 says where it is, or it is estimated.",
             )
-        if c == first:
-            T_cam_reference.append(np.eye(4))
-        else:
-            T_cam_reference.append(None if T is None or T_first is None else T @ inverse(T_first))
+        known = None if T is None or T_first is None else T @ inverse(T_first)
+        T_cam_reference.append(np.eye(4) if c == first else known)
         mount = mounts.get(rig.names[first])
         given = np.eye(4) if mount is None else mount.T_link_camera
         T_reference_frame.append(None if given is None else inverse(given))

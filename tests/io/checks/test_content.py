@@ -41,7 +41,7 @@ def own_table(folder: Path, kind: type[Measurements]) -> tuple[Inputs, Measureme
     joints = read_joints(folder / JOINTS, session.chain, session.urdf.joints)
     known = {"pose": joints.poses, "led": session.led_names}
     table = read_measurements(folder / f"{kind.kind}.csv", kind, known, kind.usual)
-    return Inputs(None, session, joints, tables=(table,)), table
+    return Inputs(None, session, joints, tables={kind: table}), table
 
 
 class TestFrozenRecordings:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum
 from itertools import combinations
 from typing import TYPE_CHECKING
 
@@ -39,14 +38,6 @@ _GOOD_RMS = 3.0
 _BETTER = 10.0
 
 
-class Rays(Enum):
-    """What triangulation says about the detections."""
-
-    MEET = "they meet"
-    MISS = "they miss each other, whatever is exchanged"
-    UNKNOWN = "fewer than two cameras of known place saw the same"
-
-
 @dataclass(frozen=True)
 class _Score:
     """How well the rays meet: share of points found, and their median whitened residual."""
@@ -71,11 +62,12 @@ class _Score:
         return f"the rays miss each other by {self.rms:.3g} sigma"
 
 
-def check_names_by_rays(rig: Rig, table: MeasurementTable) -> tuple[Rays, list[str]]:
+def check_names_by_rays(rig: Rig, table: MeasurementTable) -> tuple[bool | None, list[str]]:
     """Triangulate the detections as named, and with cameras or u and v exchanged.
 
     Returns:
-        What the rays do, and warnings.
+        Whether the rays meet (if they miss, then whatever is exchanged), None where fewer than two cameras of known
+        place saw the same; and warnings.
 
     Raises:
         SessionError: an exchange makes the rays meet.
@@ -86,7 +78,7 @@ def check_names_by_rays(rig: Rig, table: MeasurementTable) -> tuple[Rays, list[s
     uv, sigma = uv[:, placed], sigma[:, placed]
     several = np.flatnonzero(np.isfinite(uv[:, :, 0]).sum(axis=1) > 1)
     if len(several) < _FEWEST:
-        return Rays.UNKNOWN, []
+        return None, []
     sample = several[np.linspace(0, len(several) - 1, min(_SAMPLE, len(several))).astype(int)]
     uv, sigma = uv[sample], sigma[sample]
     rig = Rig(tuple(rig.cameras[i] for i in placed), tuple(rig.T_cam_world[i] for i in placed))
@@ -100,8 +92,8 @@ def check_names_by_rays(rig: Rig, table: MeasurementTable) -> tuple[Rays, list[s
             remedy="Check the table's columns and the names in the camera file.",
         )
     if named.good:
-        return Rays.MEET, []
-    return Rays.MISS, [f"{table.table.path}: {named}: are the cameras where the camera file says?"]
+        return True, []
+    return False, [f"{table.table.path}: {named}: are the cameras where the camera file says?"]
 
 
 def _exchanges(rig: Rig, uv: Floats, sigma: Floats) -> Iterator[tuple[str, Floats, Floats]]:
@@ -157,7 +149,7 @@ def frozen_recording(inputs: Inputs, table: MeasurementTable) -> Iterator[str]:
         )
 
 
-def check_images(inputs: Inputs, table: MeasurementTable, rays: Rays) -> Iterator[str]:
+def check_images(inputs: Inputs, table: MeasurementTable, rays_meet: bool | None) -> Iterator[str]:
     """Find pixels outside their image, and say why, where it shows.
 
     Raises:
@@ -180,14 +172,14 @@ def check_images(inputs: Inputs, table: MeasurementTable, rays: Rays) -> Iterato
     if len(outside) > 1:
         what += f", as do {len(outside) - 1} more of {len(camera_of)} measurements"
     where = table.place(first, "u")
-    if turned.all() and rays is Rays.UNKNOWN:
+    if turned.all() and rays_meet is None:
         # Nothing here depends on the resolution, and without the cameras' places both explanations stand.
         yield (
             f"{where}: {what}. With u and v exchanged all would fit: either they are exchanged, or in "
             f"{inputs.cameras_file} width and height are, and with them perhaps the intrinsics"
         )
         return
-    if turned.all() and rays is Rays.MEET:
+    if turned.all() and rays_meet:
         where = f"{inputs.document.source.path.parent / inputs.cameras_file}, camera {camera.name!r}"
         what += "; the rays meet, so the pixels are right"
         remedy = f"Write the resolution as [width, height]: [{height}, {width}]?"
@@ -206,7 +198,7 @@ def check_images(inputs: Inputs, table: MeasurementTable, rays: Rays) -> Iterato
 
 def unseen(inputs: Inputs) -> Iterator[str]:
     """Name poses without measurements, LEDs that were never measured, and cameras that see nothing."""
-    tables, labels, rig = [table.measurements for table in inputs.tables], inputs.positions.poses, inputs.positions.rig
+    tables, labels = [table.measurements for table in inputs.tables.values()], inputs.positions.poses
     seen = _named(tables, "pose")
     blind = [pose for k, pose in enumerate(labels) if k not in seen]
     if len(blind) > (0 if inputs.frames is None else _MOST * len(labels)):
@@ -216,7 +208,7 @@ def unseen(inputs: Inputs) -> Iterator[str]:
     if dark := [name for i, name in enumerate(inputs.positions.led_names) if i not in leds]:
         yield f"{inputs.document.place('leds')}: never seen: {listed(dark)}"
     used = _named(tables, "camera")
-    if used and (idle := [name for i, name in enumerate(rig.names) if i not in used]):
+    if used and (idle := [name for i, name in enumerate(inputs.positions.rig.names) if i not in used]):
         yield f"{inputs.document.place('cameras')}: these cameras see nothing: {listed(idle)}"
 
 

@@ -5,7 +5,7 @@ Every rule is one function; the numbers that decide are at the top, each with it
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,7 +18,7 @@ from urdfcal.names import listed
 from urdfcal.session.attachments import WORLD
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from urdfcal.arrays import Bools
     from urdfcal.estimation.measurements import Measurement
@@ -53,14 +53,14 @@ class Inputs:
         positions: what it declares, and where the arm was.
         joints: the joint readings.
         frames: of an arm that moved, when it was looked at.
-        tables: the measurements.
+        tables: the measurements, by kind.
     """
 
     document: Document
     positions: Positions
     joints: JointTable
     frames: FrameTable | None = None
-    tables: tuple[MeasurementTable, ...] = ()
+    tables: Mapping[type[Measurement], MeasurementTable] = field(default_factory=dict)
 
     @property
     def scale(self) -> float:
@@ -77,10 +77,6 @@ class Inputs:
         """The camera file's name, as the session gives it."""
         named = self.document.data["cameras"]
         return str(named if isinstance(named, str) else named["file"])
-
-    def find(self, kind: type[Measurement]) -> MeasurementTable | None:
-        """The table of a kind of measurement, if there is one."""
-        return next((table for table in self.tables if isinstance(table.measurements, kind)), None)
 
     def wrong(self, what: str, remedy: str, *keys: str) -> SessionError:
         """The error to raise about what session.yaml says behind some keys."""
@@ -114,12 +110,12 @@ def check(inputs: Inputs) -> tuple[str, ...]:
     """
     warnings = list(check_positions(inputs))
     _check_point_units(inputs)
-    for table in inputs.tables:
+    for table in inputs.tables.values():
         warnings += frozen_recording(inputs, table)
-    detections = inputs.find(Detections)
+    detections = inputs.tables.get(Detections)
     if detections is not None:
-        rays, odd = check_names_by_rays(inputs.positions.rig, detections)
-        warnings += [*odd, *check_images(inputs, detections, rays)]
+        rays_meet, odd = check_names_by_rays(inputs.positions.rig, detections)
+        warnings += [*odd, *check_images(inputs, detections, rays_meet)]
     elif inputs.positions.rig.cameras:
         warnings.append(f"{inputs.document.place('cameras')}: there are no detections: the cameras are not used")
     return (*warnings, *unseen(inputs))
@@ -183,7 +179,7 @@ def _check_noise_units(inputs: Inputs) -> None:
     if (joint := inputs.positions.noise.joint) > _UNREAD:
         remedy = "Write radians, and metres for prismatic joints."
         raise inputs.wrong(f"a joint noise of {joint:g} rad is no reading noise", remedy, "noise", "joint")
-    for table in inputs.tables:
+    for table in inputs.tables.values():
         measured = table.measurements
         if measured.unit == "px":
             sides = np.array([max(camera.resolution) for camera in inputs.positions.rig.cameras])
@@ -204,7 +200,7 @@ def _check_noise_units(inputs: Inputs) -> None:
 
 
 def _check_point_units(inputs: Inputs) -> None:
-    table = inputs.find(Points)
+    table = inputs.tables.get(Points)
     if table is None:
         return
     values = table.measurements.values
