@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from urdfcal.cli import calibrate, cameras, detect, import_, results, robots, simulate
+from urdfcal.cli import calibrate, cameras, import_, results, robots, simulate
 from urdfcal.errors import UrdfcalError
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ def cli() -> None:
 
 
 for _command in (
-    *(simulate.demo, simulate.simulate, import_.command, cameras.command, detect.command, calibrate.command),
+    *(simulate.demo, simulate.simulate, import_.command, cameras.command, calibrate.detect, calibrate.command),
     *(robots.evaluate, robots.dh, results.view, results.compensate, results.apply, results.export),
 ):
     cli.add_command(_command)

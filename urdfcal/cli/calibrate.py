@@ -1,4 +1,4 @@
-"""``urdfcal calibrate``: a session in, a corrected URDF out."""
+"""``urdfcal detect`` and ``calibrate``: the LEDs in a session's images; a session in, a corrected URDF out."""
 
 from __future__ import annotations
 
@@ -11,22 +11,61 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from urdfcal.cli import detect
-from urdfcal.cli.console import PATH, seed_option, sheet, status_line, terminal
+from urdfcal.cli.console import PATH, progress_bar, seed_option, sheet, status_line, terminal
 from urdfcal.errors import CalibrationError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from urdfcal.images.files import Colour
     from urdfcal.output.findings import Overview
     from urdfcal.result.fitted import FittedCalibration
     from urdfcal.session.model import Session
 
 Report = Literal["text", "json", "nothing"]
 
+# As in urdfcal.images.files, which takes long to import.
+_COLOURS = ("any", "red", "green", "blue")
 # A summary that is longer scrolls its assessment away.
 _MOST_LINES, _MOST_ROWS, _MOST_REMARKS = 25, 8, 6
+
+
+@click.command("detect")
+@click.argument("session", type=PATH)
+@click.option("--colour", type=click.Choice(_COLOURS), default="any", help="Of the LED, in colour images.")
+@click.option("--debug-images", type=PATH, help="Folder for drawings of what was found in each image.")
+def detect(session: Path, colour: Colour, debug_images: Path | None) -> None:
+    """Find the LEDs in SESSION/images/<camera>/<pose>.png, or <camera>.mp4, and write detections.csv.
+
+    With several LEDs the images are called <pose>.<led>.png; <pose>.off.png, with the LEDs dark, is subtracted.
+    What was rejected, and why, is in detections_rejected.csv.
+    """
+    find_leds(session, colour, debug_images)
+
+
+def find_leds(session: Path, colour: Colour = "any", debug_images: Path | None = None) -> None:
+    """Find the LEDs in a session's images, write the tables and print what came of it."""
+    from urdfcal.detection.detect import detect_in, open_images, write_debug_images, write_detected
+
+    positions, index = open_images(session)
+    with progress_bar("reading images", index.count) as advance:
+        detected = detect_in(positions, index, colour, advance)
+    if debug_images is not None:
+        with progress_bar("drawing", index.count) as advance:
+            write_debug_images(debug_images, detected, colour, advance)
+    paths = write_detected(session, detected)
+    sigma = detected.detections.sigma
+    click.echo(
+        f"{detected.found} detections in {index.count} images, "
+        f"found to {sorted(sigma)[len(sigma) // 2]:.3f} px each (median)"
+    )
+    if rejected := detected.summary():
+        click.echo(f"rejected: {rejected}")
+    for warning in detected.warnings:
+        click.echo(f"- {warning}")
+    for path in paths:
+        click.echo(str(path))
 
 
 @click.command("calibrate")
@@ -55,7 +94,7 @@ def command(session: Path, output: Path, no_priors: bool, live: bool, as_json: b
     def look() -> None:
         with redirect_stdout({"text": sys.stdout, "json": sys.stderr, "nothing": io.StringIO()}[report]):
             click.echo(f"{session}: images and no detections: looking for the LEDs first (urdfcal detect)")
-            detect.run(session)
+            find_leds(session)
 
     run(read_session(session, look), output, live=live, report=report, priors=not no_priors, **how)
 

@@ -186,11 +186,7 @@ def _split(path: Path, lines: Sequence[str]) -> tuple[list[str], list[int]]:
 
 
 def _check_header(
-    path: Path,
-    header: Sequence[str],
-    required: Sequence[str],
-    optional: Sequence[str],
-    ignored: Collection[str] | None,
+    path: Path, header: Sequence[str], required: Sequence[str], optional: Sequence[str], ignored: Collection[str] | None
 ) -> None:
     where = f"{path}:1"
     expected = [*required, *optional]
