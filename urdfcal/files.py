@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import errno
 import hashlib
-import os
+import secrets
 import shutil
 import tempfile
 from contextlib import contextmanager
@@ -75,16 +75,11 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises:
         OutputError: the folder is not there, cannot be written, or is full.
     """
-    with _told(path):
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=path.suffix, dir=path.parent)
-        os.close(handle)
-        temporary = Path(name)
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}{path.suffix}")
+    with told(path):
+        temporary.touch(exist_ok=False)
         try:
             yield temporary
-            # mkstemp makes files only the owner can read; a result is shared like any other file.
-            mask = os.umask(0)
-            os.umask(mask)
-            temporary.chmod(0o666 & ~mask)
             temporary.replace(path)
         finally:
             temporary.unlink(missing_ok=True)
@@ -97,7 +92,7 @@ def staged(folder: Path) -> Iterator[Path]:
     Raises:
         OutputError: ``folder`` is a file, or it or its parent cannot be written, or is full.
     """
-    with _told(folder):
+    with told(folder):
         if folder.exists() and not folder.is_dir():
             raise NotADirectoryError(errno.ENOTDIR, "it is a file")
         beside = folder if folder.exists() else folder.absolute().parent
@@ -115,12 +110,16 @@ def staged(folder: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def _told(path: Path) -> Iterator[None]:
-    """Say where writing failed, and what to do."""
+def told(path: Path, remedy: str = "Name a place that can be written.") -> Iterator[None]:
+    """Say where writing failed, and what to do.
+
+    Raises:
+        OutputError: instead of any error of the operating system.
+    """
     try:
         yield
     except OSError as error:
-        remedy = "Make room there." if error.errno == errno.ENOSPC else "Name a place that can be written."
+        remedy = "Make room there." if error.errno == errno.ENOSPC else remedy
         raise OutputError(f"cannot write here: {error.strerror or error}", where=str(path), remedy=remedy) from error
 
 

@@ -149,15 +149,14 @@ def _print(overview: Overview, paths: Sequence[Path], remarks: Sequence[str]) ->
     from urdfcal.output.findings import HEADLINE, headline
 
     console = terminal()
+    screen = console.is_terminal
     document, assessment, calibration = overview.document, overview.assessment, overview.calibration
     fit, (low, high) = document["fit"], document["validation"]["interval_mm"]
 
     def line(text: str, style: str = "") -> None:
         # Piped, a line is as long as it is; on a screen it must not wrap, or the summary grows.
-        if console.is_terminal:
-            console.print(Text(text, style=style), no_wrap=True, overflow="ellipsis")
-        else:
-            console.print(Text(text, style=style), soft_wrap=True)
+        overflow: Literal["ellipsis"] | None = "ellipsis" if screen else None
+        console.print(Text(text, style=style), no_wrap=True, overflow=overflow, soft_wrap=not screen)
 
     tone = {"good": "bold green", "doubtful": "bold yellow", "bad": "bold red"}[assessment.level]
     line(f"{calibration.chain.name}: {assessment.sentence}", tone)

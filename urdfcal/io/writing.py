@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from urdfcal.errors import OutputError
+from urdfcal.files import told
 from urdfcal.names import check_names
 from urdfcal.rotations import matrix_to_rpy
 from urdfcal.session.model import Session
@@ -66,17 +67,13 @@ def put_into(folder: Path) -> Iterator[Path]:
         OutputError: one of the files is already there, or the folder cannot be written.
     """
     partial = folder.parent / f".{folder.name}.{secrets.token_hex(4)}.partial"
-    try:
+    with told(folder, "Name a folder that can be written."):
         partial.mkdir()
         try:
             yield partial
             _move(partial, folder)
         finally:
             shutil.rmtree(partial, ignore_errors=True)
-    except OSError as error:
-        raise OutputError(
-            f"cannot write here: {error.strerror}", where=str(folder), remedy="Name a folder that can be written."
-        ) from error
 
 
 def write_measurements(path: Path, positions: Positions, table: Measurements) -> None:
