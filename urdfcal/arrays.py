@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import fields
+from functools import partial
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import numpy as np
@@ -95,11 +96,7 @@ class Rebuilt:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Take the fields along."""
-        return _rebuilt, (type(self), {entry.name: getattr(self, entry.name) for entry in fields(self)})  # type: ignore[arg-type]
-
-
-def _rebuilt(kind: type[Any], values: dict[str, Any]) -> Any:
-    return kind(**values)
+        return partial(type(self), **{entry.name: getattr(self, entry.name) for entry in fields(self)}), ()  # type: ignore[arg-type]
 
 
 def evenly(values: Ints, most: int) -> Ints:

@@ -99,7 +99,10 @@ def convert(files: tuple[Path, ...], output: Path, format_: Format | None, size:
     """
     from urdfcal.cameras.io.formats import read_cameras, write_cameras
 
-    chosen = format_ or _format_by_name(output)
+    formats: dict[str, Format] = {".xml": "opencv", ".yml": "opencv", ".yaml": "kalibr", "": "ros"}
+    chosen = format_ or formats.get("" if output.is_dir() else output.suffix.lower())
+    if chosen is None:
+        raise click.UsageError(f"'{output.name}' does not tell a format; name it with --to")
     rig = read_cameras(files, size)
     for path in write_cameras(output, rig, chosen):
         click.echo(str(path))
@@ -110,14 +113,6 @@ def convert(files: tuple[Path, ...], output: Path, format_: Format | None, size:
         click.echo("not kept: the standard deviations, which only Kalibr's format as urdfcal writes it has", err=True)
 
 
-def _format_by_name(output: Path) -> Format:
-    formats: dict[str, Format] = {".xml": "opencv", ".yml": "opencv", ".yaml": "kalibr", "": "ros"}
-    suffix = "" if output.is_dir() else output.suffix.lower()
-    if suffix not in formats:
-        raise click.UsageError(f"'{output.name}' does not tell a format; name it with --to")
-    return formats[suffix]
-
-
 def _board(folder: Path, board: tuple[BoardKind, tuple[int, int]] | None, details: Mapping[str, Any]) -> Board:
     from urdfcal.cameras.board.board import Board, read_board
 
@@ -125,11 +120,9 @@ def _board(folder: Path, board: tuple[BoardKind, tuple[int, int]] | None, detail
         if any(option is not None for option in details.values()):
             raise click.UsageError("--square, --marker and --dictionary go with --board")
         if not (folder / _BOARD_FILE).exists() and folder.is_dir():
-            raise CameraError(
-                f"there is no {_BOARD_FILE} that describes the board",
-                where=str(folder),
-                remedy="Write one (type, columns, rows, square), or use --board chessboard 9x6 --square 0.025.",
-            )
+            what = f"there is no {_BOARD_FILE} that describes the board"
+            remedy = "Write one (type, columns, rows, square), or use --board chessboard 9x6 --square 0.025."
+            raise CameraError(what, where=str(folder), remedy=remedy)
         return read_board(folder / _BOARD_FILE)
     if details["square"] is None:
         raise click.UsageError("--board needs --square, the side of a square in metres")

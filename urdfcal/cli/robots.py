@@ -95,11 +95,9 @@ def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
         measured, leds = read_points(points, session)
         extent = float(np.ptp(measured.xyz, axis=0).max())
         if extent > _FAR * session.chain.reach:
-            raise SessionError(
-                f"the points are spread over {extent:.0f} m, the arm reaches {session.chain.reach:.1f} m",
-                where=str(points),
-                remedy="Coordinates are in metres; these look like millimetres.",
-            )
+            what = f"the points are spread over {extent:.0f} m, the arm reaches {session.chain.reach:.1f} m"
+            remedy = "Coordinates are in metres; these look like millimetres."
+            raise SessionError(what, where=str(points), remedy=remedy)
         session = replace(session, measurements=(measured,), leds=leds)
     links = [tip.link for tip in session.chain.tips]
     chain = read_mechanism(Urdf.read(urdf), links, session.chain.base_link)

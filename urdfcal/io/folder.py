@@ -212,10 +212,8 @@ def _file(document: Document, key: str, name: str | None = None) -> Path:
     path: Path = folder / name
     if path.is_file():
         return path
-    there = sorted(entry.name for entry in folder.iterdir() if entry.is_file())
-    raise SessionError(
-        f"there is no file {name!r}", where=document.place(key), remedy=suggest(name, there, "files here")
-    )
+    remedy = suggest(name, sorted(entry.name for entry in folder.iterdir() if entry.is_file()), "files here")
+    raise SessionError(f"there is no file {name!r}", where=document.place(key), remedy=remedy)
 
 
 def _read_setup(document: Document, keys: SetupFile) -> dict[str, Any]:

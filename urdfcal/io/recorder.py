@@ -88,11 +88,8 @@ class Recorder:
         for violation in self._setup.chain.outside_limits(readings[None], OVERRUN)[:1]:
             raise SessionError(str(violation), where=where, remedy="Readings are in radians and metres.")
         if len(self) and (time is None) != (not self._times):
-            raise SessionError(
-                "it has no time, and others have" if time is None else "it has a time, and others have none",
-                where=where,
-                remedy="Give all poses a time, or none.",
-            )
+            what = "it has no time, and others have" if time is None else "it has a time, and others have none"
+            raise SessionError(what, where=where, remedy="Give all poses a time, or none.")
         if time is not None:
             self._times.append(float(finite_array([time], (1,), "time", where)[0]))
         self._readings[name] = readings
@@ -152,12 +149,18 @@ class Recorder:
         if isinstance(self._setup, Positions):
             # Files and images of what was measured then are not what is measured now.
             setup |= {"sha256": {}, "folder": None}
+        measurements = []
+        for kind, rows in self._measured.items():
+            if rows:
+                columns: dict[str, Any] = dict(zip(kind.keys, np.array(list(rows), dtype=np.intp).T, strict=True))
+                columns[kind.array], columns["sigma"] = map(np.array, zip(*rows.values(), strict=True))
+                measurements.append(kind(**columns))
         return Session(
             **setup,
             poses=tuple(self._readings),
             q=self._setup.chain.joint_values(np.array(list(self._readings.values())).reshape(len(self), -1)),
             time=np.array(self._times) if self._times else None,
-            measurements=tuple(kind(**_columns(kind, rows)) for kind, rows in self._measured.items() if rows),
+            measurements=tuple(measurements),
         )
 
     def _by_order(self, joints: Mapping[str, float], where: str) -> list[float]:
@@ -188,9 +191,3 @@ class Recorder:
                 kind = _PLURALS[key]
                 raise SessionError(f"{name!r} is none of the {kind}", remedy=suggest(str(name), known[key], kind))
         return tuple(known[key].index(name) for key, name in names.items())
-
-
-def _columns(kind: type[Measurement], rows: Mapping[tuple[int, ...], _Value]) -> dict[str, Any]:
-    columns = dict(zip(kind.keys, np.array(list(rows), dtype=np.intp).T, strict=True))
-    values, sigmas = zip(*rows.values(), strict=True)
-    return {**columns, kind.array: np.array(values), "sigma": np.array(sigmas)}

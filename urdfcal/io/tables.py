@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import Bools, Floats, Ints, frozen
+from urdfcal.arrays import Floats, Ints, frozen
 from urdfcal.errors import SessionError
 from urdfcal.io.csv_table import Table, repeats
 from urdfcal.names import listed, suggest
@@ -15,7 +15,7 @@ from urdfcal.session.model import MIN_POSES
 from urdfcal.session.trajectory import LONGEST_GAP, MARGIN, JointLog, Trajectory
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping, Sequence
+    from collections.abc import Collection, Mapping, Sequence
     from pathlib import Path
 
     from urdfcal.estimation.measurements import Measurement
@@ -86,11 +86,9 @@ class FrameTable:
                 raise table.wrong(f"camera {cameras[c]!r} has no frame {name!r}", row, "pose", remedy)
             poses.append(self.pose[key])
         if max(poses) < 0:
-            raise SessionError(
-                "no LED was seen in a frame for which there are joint readings",
-                where=str(table.path),
-                remedy="Do the times of cameras and robot count from the same moment?",
-            )
+            what = "no LED was seen in a frame for which there are joint readings"
+            remedy = "Do the times of cameras and robot count from the same moment?"
+            raise SessionError(what, where=str(table.path), remedy=remedy)
         return np.array(poses, dtype=np.intp)
 
 
@@ -219,11 +217,8 @@ def read_log(path: Path, chain: Mechanism, robot_joints: Collection[str]) -> tup
         if unit is not None:
             what = f"time: it advances by {usual:g} a reading, which looks like {unit}"
             raise table.wrong(what, 1, "time", f"Write seconds, with a reading every {LONGEST_GAP:g} s or more often.")
-        raise SessionError(
-            f"the joints were read every {usual:g} s, which is too seldom to interpolate between",
-            where=str(path),
-            remedy=f"Record them every {LONGEST_GAP:g} s or more often.",
-        )
+        what = f"the joints were read every {usual:g} s, which is too seldom to interpolate between"
+        raise SessionError(what, where=str(path), remedy=f"Record them every {LONGEST_GAP:g} s or more often.")
     endless = [joint.type == "continuous" for joint in chain.joints if joint.mimic is None]
     readings = np.where(endless, np.unwrap(joints.readings, axis=0), joints.readings)
     return joints, JointLog(time, chain.joint_values(readings))
@@ -260,9 +255,21 @@ def read_frames(path: Path, cameras: Sequence[str], joints: JointTable, log: Joi
         raise _apart(table, time, log, int(np.count_nonzero(covered)))
     trajectory = Trajectory(log, tuple(labels), camera[covered], row[covered], time[covered])
     pose = np.where(covered, np.cumsum(covered) - 1, -1).tolist()
+    warnings = []
     outside = (time < log.time[0] + MARGIN) | (time > log.time[-1] - MARGIN)
-    names = listed(sorted({cameras[c] for c in camera[outside]}))
-    warnings = _left_out(table, joints.table, log, names, covered, outside)
+    if count := int(np.count_nonzero(outside)):
+        names = listed(sorted({cameras[c] for c in camera[outside]}))
+        warnings.append(
+            f"{path}: {count} of {len(outside)} frames ({names}) lie outside of the joint readings' time, "
+            f"or within {MARGIN:g} s of its ends, and were left out"
+        )
+    step = np.diff(log.time)
+    for gap in np.flatnonzero(step > LONGEST_GAP)[:1]:
+        warnings.append(
+            f"{joints.table.place(int(gap) + 1, 'time')}: {np.count_nonzero(step > LONGEST_GAP)} gaps of up to "
+            f"{step.max():.3g} s in the joint readings: {np.count_nonzero(~covered & ~outside)} frames in or beside "
+            "them were left out"
+        )
     return FrameTable(table, trajectory, dict(zip(keys, pose, strict=True)), tuple(warnings))
 
 
@@ -286,20 +293,3 @@ def _apart(table: Table, time: Floats, log: JointLog, count: int) -> SessionErro
         where=str(table.path),
         remedy="Both times must count from the same moment, give or take a second, and overlap.",
     )
-
-
-def _left_out(
-    frames: Table, joints: Table, log: JointLog, cameras: str, covered: Bools, outside: Bools
-) -> Iterator[str]:
-    if count := int(np.count_nonzero(outside)):
-        yield (
-            f"{frames.path}: {count} of {len(outside)} frames ({cameras}) lie outside of the joint readings' time, "
-            f"or within {MARGIN:g} s of its ends, and were left out"
-        )
-    step = np.diff(log.time)
-    gaps = np.flatnonzero(step > LONGEST_GAP)
-    if gaps.size:
-        yield (
-            f"{joints.place(int(gaps[0]) + 1, 'time')}: {len(gaps)} gaps of up to {step.max():.3g} s in the joint "
-            f"readings: {np.count_nonzero(~covered & ~outside)} frames in or beside them were left out"
-        )

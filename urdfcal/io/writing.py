@@ -23,8 +23,7 @@ if TYPE_CHECKING:
 
     from urdfcal.robot.urdf.urdf import Urdf
     from urdfcal.session.attachments import CameraMount
-    from urdfcal.session.measurement import Measurements
-    from urdfcal.session.model import Positions
+    from urdfcal.session.model import Measurements, Positions
 
 _SESSION = "session.yaml"
 _CAMERAS, _JOINTS, _FRAMES = "cameras.yaml", "joints.csv", "frames.csv"
@@ -168,11 +167,9 @@ def _said(**keys: Any) -> dict[str, Any]:
 def _mount_keys(mount: CameraMount) -> dict[str, Any]:
     T, sigma = mount.T_link_camera, mount.sigma
     if sigma is not None and not np.array_equal(sigma, np.repeat(sigma[::3], 3)):
-        raise OutputError(
-            f"the standard deviations of its place differ by direction: {sigma.tolist()}",
-            where=f"camera {mount.camera!r}",
-            remedy="session.yaml has one for its position and one for its turn: give three and three alike.",
-        )
+        what = f"the standard deviations of its place differ by direction: {sigma.tolist()}"
+        remedy = "session.yaml has one for its position and one for its turn: give three and three alike."
+        raise OutputError(what, where=f"camera {mount.camera!r}", remedy=remedy)
     place = {} if T is None else {"position": T[:3, 3], "rpy": matrix_to_rpy(T[:3, :3])}
     return _said(link=mount.link, **place, sigma=None if sigma is None else sigma[::3])
 

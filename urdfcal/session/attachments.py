@@ -41,11 +41,8 @@ class CameraMount:
     def __post_init__(self) -> None:
         where = f"camera {self.camera!r}"
         if self.link == WORLD:
-            raise SessionError(
-                "a camera that stands in the world is on no link",
-                where=where,
-                remedy="Name the camera file alone: T_cn_cnm1 says where it stands, or it is estimated.",
-            )
+            remedy = "Name the camera file alone: T_cn_cnm1 says where it stands, or it is estimated."
+            raise SessionError("a camera that stands in the world is on no link", where=where, remedy=remedy)
         if self.T_link_camera is not None:
             T = frozen(self.T_link_camera)
             R = T[:3, :3] if T.shape == (4, 4) else np.zeros((3, 3))
@@ -133,17 +130,13 @@ def attach(
     for c, (name, first) in enumerate(zip(rig.names, reference, strict=True)):
         T, T_first = rig.T_cam_world[c], rig.T_cam_world[first]
         if c and c == first and T is not None:
-            raise SessionError(
-                "T_cn_cnm1 places it by a camera that is fastened to something else",
-                where=f"camera {name!r}",
-                remedy="Leave T_cn_cnm1 out: where it is comes from its link, or is estimated.",
-            )
+            what = "T_cn_cnm1 places it by a camera that is fastened to something else"
+            remedy = "Leave T_cn_cnm1 out: where it is comes from its link, or is estimated."
+            raise SessionError(what, where=f"camera {name!r}", remedy=remedy)
         if c != first and name in mounts and mounts[name].T_link_camera is not None:
-            raise SessionError(
-                f"its place on {mounts[name].link!r} is given, but there it goes with {rig.names[first]!r}",
-                where=f"camera {name!r}",
-                remedy="Leave position, rpy and sigma out: T_cn_cnm1 says where it is, or it is estimated.",
-            )
+            what = f"its place on {mounts[name].link!r} is given, but there it goes with {rig.names[first]!r}"
+            remedy = "Leave position, rpy and sigma out: T_cn_cnm1 says where it is, or it is estimated."
+            raise SessionError(what, where=f"camera {name!r}", remedy=remedy)
         known = None if T is None or T_first is None else T @ inverse(T_first)
         T_cam_reference.append(np.eye(4) if c == first else known)
         mount = mounts.get(rig.names[first])

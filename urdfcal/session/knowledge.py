@@ -12,7 +12,7 @@ from urdfcal.names import check_known
 from urdfcal.robot.dh import PARAMETERS
 
 if TYPE_CHECKING:
-    from urdfcal.session.measurement import Measurements
+    from urdfcal.session.model import Measurements
 
 ArmGeometry: TypeAlias = Literal["dh", "offsets", "full", "none"]
 Freedom: TypeAlias = Literal["fixed", "refine", "free"]
@@ -122,9 +122,8 @@ class Estimate:
             by_camera = name in ("intrinsics", "extrinsics") and isinstance(value, Mapping)
             for word in value.values() if by_camera else (value,) * (value is not None):
                 if word not in choices:
-                    raise SessionError(
-                        f"{name} is {word!r}", where="estimate", remedy=f"Use {', '.join(choices)}, or None."
-                    )
+                    remedy = f"Use {', '.join(choices)}, or None."
+                    raise SessionError(f"{name} is {word!r}", where="estimate", remedy=remedy)
 
 
 @dataclass(frozen=True)

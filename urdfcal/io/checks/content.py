@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from urdfcal.arrays import Floats
     from urdfcal.io.checks.plausibility import Inputs
     from urdfcal.io.tables import MeasurementTable
-    from urdfcal.session.measurement import Measurements
+    from urdfcal.session.model import Measurements
 
 # One bad pixel in twenty is a typing error; more have a cause.
 _FEW = 0.05
@@ -86,11 +86,9 @@ def check_names_by_rays(rig: Rig, table: MeasurementTable) -> tuple[bool | None,
     scores = [(_score(rig, *changed), what) for what, *changed in _exchanges(rig, uv, sigma)]
     best, what = min(scores, key=lambda pair: (-(pair[0].found >= _MOST), pair[0].rms))
     if best.beats(named):
-        raise SessionError(
-            f"{what} look exchanged: as they are, {named}; with them exchanged, {best}",
-            where=str(table.table.path),
-            remedy="Check the table's columns and the names in the camera file.",
-        )
+        what += f" look exchanged: as they are, {named}; with them exchanged, {best}"
+        remedy = "Check the table's columns and the names in the camera file."
+        raise SessionError(what, where=str(table.table.path), remedy=remedy)
     if named.good:
         return True, []
     return False, [f"{table.table.path}: {named}: are the cameras where the camera file says?"]
