@@ -62,9 +62,8 @@ class Source:
         except UnicodeDecodeError as error:
             line = self.data.count(b"\n", 0, error.start) + 1
             found = "UTF-16" if self.data.startswith(_UTF16) else f"byte 0x{self.data[error.start]:02x}"
-            raise SessionError(
-                f"{found} is not UTF-8 text", where=f"{self.path}:{line}", remedy="Save the file as UTF-8."
-            ) from error
+            where = f"{self.path}:{line}"
+            raise SessionError(f"{found} is not UTF-8 text", where=where, remedy="Save the file as UTF-8.") from error
         return text.replace("\r\n", "\n").replace("\r", "\n")
 
 

@@ -23,10 +23,9 @@ def cli() -> None:
     """Make the URDF match the arm, with two cameras and an LED."""
 
 
-for _command in (
-    *(simulate.demo, simulate.simulate, import_.command, cameras.command, calibrate.detect, calibrate.command),
-    *(robots.evaluate, robots.dh, results.view, results.compensate, results.apply, results.export),
-):
+_TO_A_RESULT = (simulate.demo, simulate.simulate, import_.command, cameras.command, calibrate.detect, calibrate.command)
+_FROM_A_RESULT = (robots.evaluate, robots.dh, results.view, results.compensate, results.apply, results.export)
+for _command in (*_TO_A_RESULT, *_FROM_A_RESULT):
     cli.add_command(_command)
 
 

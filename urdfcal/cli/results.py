@@ -66,9 +66,8 @@ def compensate(result: Path, trajectory: Path, output: Path) -> None:
     calibration = Calibration.load(result)
     given = CommandTable.read(trajectory, calibration.chain)
     if output.exists() and output.samefile(trajectory):
-        raise OutputError(
-            "this is the trajectory itself", where=str(output), remedy="Name another file: nothing is corrected twice."
-        )
+        remedy = "Name another file: nothing is corrected twice."
+        raise OutputError("this is the trajectory itself", where=str(output), remedy=remedy)
     parts = []
     with progress_bar("compensating", len(given.q)) as advance:
         for first in range(0, len(given.q), _BLOCK):

@@ -47,9 +47,8 @@ def evaluate(
     """
     if Path(other).is_dir() or other.endswith((".yaml", ".yml")):
         if tip or base or poses:
-            raise click.UsageError(
-                "with a session, links and poses are the session's: leave --tip, --base, --poses out"
-            )
+            what = "with a session, links and poses are the session's: leave --tip, --base, --poses out"
+            raise click.UsageError(what)
         result = _session(urdf, Path(other), points)
     elif not Path(other).exists() and not other.startswith("package://"):
         raise SessionError("there is no such file or folder", where=other, remedy="Name a URDF, or a session's folder.")

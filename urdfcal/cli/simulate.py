@@ -111,9 +111,8 @@ def demo(rig: str, output: Path | None, seed: int) -> None:
     try:
         folder.mkdir(parents=True)
     except OSError as error:
-        raise OutputError(
-            f"cannot make this folder: {error.strerror}", where=str(folder), remedy="Name a new one with -o."
-        ) from error
+        what = f"cannot make this folder: {error.strerror}"
+        raise OutputError(what, where=str(folder), remedy="Name a new one with -o.") from error
     simulation.write_simulated(folder / "session", simulation.simulate(description, poses=50, seed=seed))
     calibration = run(read_session(folder / "session"), folder / "result", seed=seed)
 

@@ -202,7 +202,5 @@ def _check_header(
             raise SessionError(f"unknown column {name!r}", where=where, remedy=suggest(name, expected, "columns"))
     missing = [name for name in required if name not in header]
     if missing:
-        plural = "columns are" if len(missing) > 1 else "column is"
-        raise SessionError(
-            f"the {plural} missing: {', '.join(repr(name) for name in missing)}", where=where, remedy=needs
-        )
+        plural, names = "columns are" if len(missing) > 1 else "column is", ", ".join(map(repr, missing))
+        raise SessionError(f"the {plural} missing: {names}", where=where, remedy=needs)

@@ -238,9 +238,8 @@ class SessionFile(_Tables):
             if "camera" in kind.keys and self.cameras is None:
                 raise ValueError(f"{kind.kind} are named, but no cameras")
             if self.frames is not None and "camera" not in kind.keys:
-                raise ValueError(
-                    f"frames and {kind.kind} are both named: {kind.kind} belong to an arm that stands still"
-                )
+                both = f"frames and {kind.kind} are both named"
+                raise ValueError(f"{both}: {kind.kind} belong to an arm that stands still")
         if self.frames is not None and self.cameras is None:
             raise ValueError("frames are named, but no cameras")
         if self.frames is None and self.estimate.time_offset is not None:
