@@ -5,16 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 import numpy as np
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    create_model,
-    field_validator,
-    model_validator,
-)
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, create_model, model_validator
 
 from urdfcal.estimation.joint_models import JOINT_MODELS
 from urdfcal.estimation.measurements import MEASUREMENTS, Measurement
@@ -156,26 +147,40 @@ class StandKeys(_Keys):
     position: Vector
     look_at: Vector
 
+    @model_validator(mode="after")
+    def _looks_somewhere(self) -> StandKeys:
+        if self.position == self.look_at:
+            raise ValueError("position and look_at are the same place")
+        return self
+
+
+def _at_least_one(leds: dict[str, LedKeys]) -> dict[str, LedKeys]:
+    if not leds:
+        raise ValueError("there is no LED: name at least one")
+    return leds
+
+
+def _at_rest(estimate: EstimateKeys) -> EstimateKeys:
+    if estimate.time_offset is not None:
+        raise ValueError("time_offset belongs into a session with frames")
+    return estimate
+
 
 class SetupFile(_Keys):
     """What rig.yaml and session.yaml share."""
 
     robot: RobotKeys
     # "led:" with nothing behind it is the natural way to write an LED of unknown place.
-    leds: dict[Name, Annotated[LedKeys, BeforeValidator(lambda value: {} if value is None else value)]]
+    leds: Annotated[
+        dict[Name, Annotated[LedKeys, BeforeValidator(lambda value: {} if value is None else value)]],
+        AfterValidator(_at_least_one),
+    ]
     led_distances: list[LedDistanceKeys] = []
     cameras: _Cameras | None = None
     noise: NoiseKeys = NoiseKeys()
     estimate: _Estimate = EstimateKeys()
     tolerances: TolerancesKeys = TolerancesKeys()
     joint_models: dict[JointModelName, bool] = {}
-
-    @field_validator("leds")
-    @classmethod
-    def _one_led(cls, leds: dict[str, LedKeys]) -> dict[str, LedKeys]:
-        if not leds:
-            raise ValueError("there is no LED: name at least one")
-        return leds
 
     def setup(self) -> dict[str, Any]:
         """The parts that need no other file, as arguments of :class:`~urdfcal.session.model.Setup`."""
@@ -197,21 +202,8 @@ class RigFile(SetupFile):
     """rig.yaml."""
 
     cameras: _Cameras
+    estimate: Annotated[_Estimate, AfterValidator(_at_rest)] = EstimateKeys()
     stand: StandKeys | None = None
-
-    @field_validator("stand")
-    @classmethod
-    def _looks_somewhere(cls, stand: StandKeys | None) -> StandKeys | None:
-        if stand is not None and stand.position == stand.look_at:
-            raise ValueError("position and look_at are the same place")
-        return stand
-
-    @field_validator("estimate")
-    @classmethod
-    def _has_no_time_offset(cls, estimate: EstimateKeys) -> EstimateKeys:
-        if estimate.time_offset is not None:
-            raise ValueError("time_offset belongs into a session with frames")
-        return estimate
 
 
 if TYPE_CHECKING:
