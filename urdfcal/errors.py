@@ -1,7 +1,5 @@
 """The errors of urdfcal: one root, each saying what is wrong, where, and what to do."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 

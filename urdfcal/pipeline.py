@@ -85,16 +85,14 @@ def calibrate(
     comparison = compare_models(session, problem, start, priors=priors, seed=seed, progress=progress)
     solutions: tuple[Minimum, ...] = ()
     if starts:
-        fit = comparison.chosen.fit
-        solutions = multistart(session, problem, fit, starts, seed, progress)
+        solutions = multistart(session, problem, comparison.chosen.fit, starts, seed, progress)
         kept = solutions[0].solution if solutions[0].kept else None
-        if kept is not None and kept is not fit:
+        if kept is not None and kept is not comparison.chosen.fit:
             comparison = with_fit(comparison, kept, problem, seed)
     assessment = assess(session, problem, comparison)
     if assessment.failures and not force:
-        raise CalibrationError(
-            "; ".join(assessment.failures), where="not written", remedy="--force writes it all the same."
-        )
+        remedy = "--force writes it all the same."
+        raise CalibrationError("; ".join(assessment.failures), where="not written", remedy=remedy)
     return FittedCalibration(
         session=session.with_time_offsets(time_offsets(comparison.chosen.fit.state)),
         table=table,
@@ -108,14 +106,10 @@ def calibrate(
 
 def _as_points(session: Session) -> Measurement:
     if isinstance(session.motion, Trajectory):
-        raise CalibrationError(
-            "no point can be triangulated: every frame is taken by one camera, at a time of its own",
-            remedy="Leave --method points out.",
-        )
+        what = "no point can be triangulated: every frame is taken by one camera, at a time of its own"
+        raise CalibrationError(what, remedy="Leave --method points out.")
     points = triangulate(session)
     if points is None:
-        raise CalibrationError(
-            "no point can be triangulated from these detections",
-            remedy="It takes two cameras of known pose; a tracker's points.csv needs no --method points.",
-        )
+        remedy = "It takes two cameras of known pose; a tracker's points.csv needs no --method points."
+        raise CalibrationError("no point can be triangulated from these detections", remedy=remedy)
     return points

@@ -93,7 +93,7 @@ EQUIVALENT: frozenset[tuple[str, str, str]] = frozenset(
         ("detection/association.py", "_combinations", "len(choice) > 1 -> (len(choice) >= 1)"),
         # A median of nothing is nan, which compares as the value that stands for it.
         ("detection/association.py", "agree", "single -> (True)"),
-        ("io/checks/swaps.py", "_score", "found -> (True)"),
+        ("io/checks/content.py", "_score", "found -> (True)"),
         # Of no lights nothing stands still, whichever way it is said.
         ("detection/spots/detector.py", "_stands_still", "not len(spots.fits) -> (False)"),
         ("detection/spots/detector.py", "_stands_still", "np.zeros(0, dtype=bool) -> (~(np.zeros(0, dtype=bool)))"),

@@ -44,7 +44,7 @@ from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.pipeline import calibrate
 from urdfcal.session.knowledge import Estimate
-from urdfcal.session.motion import AT_REST
+from urdfcal.session.trajectory import AT_REST
 from urdfcal.simulation.motion import MotionSettings, set_in_motion
 from urdfcal.simulation.simulate import Simulated, simulate
 

@@ -23,8 +23,7 @@ from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.dh import DHTable
 from urdfcal.session.knowledge import Estimate
-from urdfcal.session.motion import AT_REST
-from urdfcal.session.trajectory import JointLog
+from urdfcal.session.trajectory import AT_REST, JointLog
 from urdfcal.simulation.motion import MotionSettings, set_in_motion
 from urdfcal.simulation.simulate import simulate
 

@@ -11,7 +11,8 @@ from tests.io.making import write_points, write_valid
 from urdfcal.cameras.rig import Rig
 from urdfcal.errors import CameraError, OutputError, SessionError
 from urdfcal.estimation.measurements import Detections, Points
-from urdfcal.io.folder import read_session, write_session
+from urdfcal.io.folder import read_session
+from urdfcal.io.writing import write_session
 from urdfcal.session.knowledge import Estimate, Led, Noise, Tolerances
 
 if TYPE_CHECKING:

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from urdfcal.errors import SessionError
-from urdfcal.session.motion import AT_REST, AtRest, Motion
-from urdfcal.session.trajectory import JointLog, Trajectory
+from urdfcal.session.trajectory import AT_REST, AtRest, JointLog, Motion, Trajectory
 
 TIME = np.linspace(3.0, 9.0, 121)
 LOG = JointLog(TIME, np.stack([np.sin(TIME), np.cos(TIME)], axis=1))

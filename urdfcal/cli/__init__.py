@@ -1,4 +1,4 @@
-"""The command line: parse, run, report errors; each command in its own module."""
+"""The command line: parse, run, report errors; commands of one purpose share a module."""
 
 from __future__ import annotations
 
@@ -9,20 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from urdfcal.cli import (
-    apply,
-    calibrate,
-    cameras,
-    compensate,
-    demo,
-    detect,
-    dh,
-    evaluate,
-    export,
-    import_,
-    simulate,
-    view,
-)
+from urdfcal.cli import calibrate, cameras, import_, results, robots, simulate
 from urdfcal.errors import UrdfcalError
 
 if TYPE_CHECKING:
@@ -30,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @click.group(
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110, "show_default": True},
     epilog="Any command: --debug shows the traceback of an error.",
 )
 @click.version_option(package_name="urdfcal")
@@ -38,8 +25,10 @@ def cli() -> None:
     """Make the URDF match the arm, with two cameras and an LED."""
 
 
-for _module in (demo, simulate, import_, cameras, detect, calibrate, evaluate, dh, view, compensate, apply, export):
-    cli.add_command(_module.command)
+_TO_A_RESULT = (simulate.demo, simulate.simulate, import_.command, cameras.command, calibrate.detect, calibrate.command)
+_FROM_A_RESULT = (robots.evaluate, robots.dh, results.view, results.compensate, results.apply, results.export)
+for _command in (*_TO_A_RESULT, *_FROM_A_RESULT):
+    cli.add_command(_command)
 
 
 def run(arguments: Sequence[str]) -> int:

@@ -16,7 +16,7 @@ from urdfcal.estimation.joint_models import Readings
 from urdfcal.estimation.joint_models.time_offset import time_offsets
 from urdfcal.estimation.solver import solve
 from urdfcal.estimation.start import first_state
-from urdfcal.session.motion import AT_REST
+from urdfcal.session.trajectory import AT_REST
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -10,7 +10,7 @@ from urdfcal.estimation.blocks.arm import ARM
 from urdfcal.estimation.joint_models import Readings
 from urdfcal.robot.kinematics import joint_axes, tip_motion
 from urdfcal.rotations import skew
-from urdfcal.session.motion import AT_REST
+from urdfcal.session.trajectory import AT_REST
 
 if TYPE_CHECKING:
     from urdfcal.arrays import Floats

@@ -5,16 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 import numpy as np
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    create_model,
-    field_validator,
-    model_validator,
-)
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, create_model, model_validator
 
 from urdfcal.estimation.joint_models import JOINT_MODELS
 from urdfcal.estimation.measurements import MEASUREMENTS, Measurement
@@ -111,9 +102,7 @@ class CamerasKeys(_Keys):
         return tuple(keys.mount(camera) for camera, keys in self.__pydantic_extra__.items())
 
 
-def _file_alone(value: Any) -> Any:
-    return {"file": value} if isinstance(value, str) else value
-
+_Cameras = Annotated[CamerasKeys, BeforeValidator(lambda value: {"file": value} if isinstance(value, str) else value)]
 
 if TYPE_CHECKING:
     NoiseKeys: TypeAlias = _Keys
@@ -138,6 +127,9 @@ class EstimateKeys(_Keys):
     time_offset: TimeOffset | None = None
 
 
+_Estimate = Annotated[EstimateKeys, BeforeValidator(lambda value: {} if value == "auto" else value)]
+
+
 class TolerancesKeys(_Keys):
     """How far the robot may be from nominal; every other key is a joint, with the exceptions for its row."""
 
@@ -148,11 +140,6 @@ class TolerancesKeys(_Keys):
     angle: NotNegative = Tolerances.angle
     zero: NotNegative = Tolerances.zero
 
-    @property
-    def joints(self) -> dict[str, dict[str, float]]:
-        """The exceptions, by joint and parameter."""
-        return {joint: {str(k): value for k, value in of.items()} for joint, of in self.__pydantic_extra__.items()}
-
 
 class StandKeys(_Keys):
     """Where a rig's first camera stands and looks, in the base link's frame, in m."""
@@ -160,52 +147,53 @@ class StandKeys(_Keys):
     position: Vector
     look_at: Vector
 
+    @model_validator(mode="after")
+    def _looks_somewhere(self) -> StandKeys:
+        if self.position == self.look_at:
+            raise ValueError("position and look_at are the same place")
+        return self
 
-def _noise(keys: dict[str, float]) -> Noise:
-    own = {name: keys.pop(name) for name in ("pixel", "point", "joint") if name in keys}
-    return Noise(**own, other=keys)
+
+def _at_least_one(leds: dict[str, LedKeys]) -> dict[str, LedKeys]:
+    if not leds:
+        raise ValueError("there is no LED: name at least one")
+    return leds
 
 
-def _nothing_is_empty(value: Any) -> Any:
-    # "led:" with nothing behind it is the natural way to write an LED of unknown place.
-    return {} if value is None else value
+def _at_rest(estimate: EstimateKeys) -> EstimateKeys:
+    if estimate.time_offset is not None:
+        raise ValueError("time_offset belongs into a session with frames")
+    return estimate
 
 
 class SetupFile(_Keys):
     """What rig.yaml and session.yaml share."""
 
     robot: RobotKeys
-    leds: dict[Name, Annotated[LedKeys, BeforeValidator(_nothing_is_empty)]]
+    # "led:" with nothing behind it is the natural way to write an LED of unknown place.
+    leds: Annotated[
+        dict[Name, Annotated[LedKeys, BeforeValidator(lambda value: {} if value is None else value)]],
+        AfterValidator(_at_least_one),
+    ]
     led_distances: list[LedDistanceKeys] = []
-    cameras: Annotated[CamerasKeys, BeforeValidator(_file_alone)] | None = None
+    cameras: _Cameras | None = None
     noise: NoiseKeys = NoiseKeys()
-    estimate: EstimateKeys = EstimateKeys()
+    estimate: _Estimate = EstimateKeys()
     tolerances: TolerancesKeys = TolerancesKeys()
     joint_models: dict[JointModelName, bool] = {}
 
-    @field_validator("leds")
-    @classmethod
-    def _one_led(cls, leds: dict[str, LedKeys]) -> dict[str, LedKeys]:
-        if not leds:
-            raise ValueError("there is no LED: name at least one")
-        return leds
-
-    @field_validator("estimate", mode="before")
-    @classmethod
-    def _auto(cls, value: Any) -> Any:
-        return {} if value == "auto" else value
-
     def setup(self) -> dict[str, Any]:
         """The parts that need no other file, as arguments of :class:`~urdfcal.session.model.Setup`."""
+        noise, tolerances = self.noise.model_dump(exclude_unset=True), self.tolerances
+        own = {name: noise.pop(name) for name in ("pixel", "point", "joint") if name in noise}
+        exceptions: Any = tolerances.__pydantic_extra__
         return {
-            "leds": tuple(Led(name, led.position, led.sigma, led.link) for name, led in self.leds.items()),  # type: ignore[arg-type]
+            "leds": tuple(Led(name, **dict(led)) for name, led in self.leds.items()),
             "mounts": self.cameras.mounts if self.cameras is not None else (),
-            "led_distances": tuple(LedDistance(d.leds, d.distance, d.sigma) for d in self.led_distances),
-            "noise": _noise(self.noise.model_dump(exclude_unset=True)),
-            "estimate": Estimate(**self.estimate.model_dump()),
-            "tolerances": Tolerances(
-                self.tolerances.length, self.tolerances.angle, self.tolerances.zero, self.tolerances.joints
-            ),
+            "led_distances": tuple(LedDistance(**dict(distance)) for distance in self.led_distances),
+            "noise": Noise(**own, other=noise),
+            "estimate": Estimate(**dict(self.estimate)),
+            "tolerances": Tolerances(tolerances.length, tolerances.angle, tolerances.zero, exceptions),
             "joint_models": self.joint_models,
         }
 
@@ -213,22 +201,9 @@ class SetupFile(_Keys):
 class RigFile(SetupFile):
     """rig.yaml."""
 
-    cameras: Annotated[CamerasKeys, BeforeValidator(_file_alone)]
+    cameras: _Cameras
+    estimate: Annotated[_Estimate, AfterValidator(_at_rest)] = EstimateKeys()
     stand: StandKeys | None = None
-
-    @field_validator("stand")
-    @classmethod
-    def _looks_somewhere(cls, stand: StandKeys | None) -> StandKeys | None:
-        if stand is not None and stand.position == stand.look_at:
-            raise ValueError("position and look_at are the same place")
-        return stand
-
-    @field_validator("estimate")
-    @classmethod
-    def _has_no_time_offset(cls, estimate: EstimateKeys) -> EstimateKeys:
-        if estimate.time_offset is not None:
-            raise ValueError("time_offset belongs into a session with frames")
-        return estimate
 
 
 if TYPE_CHECKING:
@@ -255,9 +230,8 @@ class SessionFile(_Tables):
             if "camera" in kind.keys and self.cameras is None:
                 raise ValueError(f"{kind.kind} are named, but no cameras")
             if self.frames is not None and "camera" not in kind.keys:
-                raise ValueError(
-                    f"frames and {kind.kind} are both named: {kind.kind} belong to an arm that stands still"
-                )
+                both = f"frames and {kind.kind} are both named"
+                raise ValueError(f"{both}: {kind.kind} belong to an arm that stands still")
         if self.frames is not None and self.cameras is None:
             raise ValueError("frames are named, but no cameras")
         if self.frames is None and self.estimate.time_offset is not None:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import csv
 import secrets
 import shutil
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from urdfcal.errors import OutputError
+from urdfcal.files import told
 from urdfcal.names import check_names
 from urdfcal.rotations import matrix_to_rpy
 from urdfcal.session.model import Session
@@ -22,9 +23,7 @@ if TYPE_CHECKING:
 
     from urdfcal.robot.urdf.urdf import Urdf
     from urdfcal.session.attachments import CameraMount
-    from urdfcal.session.knowledge import Led
-    from urdfcal.session.measurement import Measurements
-    from urdfcal.session.model import Positions, Setup
+    from urdfcal.session.model import Measurements, Positions
 
 _SESSION = "session.yaml"
 _CAMERAS, _JOINTS, _FRAMES = "cameras.yaml", "joints.csv", "frames.csv"
@@ -67,17 +66,13 @@ def put_into(folder: Path) -> Iterator[Path]:
         OutputError: one of the files is already there, or the folder cannot be written.
     """
     partial = folder.parent / f".{folder.name}.{secrets.token_hex(4)}.partial"
-    try:
+    with told(folder, "Name a folder that can be written."):
         partial.mkdir()
         try:
             yield partial
             _move(partial, folder)
         finally:
             shutil.rmtree(partial, ignore_errors=True)
-    except OSError as error:
-        raise OutputError(
-            f"cannot write here: {error.strerror}", where=str(folder), remedy="Name a folder that can be written."
-        ) from error
 
 
 def write_measurements(path: Path, positions: Positions, table: Measurements) -> None:
@@ -110,14 +105,11 @@ def _move(partial: Path, folder: Path) -> None:
     for name in names:
         if (folder / name).exists():
             raise _already_there(folder / name)
-    moved: list[Path] = []
-    try:
+    with ExitStack() as undo:
         for name in names:
-            moved.append((partial / name).rename(folder / name))
-    except OSError:
-        for path in moved:
-            shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
-        raise
+            moved = (partial / name).rename(folder / name)
+            undo.callback(moved.rename, partial / name)
+        undo.pop_all()
 
 
 def _write_files(folder: Path, session: Positions, urdf: Urdf) -> None:
@@ -125,90 +117,61 @@ def _write_files(folder: Path, session: Positions, urdf: Urdf) -> None:
 
     from urdfcal.cameras.io.formats import write_kalibr
 
-    reference, chain = session.urdf_reference, session.chain
+    reference, chain, motion = session.urdf_reference, session.chain, session.motion
     if not reference.startswith("package://"):
         reference = Path(reference).name or f"{chain.name}.urdf"
         (folder / reference).write_bytes(urdf.data)
     content: dict[str, Any] = {
         "robot": {"urdf": reference, "base_link": chain.base_link, "tip_link": chain.tip_link},
-        "leds": {led.name: _led_keys(led) for led in session.leds},
+        "leds": {led.name: _said(link=led.link, position=led.position, sigma=led.sigma) for led in session.leds},
+        "led_distances": [vars(of) | {"leds": list(of.leds)} for of in session.led_distances],
     }
-    if session.led_distances:
-        content["led_distances"] = [
-            {"leds": list(d.leds), "distance": d.distance, "sigma": d.sigma} for d in session.led_distances
-        ]
     if session.rig.cameras:
         mounts = {mount.camera: _mount_keys(mount) for mount in session.mounts}
         content["cameras"] = {"file": _CAMERAS, **mounts} if mounts else _CAMERAS
         write_kalibr(folder / _CAMERAS, session.rig)
     content["joints"] = _JOINTS
-    if isinstance(session.motion, Trajectory):
+    if isinstance(motion, Trajectory):
+        readings = chain.readings(motion.log.values).T.tolist()
+        write_table(folder / _JOINTS, ["time", *chain.actuated], [motion.log.time.tolist(), *readings])
         content["frames"] = _FRAMES
-        _write_trajectory(folder, session, session.motion)
+        labels = [motion.label(k) for k in range(len(motion.time))]
+        columns = [[session.rig.names[c] for c in motion.camera], labels, motion.time.tolist()]
+        write_table(folder / _FRAMES, ["camera", "frame", "time"], columns)
     else:
-        time = [] if session.time is None else [session.time.tolist()]
-        header = ["pose", *chain.actuated, *(["time"] if time else [])]
-        write_table(folder / _JOINTS, header, [session.poses, *session.readings.T.tolist(), *time])
+        time = {} if session.time is None else {"time": session.time.tolist()}
+        columns = [session.poses, *session.readings.T.tolist(), *time.values()]
+        write_table(folder / _JOINTS, ["pose", *chain.actuated, *time], columns)
     for table in session.measurements if isinstance(session, Session) else ():
         content[table.kind] = f"{table.kind}.csv"
         write_measurements(folder / f"{table.kind}.csv", session, table)
-    content.update(_expectations(session))
+    estimate = _said(**vars(session.estimate))
+    content |= {
+        "noise": _said(**{**vars(session.noise), "other": None}, **session.noise.other),
+        "estimate": {key: value if isinstance(value, str) else dict(value) for key, value in estimate.items()},
+        "tolerances": _said(**{**vars(session.tolerances), "joints": None}),
+        "joint_models": dict(session.joint_models),
+    }
+    content["tolerances"] |= {name: dict(values) for name, values in session.tolerances.joints.items()}
+    content = {key: value for key, value in content.items() if value}
     text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None, width=110)
     (folder / _SESSION).write_text(text, encoding="utf-8")
 
 
-def _write_trajectory(folder: Path, session: Positions, trajectory: Trajectory) -> None:
-    """Write joints.csv by time, and frames.csv: the frames that are used."""
-    chain, log = session.chain, trajectory.log
-    write_table(
-        folder / _JOINTS, ["time", *chain.actuated], [log.time.tolist(), *chain.readings(log.values).T.tolist()]
-    )
-    names = session.rig.names
-    labels = [trajectory.label(k) for k in range(len(trajectory.time))]
-    columns = [[names[c] for c in trajectory.camera], labels, trajectory.time.tolist()]
-    write_table(folder / _FRAMES, ["camera", "frame", "time"], columns)
-
-
-def _led_keys(led: Led) -> dict[str, Any]:
-    keys = {
-        "link": led.link,
-        "position": None if led.position is None else led.position.tolist(),
-        "sigma": led.sigma,
-    }
-    return {key: value for key, value in keys.items() if value is not None}
+def _said(**keys: Any) -> dict[str, Any]:
+    """What is not None, arrays as lists."""
+    given = {key: value for key, value in keys.items() if value is not None}
+    return {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in given.items()}
 
 
 def _mount_keys(mount: CameraMount) -> dict[str, Any]:
-    keys: dict[str, Any] = {"link": mount.link}
-    if mount.T_link_camera is not None:
-        keys["position"] = mount.T_link_camera[:3, 3].tolist()
-        keys["rpy"] = matrix_to_rpy(mount.T_link_camera[:3, :3]).tolist()
-    if mount.sigma is not None:
-        if not np.array_equal(mount.sigma, np.repeat(mount.sigma[::3], 3)):
-            raise OutputError(
-                f"the standard deviations of its place differ by direction: {mount.sigma.tolist()}",
-                where=f"camera {mount.camera!r}",
-                remedy="session.yaml has one for its position and one for its turn: give three and three alike.",
-            )
-        keys["sigma"] = mount.sigma[::3].tolist()
-    return keys
-
-
-def _expectations(setup: Setup) -> dict[str, Any]:
-    """Noise, estimate and tolerances, as far as they say anything."""
-    tolerances = setup.tolerances
-    content: dict[str, Any] = {
-        "noise": {name: getattr(setup.noise, name) for name in ("pixel", "point", "joint")} | dict(setup.noise.other),
-        "estimate": {
-            key: value if isinstance(value, str) else dict(value)
-            for key, value in vars(setup.estimate).items()
-            if value is not None
-        },
-        "tolerances": {key: getattr(tolerances, key) for key in ("length", "angle", "zero")},
-    }
-    content["joint_models"] = dict(setup.joint_models)
-    content["tolerances"] |= {name: dict(values) for name, values in tolerances.joints.items()}
-    return {key: value for key, value in content.items() if value}
+    T, sigma = mount.T_link_camera, mount.sigma
+    if sigma is not None and not np.array_equal(sigma, np.repeat(sigma[::3], 3)):
+        what = f"the standard deviations of its place differ by direction: {sigma.tolist()}"
+        remedy = "session.yaml has one for its position and one for its turn: give three and three alike."
+        raise OutputError(what, where=f"camera {mount.camera!r}", remedy=remedy)
+    place = {} if T is None else {"position": T[:3, 3], "rpy": matrix_to_rpy(T[:3, :3])}
+    return _said(link=mount.link, **place, sigma=None if sigma is None else sigma[::3])
 
 
 def write_table(path: Path, header: Sequence[str], columns: Iterable[Sequence[object]]) -> None:

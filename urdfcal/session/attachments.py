@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import Floats, Ints, frozen, inverse
+from urdfcal.arrays import Floats, Ints, frozen, inverse, keep
 from urdfcal.errors import SessionError
 from urdfcal.robot.mechanism import Tip  # noqa: TC001  # a field's type
 
@@ -41,24 +41,21 @@ class CameraMount:
     def __post_init__(self) -> None:
         where = f"camera {self.camera!r}"
         if self.link == WORLD:
-            raise SessionError(
-                "a camera that stands in the world is on no link",
-                where=where,
-                remedy="Name the camera file alone: T_cn_cnm1 says where it stands, or it is estimated.",
-            )
+            remedy = "Name the camera file alone: T_cn_cnm1 says where it stands, or it is estimated."
+            raise SessionError("a camera that stands in the world is on no link", where=where, remedy=remedy)
         if self.T_link_camera is not None:
             T = frozen(self.T_link_camera)
             R = T[:3, :3] if T.shape == (4, 4) else np.zeros((3, 3))
             if not np.allclose(R @ R.T, np.eye(3), rtol=0.0, atol=1e-9) or np.linalg.det(R) < 0.0:
                 raise SessionError("T_link_camera is no rigid 4 x 4 transform", where=where)
-            object.__setattr__(self, "T_link_camera", T)
+            keep(self, T_link_camera=T)
         if self.sigma is not None:
             sigma = frozen(self.sigma)
             if self.T_link_camera is None:
                 raise SessionError("sigma is given without a place", where=where)
             if sigma.shape != (6,) or not np.all(np.isfinite(sigma) & (sigma > 0.0)):
                 raise SessionError(f"sigma is {sigma.tolist()}, not six positive numbers", where=where)
-            object.__setattr__(self, "sigma", sigma)
+            keep(self, sigma=sigma)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,15 +118,10 @@ def attach(
         SessionError: nothing is on the robot, a camera's pose is given by one in another frame, or on its link though
             its reference camera gives it there.
     """
-    names = [WORLD]
-
-    def frame(link: str) -> int:
-        if link not in names:
-            names.append(link)
-        return names.index(link)
-
-    led = [frame(link or mechanism.tip_link) for link in led_links]
-    camera = [frame(mounts[name].link) if name in mounts else 0 for name in rig.names]
+    led_at = [link or mechanism.tip_link for link in led_links]
+    camera_at = [mounts[name].link if name in mounts else WORLD for name in rig.names]
+    names = list(dict.fromkeys([WORLD, *led_at, *camera_at]))
+    led, camera = ([names.index(link) for link in links] for links in (led_at, camera_at))
     reference = [camera.index(of) for of in camera]
     if len(names) == 1:
         raise SessionError("neither an LED nor a camera is on the robot", remedy="Name the link that carries one.")
@@ -138,21 +130,15 @@ def attach(
     for c, (name, first) in enumerate(zip(rig.names, reference, strict=True)):
         T, T_first = rig.T_cam_world[c], rig.T_cam_world[first]
         if c and c == first and T is not None:
-            raise SessionError(
-                "T_cn_cnm1 places it by a camera that is fastened to something else",
-                where=f"camera {name!r}",
-                remedy="Leave T_cn_cnm1 out: where it is comes from its link, or is estimated.",
-            )
+            what = "T_cn_cnm1 places it by a camera that is fastened to something else"
+            remedy = "Leave T_cn_cnm1 out: where it is comes from its link, or is estimated."
+            raise SessionError(what, where=f"camera {name!r}", remedy=remedy)
         if c != first and name in mounts and mounts[name].T_link_camera is not None:
-            raise SessionError(
-                f"its place on {mounts[name].link!r} is given, but there it goes with {rig.names[first]!r}",
-                where=f"camera {name!r}",
-                remedy="Leave position, rpy and sigma out: T_cn_cnm1 says where it is, or it is estimated.",
-            )
-        if c == first:
-            T_cam_reference.append(np.eye(4))
-        else:
-            T_cam_reference.append(None if T is None or T_first is None else T @ inverse(T_first))
+            what = f"its place on {mounts[name].link!r} is given, but there it goes with {rig.names[first]!r}"
+            remedy = "Leave position, rpy and sigma out: T_cn_cnm1 says where it is, or it is estimated."
+            raise SessionError(what, where=f"camera {name!r}", remedy=remedy)
+        known = None if T is None or T_first is None else T @ inverse(T_first)
+        T_cam_reference.append(np.eye(4) if c == first else known)
         mount = mounts.get(rig.names[first])
         given = np.eye(4) if mount is None else mount.T_link_camera
         T_reference_frame.append(None if given is None else inverse(given))

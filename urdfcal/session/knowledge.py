@@ -6,14 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
 
-from urdfcal.arrays import Floats, ReadOnly
+from urdfcal.arrays import Floats, ReadOnly, finite_array, finite_number, keep
 from urdfcal.errors import SessionError
-from urdfcal.names import suggest
+from urdfcal.names import check_known
 from urdfcal.robot.dh import PARAMETERS
-from urdfcal.session.finite import finite_array, finite_number
 
 if TYPE_CHECKING:
-    from urdfcal.session.measurement import Measurements
+    from urdfcal.session.model import Measurements
 
 ArmGeometry: TypeAlias = Literal["dh", "offsets", "full", "none"]
 Freedom: TypeAlias = Literal["fixed", "refine", "free"]
@@ -38,13 +37,13 @@ class Led:
 
     def __post_init__(self) -> None:
         where = f"LED {self.name!r}"
-        object.__setattr__(self, "name", str(self.name))
+        keep(self, name=str(self.name))
         if self.position is not None:
-            object.__setattr__(self, "position", finite_array(self.position, (3,), "position", where))
+            keep(self, position=finite_array(self.position, (3,), "position", where))
         if self.sigma is not None:
             if self.position is None:
                 raise SessionError("sigma is given without a position", where=where)
-            object.__setattr__(self, "sigma", finite_number(self.sigma, "sigma", where, zero=True))
+            keep(self, sigma=finite_number(self.sigma, "sigma", where, zero=True))
 
 
 @dataclass(frozen=True)
@@ -65,8 +64,7 @@ class LedDistance:
         where = f"distance of LEDs {self.leds[0]!r} and {self.leds[1]!r}"
         if self.leds[0] == self.leds[1]:
             raise SessionError("an LED has no distance to itself", where=where)
-        object.__setattr__(self, "distance", finite_number(self.distance, "distance", where, zero=False))
-        object.__setattr__(self, "sigma", finite_number(self.sigma, "sigma", where, zero=False))
+        _keep_numbers(self, where, "distance", "sigma")
 
 
 @dataclass(frozen=True)
@@ -86,10 +84,9 @@ class Noise:
     other: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in ("pixel", "point", "joint"):
-            object.__setattr__(self, name, finite_number(getattr(self, name), name, "noise", zero=name == "joint"))
-        numbers = {name: finite_number(value, name, "noise", zero=False) for name, value in self.other.items()}
-        object.__setattr__(self, "other", ReadOnly(numbers))
+        _keep_numbers(self, "noise", "pixel", "point")
+        _keep_numbers(self, "noise", "joint", zero=True)
+        keep(self, other=_numbers(self.other, "noise"))
 
     def of(self, kind: type[Measurements]) -> float:
         """Return the standard deviation of a kind of measurement, in its unit."""
@@ -125,9 +122,8 @@ class Estimate:
             by_camera = name in ("intrinsics", "extrinsics") and isinstance(value, Mapping)
             for word in value.values() if by_camera else (value,) * (value is not None):
                 if word not in choices:
-                    raise SessionError(
-                        f"{name} is {word!r}", where="estimate", remedy=f"Use {', '.join(choices)}, or None."
-                    )
+                    remedy = f"Use {', '.join(choices)}, or None."
+                    raise SessionError(f"{name} is {word!r}", where="estimate", remedy=remedy)
 
 
 @dataclass(frozen=True)
@@ -147,18 +143,20 @@ class Tolerances:
     joints: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in ("length", "angle", "zero"):
-            object.__setattr__(self, name, finite_number(getattr(self, name), name, "tolerances", zero=True))
-        read_only = {}
+        _keep_numbers(self, "tolerances", "length", "angle", "zero", zero=True)
+        exceptions = {}
         for joint, values in self.joints.items():
             where = f"tolerances of joint {joint!r}"
             for parameter in values:
-                if parameter not in PARAMETERS:
-                    raise SessionError(
-                        f"there is no parameter {parameter!r}",
-                        where=where,
-                        remedy=suggest(parameter, PARAMETERS, "parameters"),
-                    )
-            numbers = {str(name): finite_number(value, name, where, zero=True) for name, value in values.items()}
-            read_only[str(joint)] = ReadOnly(numbers)
-        object.__setattr__(self, "joints", ReadOnly(read_only))
+                check_known(parameter, PARAMETERS, "parameters", where)
+            exceptions[str(joint)] = _numbers(values, where, zero=True)
+        keep(self, joints=ReadOnly(exceptions))
+
+
+def _numbers(values: Mapping[str, float], where: str, *, zero: bool = False) -> ReadOnly[str, float]:
+    return ReadOnly({str(name): finite_number(value, name, where, zero=zero) for name, value in values.items()})
+
+
+def _keep_numbers(declared: object, where: str, *names: str, zero: bool = False) -> None:
+    """Check that some fields are positive numbers, or 0 where that has a meaning."""
+    keep(declared, **_numbers({name: getattr(declared, name) for name in names}, where, zero=zero))

@@ -2,37 +2,155 @@
 
 from __future__ import annotations
 
+from abc import ABC
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
 
-from urdfcal.arrays import Floats, Ints, ReadOnly, Rebuilt
+from urdfcal.arrays import Floats, Ints, ReadOnly, Rebuilt, finite_array, frozen, keep
 from urdfcal.cameras.rig import Rig
 from urdfcal.errors import SessionError
-from urdfcal.names import check_names, suggest
+from urdfcal.names import check_known, check_names
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.session.attachments import Attachments, CameraMount, attach
-from urdfcal.session.finite import finite_array
 from urdfcal.session.knowledge import Estimate, Led, LedDistance, Noise, Tolerances
-from urdfcal.session.measurement import Measurements
-from urdfcal.session.motion import AT_REST, Motion
-from urdfcal.session.trajectory import Trajectory
+from urdfcal.session.trajectory import AT_REST, Motion, Trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
+    from typing_extensions import Self
+
     from urdfcal.robot.mechanism import Mechanism
     from urdfcal.robot.urdf.urdf import Urdf
-
-Kind = TypeVar("Kind", bound=Measurements)
 
 # Three positions are the fewest that fix a base pose.
 MIN_POSES = 3
 # Readings of mimic joints are computed, not measured: they agree to rounding.
 _MIMIC_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements(Rebuilt, ABC):
+    """Measurements of one kind, sorted by their keys; what was not measured is a missing row.
+
+    A kind is a frozen dataclass with an index array (S,) for each of its ``keys``, the first one ``pose``, an array
+    (S, D) of what was measured, and ``sigma`` (S,), the standard deviation of each number. A kind that measures that
+    something is zero, such as a contact, has no such array.
+
+    Attributes:
+        pose: (S,) index of the pose.
+        names: what the indices of a key stand for that only this table names, such as places.
+        kind: the table's key in session.yaml, and the stem of its CSV file.
+        keys: the columns that name things, which together are unique.
+        dimension: D, the numbers of one measurement.
+        columns: the columns that hold these; none where they are zero.
+        array: the field that holds these; empty where there is none.
+        noise: the key of ``noise`` that says the usual standard deviation.
+        usual: its default.
+        unit: of the numbers.
+        report: unit and factor in which they are reported.
+    """
+
+    kind: ClassVar[str]
+    keys: ClassVar[tuple[str, ...]]
+    dimension: ClassVar[int]
+    columns: ClassVar[tuple[str, ...]] = ()
+    array: ClassVar[str] = ""
+    noise: ClassVar[str]
+    usual: ClassVar[float]
+    unit: ClassVar[str]
+    report: ClassVar[tuple[str, float]]
+
+    pose: Ints
+    names: Mapping[str, tuple[str, ...]] = field(default_factory=dict, kw_only=True)
+
+    if TYPE_CHECKING:
+
+        @property
+        def sigma(self) -> Floats:
+            """(S,) standard deviation of each number."""
+
+    def __post_init__(self) -> None:
+        """Check the columns, sort them by the keys and make them read-only."""
+        index = {key: np.asarray(getattr(self, key)) for key in self.keys}
+        count = len(index["pose"]) if index["pose"].ndim == 1 else 0
+        if count == 0:
+            raise SessionError("there is no measurement", where=self.kind)
+        for key, column in index.items():
+            if column.shape != (count,) or column.dtype.kind not in "iu" or column.min() < 0:
+                raise SessionError(f"{key} is not an array of {count} indices", where=self.kind)
+        try:
+            sigma = finite_array(np.broadcast_to(self.arrays["sigma"], (count,)), (count,), "sigma", self.kind)
+        except ValueError as error:
+            what = f"sigma has shape {np.shape(self.arrays['sigma'])}, not ({count},)"
+            raise SessionError(what, where=self.kind) from error
+        if sigma.min() <= 0.0:
+            raise SessionError(f"sigma is {sigma.min():g}; it must be positive", where=self.kind)
+        columns = {**self.arrays, **index, "sigma": sigma}
+        if self.array:
+            columns[self.array] = finite_array(self.values, (count, self.dimension), self.array, self.kind)
+        order = np.lexsort([index[key] for key in reversed(self.keys)])
+        for name, column in columns.items():
+            keep(self, **{name: frozen(np.asarray(column)[order], np.intp if name in index else float)})
+        keep(self, names=ReadOnly(self.names))
+        twice = np.logical_and.reduce([np.diff(getattr(self, key)) == 0 for key in self.keys])
+        if twice.any():
+            first = int(np.flatnonzero(twice)[0])
+            names = ", ".join(f"{key} {getattr(self, key)[first]}" for key in self.keys)
+            raise SessionError(f"there are two measurements of {names}", where=self.kind)
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return len(self.pose)
+
+    @property
+    def values(self) -> Floats:
+        """What was measured, (S, D)."""
+        result: Floats = getattr(self, self.array) if self.array else np.zeros((len(self), self.dimension))
+        return result
+
+    @property
+    def index(self) -> dict[str, Ints]:
+        """The index array (S,) of each key."""
+        return {key: getattr(self, key) for key in self.keys}
+
+    def rows(self, chosen: Any) -> Self:
+        """Return some of the rows, by an index or a mask (S,)."""
+        return replace(self, **{name: column[chosen] for name, column in self.arrays.items()})
+
+    def at(self, poses: Ints) -> Self | None:
+        """Return the rows at some poses, (K,) in ascending order, numbered by these; None if there are none."""
+        kept = np.isin(self.pose, poses)
+        if not kept.any():
+            return None
+        rows = self.rows(kept)
+        return replace(rows, pose=np.searchsorted(poses, rows.pose))
+
+    def check(self, counts: Mapping[str, int]) -> None:
+        """Refuse indices of things that do not exist.
+
+        Args:
+            counts: how many there are of what a key names; others are not checked.
+
+        Raises:
+            SessionError: an index is too large.
+        """
+        for key, column in self.index.items():
+            largest = int(column.max())
+            if key in counts and largest >= counts[key]:
+                raise SessionError(f"{key} {largest} does not exist: there are {counts[key]}", where=self.kind)
+
+    @property
+    def arrays(self) -> dict[str, Any]:
+        """The columns by the names of their fields, each with S rows."""
+        return {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.name != "names"}
+
+
+Kind = TypeVar("Kind", bound=Measurements)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -70,42 +188,23 @@ class Setup(Rebuilt):
     folder: Path | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "leds", tuple(self.leds))
-        object.__setattr__(self, "led_distances", tuple(self.led_distances))
+        keep(self, leds=tuple(self.leds), led_distances=tuple(self.led_distances), mounts=tuple(self.mounts))
+        keep(self, sha256=ReadOnly(self.sha256), joint_models=ReadOnly(self.joint_models))
         for name in (name for distance in self.led_distances for name in distance.leds):
-            if name not in self.led_names:
-                raise SessionError(
-                    f"there is no LED {name!r}", where="led_distances", remedy=suggest(name, self.led_names, "LEDs")
-                )
-        object.__setattr__(self, "sha256", ReadOnly(self.sha256))
-        object.__setattr__(self, "joint_models", ReadOnly(self.joint_models))
+            check_known(name, self.led_names, "LEDs", "led_distances")
         if not self.leds:
             raise SessionError("there is no LED", remedy="Name at least one.")
-        check_names("LEDs", [led.name for led in self.leds])
+        check_names("LEDs", self.led_names)
         rows = rows_of(self.chain).labels if self.tolerances.joints else ()
         for joint in self.tolerances.joints:
-            if joint not in rows:
-                raise SessionError(
-                    f"there is no joint {joint!r} between {self.chain.base_link!r} and {self.chain.tip_link!r}",
-                    where="tolerances",
-                    remedy=suggest(joint, rows, "joints"),
-                )
-        object.__setattr__(self, "mounts", tuple(self.mounts))
-        names = self.rig.names
+            between = f" between {self.chain.base_link!r} and {self.chain.tip_link!r}"
+            check_known(joint, rows, "joints", f"tolerances.{joint}", between)
         for mount in self.mounts:
-            if mount.camera not in names:
-                raise SessionError(
-                    f"there is no camera {mount.camera!r}",
-                    where="cameras",
-                    remedy=suggest(mount.camera, names, "cameras"),
-                )
+            check_known(mount.camera, self.rig.names, "cameras", f"cameras.{mount.camera}")
         check_names("cameras on links", [mount.camera for mount in self.mounts])
         for said in (self.estimate.intrinsics, self.estimate.extrinsics):
             for name in () if said is None or isinstance(said, str) else said:
-                if name not in names:
-                    raise SessionError(
-                        f"there is no camera {name!r}", where="estimate", remedy=suggest(name, names, "cameras")
-                    )
+                check_known(name, self.rig.names, "cameras", "estimate")
         _ = self.attachments  # a link that is none of the robot's is refused now, not when it is first needed
 
     @cached_property
@@ -132,8 +231,8 @@ class Stand:
     look_at: Floats
 
     def __post_init__(self) -> None:
-        for name in ("position", "look_at"):
-            object.__setattr__(self, name, finite_array(getattr(self, name), (3,), name, "stand"))
+        places = {name: finite_array(getattr(self, name), (3,), name, "stand") for name in ("position", "look_at")}
+        keep(self, **places)
         if np.array_equal(self.position, self.look_at):
             raise SessionError("the camera looks at its own place", where="stand")
 
@@ -153,9 +252,8 @@ class RigDescription(Setup):
         if self.stand is None and len(self.attachments.eye_to_hand):
             raise SessionError("where the first camera stands is not given", where="stand")
         if self.stand is not None and self.mounts and not len(self.attachments.eye_to_hand):
-            raise SessionError(
-                "no camera stands: all ride on the robot", where="stand", remedy="Leave the key 'stand' out."
-            )
+            remedy = "Leave the key 'stand' out."
+            raise SessionError("no camera stands: all ride on the robot", where="stand", remedy=remedy)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -178,17 +276,16 @@ class Positions(Setup):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "poses", tuple(map(str, self.poses)))
-        object.__setattr__(self, "warnings", tuple(self.warnings))
+        keep(self, poses=tuple(map(str, self.poses)), warnings=tuple(self.warnings))
         count = len(self.poses)
         if count < MIN_POSES:
             raise SessionError(f"{count} poses are too few", remedy=f"Measure at least {MIN_POSES}, better 30 or more.")
         check_names("poses", self.poses)
-        object.__setattr__(self, "q", finite_array(self.q, (count, len(self.chain.joints)), "q", "session"))
+        keep(self, q=finite_array(self.q, (count, len(self.chain.joints)), "q", "session"))
         if not np.allclose(self.chain.joint_values(self.readings), self.q, rtol=0.0, atol=_MIMIC_ROUNDING):
             raise SessionError("a mimic joint's value in q is not what it follows from", where="session")
         if self.time is not None:
-            object.__setattr__(self, "time", finite_array(self.time, (count,), "time", "session"))
+            keep(self, time=finite_array(self.time, (count,), "time", "session"))
 
     @property
     def readings(self) -> Floats:
@@ -198,6 +295,11 @@ class Positions(Setup):
     def label(self, pose: int) -> str:
         """What the tables and the images' file names call a pose: a frame goes by the name its camera gave it."""
         return self.motion.label(pose, self.poses)
+
+    def measured(self, measurements: tuple[Measurements, ...], **changes: Any) -> Session:
+        """Return the same with what was measured, and with changes to other fields."""
+        own = {entry.name: getattr(self, entry.name) for entry in fields(Positions)}
+        return Session(**{**own, **changes}, measurements=measurements)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -212,7 +314,7 @@ class Session(Positions):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "measurements", tuple(self.measurements))
+        keep(self, measurements=tuple(self.measurements))
         if not self.measurements:
             raise SessionError("there are no measurements", remedy="There is nothing to calibrate from.")
         counts = {"pose": len(self.poses), "led": len(self.leds), "camera": len(self.rig.cameras)}
@@ -220,7 +322,12 @@ class Session(Positions):
             if "camera" in table.keys and not self.rig.cameras:
                 raise SessionError(f"there are {table.kind}, but no cameras", remedy="Give the session a rig.")
             table.check(counts)
-        self._check_motion()
+            if isinstance(self.motion, Trajectory):
+                # Of a moving arm each pose is one camera's frame: what is measured is measured by that camera.
+                if "camera" not in table.keys:
+                    raise SessionError("a moving arm is measured by cameras alone", where="session")
+                if np.any(table.index["camera"] != self.motion.camera[table.pose]):
+                    raise SessionError("a detection is by another camera than its frame", where=table.kind)
 
     def find(self, kind: type[Kind]) -> Kind | None:
         """Return the measurements of a kind; None if there are none."""
@@ -260,14 +367,3 @@ class Session(Positions):
     def unmeasured(self) -> Positions:
         """Return the same without its measurements."""
         return Positions(**{f.name: getattr(self, f.name) for f in fields(Positions)})
-
-    def _check_motion(self) -> None:
-        """Of a moving arm each pose is one camera's frame: what is measured is measured by that camera."""
-        if not isinstance(self.motion, Trajectory):
-            return
-        for table in self.measurements:
-            camera = table.index.get("camera")
-            if camera is None:
-                raise SessionError("a moving arm is measured by cameras alone", where="session")
-            if np.any(camera != self.motion.camera[table.pose]):
-                raise SessionError("a detection is by another camera than its frame", where=table.kind)

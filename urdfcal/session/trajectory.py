@@ -1,16 +1,16 @@
-"""A moving arm: joint values at any time from a log of readings, and the frames that cameras took meanwhile."""
+"""How the arm moved while it was measured: at rest in every pose, or filmed in motion, with a log of joint values."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import Bools, Floats, Ints, frozen
+from urdfcal.arrays import Bools, Floats, Ints, frozen, keep
 from urdfcal.errors import SessionError
-from urdfcal.session.motion import Motion
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,6 +23,74 @@ LONGEST_GAP = 0.15
 # Frames this near to where the log has nothing are left out: an offset of tens of milliseconds must not carry them
 # there, and a spline's last pieces are its worst. [s]
 MARGIN = 0.1
+
+
+class Motion(ABC):
+    """What the N poses of a session are: places where the arm rested, or frames of an arm that moved."""
+
+    @abstractmethod
+    def at(self, poses: Ints) -> Motion:
+        """Return the motion at some of the poses, (K,) indices."""
+
+    @abstractmethod
+    def label(self, pose: int, labels: Sequence[str]) -> str:
+        """Return what the tables and the images' file names call a pose of the session's labels."""
+
+    @abstractmethod
+    def joint_values(self, q: Floats, time_offsets: Floats) -> Floats:
+        """Return joint values (N, n) with the cameras' time offsets (C,) in s. [rad or m].
+
+        Args:
+            q: (N, n) joint values as read.
+            time_offsets: of the cameras' clocks, t_robot = t_camera + offset.
+        """
+
+    @abstractmethod
+    def covered(self, count: int, time_offsets: Floats) -> Bools:
+        """Return for which of ``count`` poses there are joint readings with the cameras' time offsets (C,) in s."""
+
+    @abstractmethod
+    def independent(self, count: int) -> Ints:
+        """Number the stretches (count,) whose errors are independent: what a bootstrap may resample."""
+
+    @abstractmethod
+    def folds(self, count: int, folds: int, seed: int) -> Ints:
+        """Divide ``count`` poses into folds (count,) for cross-validation."""
+
+
+@dataclass(frozen=True)
+class AtRest(Motion):
+    """An arm that stood still in every pose."""
+
+    def at(self, poses: Ints) -> AtRest:
+        """Return the same."""
+        return self
+
+    def label(self, pose: int, labels: Sequence[str]) -> str:
+        """Return the pose's own label."""
+        return labels[pose]
+
+    def joint_values(self, q: Floats, time_offsets: Floats) -> Floats:
+        """Return the readings: clocks do not matter to an arm at rest."""
+        return q
+
+    def covered(self, count: int, time_offsets: Floats) -> Bools:
+        """Return that all poses have readings."""
+        return np.ones(count, dtype=bool)
+
+    def independent(self, count: int) -> Ints:
+        """Number the poses: each is on its own."""
+        return np.arange(count)
+
+    def folds(self, count: int, folds: int, seed: int) -> Ints:
+        """Divide the poses at random."""
+        fold = np.empty(count, dtype=np.intp)
+        fold[np.random.default_rng(seed).permutation(count)] = np.arange(count) % folds
+        return fold
+
+
+AT_REST = AtRest()
+"""The motion of an arm that stood still in every pose."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +110,7 @@ class JointLog:
     values: Floats
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "time", frozen(self.time))
-        object.__setattr__(self, "values", frozen(self.values))
+        keep(self, time=frozen(self.time), values=frozen(self.values))
         if self.time.ndim != 1 or len(self.time) < 2 or self.values.shape[:1] != self.time.shape:
             raise SessionError(
                 f"a log of joint values has times {self.time.shape} and values {self.values.shape}", where="session"
@@ -99,8 +166,7 @@ class Trajectory(Motion):
     time: Floats
 
     def __post_init__(self) -> None:
-        for name, dtype in (("camera", np.intp), ("row", np.intp), ("time", np.float64)):
-            object.__setattr__(self, name, frozen(getattr(self, name), dtype))
+        keep(self, camera=frozen(self.camera, np.intp), row=frozen(self.row, np.intp), time=frozen(self.time))
         if not len(self.camera) == len(self.row) == len(self.time):
             raise SessionError("the frames' cameras, rows and times differ in number", where="trajectory")
 
@@ -110,7 +176,6 @@ class Trajectory(Motion):
 
     def label(self, pose: int, labels: Sequence[str] = ()) -> str:
         """Return what its camera calls a frame."""
-        del labels
         return self.frames[int(self.camera[pose])][int(self.row[pose])]
 
     def robot_time(self, time_offsets: Floats) -> Floats:
@@ -128,23 +193,19 @@ class Trajectory(Motion):
 
     def joint_values(self, q: Floats, time_offsets: Floats) -> Floats:
         """Return what the log says: ``q`` is what it said with other offsets."""
-        del q
         return self.values(time_offsets)
 
     def covered(self, count: int, time_offsets: Floats) -> Bools:
         """Return which frames are well within the log."""
-        del count
         return self.log.covers(self.robot_time(time_offsets))
 
     def independent(self, count: int) -> Ints:
         """Number the seconds: the errors of neighbouring frames are alike."""
-        del count
         result: Ints = np.floor(self.time - self.time.min()).astype(np.intp)
         return result
 
     def folds(self, count: int, folds: int, seed: int) -> Ints:
         """Divide the frames into stretches of time: to predict one from its neighbours would be no test."""
-        del seed
         fold = np.empty(count, dtype=np.intp)
         fold[np.argsort(self.time, kind="stable")] = np.arange(count) * folds // count
         return fold

@@ -14,7 +14,7 @@ from tests.io.making import write_cameras, write_points, write_valid
 from tests.io.test_frame_tables import FRAMES, write_moving
 from urdfcal.errors import SessionError
 from urdfcal.io.checks.content import frozen_recording
-from urdfcal.io.checks.plausibility import Inputs, Taken
+from urdfcal.io.checks.plausibility import Inputs
 from urdfcal.io.folder import read_session
 from urdfcal.io.tables import read_joints, read_measurements
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from urdfcal.io.tables import MeasurementTable
-    from urdfcal.session.measurement import Measurements
+    from urdfcal.session.model import Measurements
 
 YAML, JOINTS, PIXELS, POINTS = "session.yaml", "joints.csv", "detections.csv", "points.csv"
 
@@ -41,8 +41,7 @@ def own_table(folder: Path, kind: type[Measurements]) -> tuple[Inputs, Measureme
     joints = read_joints(folder / JOINTS, session.chain, session.urdf.joints)
     known = {"pose": joints.poses, "led": session.led_names}
     table = read_measurements(folder / f"{kind.kind}.csv", kind, known, kind.usual)
-    taken = Taken(joints.table.path, joints.poses, joints.readings, still=0.0)
-    return Inputs(None, session.chain, session.leds, session.rig, session.noise, joints, taken, (table,)), table
+    return Inputs(None, session, joints, tables={kind: table}), table
 
 
 class TestFrozenRecordings:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from urdfcal.arrays import Bools, Floats, Ints
     from urdfcal.estimation.blocks.arm import ArmParameterization
     from urdfcal.session.model import Positions
-    from urdfcal.session.motion import Motion
+    from urdfcal.session.trajectory import Motion
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from urdfcal.session.measurement import Measurements
+from urdfcal.session.model import Measurements
 
 if TYPE_CHECKING:
     from urdfcal.arrays import Bools, Floats, Ints

@@ -5,31 +5,26 @@ Every rule is one function; the numbers that decide are at the top, each with it
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from urdfcal.errors import SessionError
 from urdfcal.estimation.measurements import Detections, Points
-from urdfcal.io.checks.content import check_images, frozen_recording, unseen
-from urdfcal.io.checks.swaps import check_names_by_rays
-from urdfcal.io.tables import JointTable
+from urdfcal.io.checks.content import check_images, check_names_by_rays, frozen_recording, unseen
+from urdfcal.io.csv_table import repeats
 from urdfcal.names import listed
 from urdfcal.session.attachments import WORLD
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
+    from collections.abc import Iterator, Mapping
 
-    from urdfcal.arrays import Bools, Floats
-    from urdfcal.cameras.rig import Rig
+    from urdfcal.arrays import Bools
     from urdfcal.estimation.measurements import Measurement
-    from urdfcal.io.frame_tables import LogTable
-    from urdfcal.io.tables import MeasurementTable
+    from urdfcal.io.tables import FrameTable, JointTable, MeasurementTable
     from urdfcal.io.yaml_document import Document
-    from urdfcal.robot.mechanism import Mechanism
-    from urdfcal.session.knowledge import Led, Noise
+    from urdfcal.session.model import Positions
 
 # Encoders are read to 1e-4 rad or m, and controllers let joints overrun their limits by less than this.
 OVERRUN = 1e-3
@@ -50,50 +45,32 @@ _STILL = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Taken:
-    """The moments at which something was measured: poses, or frames of a moving arm.
-
-    Attributes:
-        path: the table that lists them.
-        labels: N of them.
-        readings: (N, k) of the actuated joints. [rad or m]
-        still: readings that differ by no more are the same place. [rad or m]
-    """
-
-    path: Path
-    labels: tuple[str, ...]
-    readings: Floats
-    still: float
-
-
-@dataclass(frozen=True, eq=False)
 class Inputs:
     """All that was read, with the places it was read from.
 
     Attributes:
         document: session.yaml.
-        chain: the robot's.
-        leds: as declared.
-        rig: the cameras.
-        noise: as declared.
+        positions: what it declares, and where the arm was.
         joints: the joint readings.
-        taken: when or where LEDs were looked at.
-        tables: the measurements.
+        frames: of an arm that moved, when it was looked at.
+        tables: the measurements, by kind.
     """
 
     document: Document
-    chain: Mechanism
-    leds: tuple[Led, ...]
-    rig: Rig
-    noise: Noise
-    joints: JointTable | LogTable
-    taken: Taken
-    tables: tuple[MeasurementTable, ...]
+    positions: Positions
+    joints: JointTable
+    frames: FrameTable | None = None
+    tables: Mapping[type[Measurement], MeasurementTable] = field(default_factory=dict)
 
     @property
     def scale(self) -> float:
         """Size of the arm in m, for comparison with lengths that should be of its order."""
-        return max(self.chain.reach, _SMALLEST_ARM)
+        return max(self.positions.chain.reach, _SMALLEST_ARM)
+
+    @property
+    def reach(self) -> str:
+        """The size of the arm in words."""
+        return f"the arm reaches {self.positions.chain.reach:.3g} m"
 
     @property
     def cameras_file(self) -> str:
@@ -101,9 +78,9 @@ class Inputs:
         named = self.document.data["cameras"]
         return str(named if isinstance(named, str) else named["file"])
 
-    def find(self, kind: type[Measurement]) -> MeasurementTable | None:
-        """The table of a kind of measurement, if there is one."""
-        return next((table for table in self.tables if table.kind is kind), None)
+    def wrong(self, what: str, remedy: str, *keys: str) -> SessionError:
+        """The error to raise about what session.yaml says behind some keys."""
+        return SessionError(what, where=self.document.place(*keys), remedy=remedy)
 
 
 def check_positions(inputs: Inputs) -> tuple[str, ...]:
@@ -115,8 +92,7 @@ def check_positions(inputs: Inputs) -> tuple[str, ...]:
     Raises:
         SessionError: what cannot be right, with file, line and column.
     """
-    _check_reading_units(inputs)
-    _check_limits(inputs)
+    _check_readings(inputs)
     _check_led_units(inputs)
     _check_mount_units(inputs)
     _check_noise_units(inputs)
@@ -134,21 +110,21 @@ def check(inputs: Inputs) -> tuple[str, ...]:
     """
     warnings = list(check_positions(inputs))
     _check_point_units(inputs)
-    for table in inputs.tables:
+    for table in inputs.tables.values():
         warnings += frozen_recording(inputs, table)
-    detections = inputs.find(Detections)
+    detections = inputs.tables.get(Detections)
     if detections is not None:
-        rays, odd = check_names_by_rays(inputs.rig, detections)
-        warnings += [*odd, *check_images(inputs, detections, rays)]
-    elif inputs.rig.cameras:
+        rays_meet, odd = check_names_by_rays(inputs.positions.rig, detections)
+        warnings += [*odd, *check_images(inputs, detections, rays_meet)]
+    elif inputs.positions.rig.cameras:
         warnings.append(f"{inputs.document.place('cameras')}: there are no detections: the cameras are not used")
     return (*warnings, *unseen(inputs))
 
 
-def _check_reading_units(inputs: Inputs) -> None:
+def _check_readings(inputs: Inputs) -> None:
     """Degrees and millimetres: in most poses far outside the limits, and inside once converted."""
-    joints, readings = inputs.chain.actuated_joints, inputs.joints.readings
-    lower, upper = inputs.chain.limits
+    chain, readings, table = inputs.positions.chain, inputs.joints.readings, inputs.joints.table
+    joints, (lower, upper) = chain.actuated_joints, chain.limits
     prismatic = np.array([j.prismatic for j in joints])
     boundless = np.where(prismatic, _TOO_WIDE * inputs.scale, _WOUND_UP)
     lower, upper = np.maximum(lower, -boundless) - OVERRUN, np.minimum(upper, boundless) + OVERRUN
@@ -159,47 +135,31 @@ def _check_reading_units(inputs: Inputs) -> None:
     fits: Bools = np.all((readings * factor >= lower) & (readings * factor <= upper), axis=0)
     for unit, meant, kind in (("degrees", "radians", ~prismatic), ("millimetres", "metres", prismatic)):
         suspects = np.flatnonzero(outside.any(axis=0) & kind)
-        if not suspects.size or not fits[suspects].all():
-            continue
-        if outside[:, suspects].any(axis=1).mean() < _MOST:
+        if not suspects.size or not fits[suspects].all() or outside[:, suspects].any(axis=1).mean() < _MOST:
             continue
         row, column = (int(i) for i in np.argwhere(outside & kind)[0])
-        raise SessionError(
+        what = (
             f"the readings of {listed([joints[i].name for i in suspects])} look like {unit}: "
-            f"{joints[column].name} is {readings[row, column]:g}",
-            where=inputs.joints.table.place(row, joints[column].name),
-            remedy=f"Write {meant}.",
+            f"{joints[column].name} is {readings[row, column]:g}"
         )
-
-
-def _check_limits(inputs: Inputs) -> None:
-    violations = inputs.chain.outside_limits(inputs.joints.readings, OVERRUN)
-    if violations:
+        raise table.wrong(what, row, joints[column].name, f"Write {meant}.")
+    violations = chain.outside_limits(readings, OVERRUN)
+    for first in violations[:1]:
         more = f" (and {len(violations) - 1} more readings)" if len(violations) > 1 else ""
-        raise SessionError(
-            f"{violations[0]}{more}",
-            where=inputs.joints.table.place(violations[0].pose, violations[0].joint.name),
-            remedy="Correct the reading, or the limits in the URDF.",
-        )
+        remedy = "Correct the reading, or the limits in the URDF."
+        raise table.wrong(f"{first}{more}", first.pose, first.joint.name, remedy)
 
 
 def _check_led_units(inputs: Inputs) -> None:
-    for led in inputs.leds:
+    for led in inputs.positions.leds:
         # A camera, from which places in the world are counted, may stand farther away than an arm carries anything.
         farthest, origin = (_TOO_WIDE, "world's origin") if led.link == WORLD else (_TOO_FAR, led.link or "tip")
-        if led.position is not None and np.linalg.norm(led.position) > farthest * inputs.scale:
-            raise SessionError(
-                f"{np.linalg.norm(led.position):g} m from the {origin} looks like millimetres: "
-                f"the arm reaches {inputs.chain.reach:.3g} m",
-                where=inputs.document.place("leds", led.name, "position"),
-                remedy="Write metres.",
-            )
+        if led.position is not None and (away := np.linalg.norm(led.position)) > farthest * inputs.scale:
+            what = f"{away:g} m from the {origin} looks like millimetres: {inputs.reach}"
+            raise inputs.wrong(what, "Write metres.", "leds", led.name, "position")
         if led.sigma is not None and led.sigma > inputs.scale:
-            raise SessionError(
-                f"a sigma of {led.sigma:g} m looks like millimetres: the arm reaches {inputs.chain.reach:.3g} m",
-                where=inputs.document.place("leds", led.name, "sigma"),
-                remedy="Write metres.",
-            )
+            what = f"a sigma of {led.sigma:g} m looks like millimetres: {inputs.reach}"
+            raise inputs.wrong(what, "Write metres.", "leds", led.name, "sigma")
 
 
 def _check_mount_units(inputs: Inputs) -> None:
@@ -207,93 +167,71 @@ def _check_mount_units(inputs: Inputs) -> None:
     for camera, keys in named.items() if isinstance(named, dict) else ():
         if not isinstance(keys, dict) or "position" not in keys:
             continue
-        if np.linalg.norm(keys["position"]) > _TOO_FAR * inputs.scale:
-            raise SessionError(
-                f"{np.linalg.norm(keys['position']):g} m from its link looks like millimetres: "
-                f"the arm reaches {inputs.chain.reach:.3g} m",
-                where=inputs.document.place("cameras", camera, "position"),
-                remedy="Write metres.",
-            )
-        if np.abs(keys["rpy"]).max() > 2.0 * np.pi:
-            raise SessionError(
-                f"{np.abs(keys['rpy']).max():g} rad is more than a turn: these look like degrees",
-                where=inputs.document.place("cameras", camera, "rpy"),
-                remedy="Write radians.",
-            )
+        if (away := np.linalg.norm(keys["position"])) > _TOO_FAR * inputs.scale:
+            what = f"{away:g} m from its link looks like millimetres: {inputs.reach}"
+            raise inputs.wrong(what, "Write metres.", "cameras", camera, "position")
+        if (turn := np.abs(keys["rpy"]).max()) > 2.0 * np.pi:
+            what = f"{turn:g} rad is more than a turn: these look like degrees"
+            raise inputs.wrong(what, "Write radians.", "cameras", camera, "rpy")
 
 
 def _check_noise_units(inputs: Inputs) -> None:
-    if inputs.noise.joint > _UNREAD:
-        raise SessionError(
-            f"a joint noise of {inputs.noise.joint:g} rad is no reading noise",
-            where=inputs.document.place("noise", "joint"),
-            remedy="Write radians, and metres for prismatic joints.",
-        )
-    for table in inputs.tables:
-        if table.kind.unit == "px":
-            sides = np.array([max(camera.resolution) for camera in inputs.rig.cameras])
-            _check_sigma(inputs, table, _BLIND * sides[table.index["camera"]], "of the size of the image")
-        elif table.kind.unit == "m":
-            _check_sigma(inputs, table, np.full(len(table.sigma), inputs.scale), "of the size of the arm")
-
-
-def _check_sigma(inputs: Inputs, table: MeasurementTable, largest: Floats, verdict: str) -> None:
-    absurd = np.flatnonzero(table.sigma > largest)
-    if not absurd.size:
-        return
-    first = int(absurd[np.argmin(table.rows[absurd])])
-    own = "sigma" in table.table.columns
-    raise SessionError(
-        f"a sigma of {table.sigma[first]:g} {table.kind.unit} is {verdict}",
-        where=table.place(first, "sigma") if own else inputs.document.place("noise", table.kind.noise),
-        remedy=f"Write one standard deviation in {table.kind.unit}.",
-    )
-
-
-def _check_point_units(inputs: Inputs) -> None:
-    table = inputs.find(Points)
-    if table is None:
-        return
-    reach = f"the arm reaches {inputs.chain.reach:.3g} m"
-    distance = np.linalg.norm(table.values - np.median(table.values, axis=0), axis=1)
-    if np.median(distance) > _TOO_FAR * inputs.scale:
-        raise SessionError(
-            f"the points spread over {np.ptp(table.values, axis=0).max():.3g} m, which looks like millimetres: {reach}",
-            where=str(table.table.path),
-            remedy="Write metres.",
-        )
-    far = np.flatnonzero(distance > _TOO_WIDE * inputs.scale)
-    if far.size:
-        first = int(far[np.argmin(table.rows[far])])
-        raise SessionError(
-            f"the point lies {distance[first]:.3g} m from the others: {reach}",
-            where=table.place(first, "x"),
-            remedy="Correct it, or leave it out.",
-        )
-
-
-def _still_joints(inputs: Inputs) -> Iterator[str]:
-    for joint, moved in zip(inputs.chain.actuated_joints, np.ptp(inputs.joints.readings, axis=0), strict=True):
-        if moved < _STILL:
-            yield (
-                f"{inputs.joints.table.path}: joint {joint.name!r} "
-                + (f"moves by only {moved:.2g} {joint.unit}" if moved else "never moves")
-                + ": its parameters are unidentifiable"
+    if (joint := inputs.positions.noise.joint) > _UNREAD:
+        remedy = "Write radians, and metres for prismatic joints."
+        raise inputs.wrong(f"a joint noise of {joint:g} rad is no reading noise", remedy, "noise", "joint")
+    for table in inputs.tables.values():
+        measured = table.measurements
+        if measured.unit == "px":
+            sides = np.array([max(camera.resolution) for camera in inputs.positions.rig.cameras])
+            largest, size = _BLIND * sides[measured.index["camera"]], "image"
+        elif measured.unit == "m":
+            largest, size = np.full(len(measured), inputs.scale), "arm"
+        else:
+            continue
+        absurd = np.flatnonzero(measured.sigma > largest)
+        if absurd.size:
+            first = table.first(absurd)
+            own = "sigma" in table.table.columns
+            raise SessionError(
+                f"a sigma of {measured.sigma[first]:g} {measured.unit} is of the size of the {size}",
+                where=table.place(first, "sigma") if own else inputs.document.place("noise", measured.noise),
+                remedy=f"Write one standard deviation in {measured.unit}.",
             )
 
 
-def _same_readings(joints: JointTable | LogTable) -> Iterator[str]:
-    if not isinstance(joints, JointTable):  # an arm that moves may come back, or wait
+def _check_point_units(inputs: Inputs) -> None:
+    table = inputs.tables.get(Points)
+    if table is None:
+        return
+    values = table.measurements.values
+    distance = np.linalg.norm(values - np.median(values, axis=0), axis=1)
+    if np.median(distance) > _TOO_FAR * inputs.scale:
+        spread = f"{np.ptp(values, axis=0).max():.3g} m, which looks like millimetres: {inputs.reach}"
+        where = str(table.table.path)
+        raise SessionError(f"the points spread over {spread}", where=where, remedy="Write metres.")
+    far = np.flatnonzero(distance > _TOO_WIDE * inputs.scale)
+    if far.size:
+        first = table.first(far)
+        what = f"the point lies {distance[first]:.3g} m from the others: {inputs.reach}"
+        raise SessionError(what, where=table.place(first, "x"), remedy="Correct it, or leave it out.")
+
+
+def _still_joints(inputs: Inputs) -> Iterator[str]:
+    joints = inputs.positions.chain.actuated_joints
+    for joint, moved in zip(joints, np.ptp(inputs.joints.readings, axis=0), strict=True):
+        if moved < _STILL:
+            how = f"moves by only {moved:.2g} {joint.unit}" if moved else "never moves"
+            yield f"{inputs.joints.table.path}: joint {joint.name!r} {how}: its parameters are unidentifiable"
+
+
+def _same_readings(joints: JointTable) -> Iterator[str]:
+    if not joints.poses:  # an arm that moves may come back, or wait
         return
     # Adding zero makes -0.0 the same bytes as 0.0.
-    first: dict[bytes, int] = {}
-    pairs = [
-        (first[key], row)
-        for row, key in enumerate(reading.tobytes() for reading in joints.readings + 0.0)
-        if first.setdefault(key, row) != row
-    ]
-    if pairs:
-        a, b = (joints.poses[row] for row in pairs[0])
+    pairs = repeats(reading.tobytes() for reading in joints.readings + 0.0)
+    for first, row in pairs[:1]:
         more = f", as have {len(pairs) - 1} more pairs" if len(pairs) > 1 else ""
-        place = joints.table.place(pairs[0][1], "pose")
-        yield f"{place}: pose {b!r} has exactly the joint readings of pose {a!r}{more}"
+        pose, other = joints.poses[row], joints.poses[first]
+        yield (
+            f"{joints.table.place(row, 'pose')}: pose {pose!r} has exactly the joint readings of pose {other!r}{more}"
+        )

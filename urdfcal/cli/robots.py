@@ -1,4 +1,4 @@
-"""``urdfcal evaluate``: two robots compared, or a session explained by a robot."""
+"""``urdfcal evaluate`` and ``dh``: robots compared, a session explained by one, and the rows of one."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from urdfcal.cli.options import base_option, seed_option
+from urdfcal.cli.console import PATH, base_option, json_option, seed_option, sheet, terminal, tip_option
 from urdfcal.errors import SessionError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from urdfcal.arrays import Floats
-
+    from urdfcal.robot.dh import Convention, DHTable
 
 # Points this many times farther apart than the arm reaches are in another unit.
 _FAR = 20.0
@@ -28,12 +28,10 @@ _FAR = 20.0
 @click.option("--tip", metavar="LINK", help="Link at the end of the chain.  [default: the session's]")
 @base_option
 @click.option("--poses", type=click.IntRange(min=4), help="Configurations compared.  [default: 1000]")
-@click.option(
-    "--points", type=click.Path(path_type=Path), help="With a session: this points.csv instead of its own measurements."
-)
+@click.option("--points", type=PATH, help="With a session: this points.csv instead of its own measurements.")
 @seed_option
-@click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
-def command(
+@json_option
+def evaluate(
     urdf: str,
     other: str,
     tip: str | None,
@@ -49,9 +47,8 @@ def command(
     """
     if Path(other).is_dir() or other.endswith((".yaml", ".yml")):
         if tip or base or poses:
-            raise click.UsageError(
-                "with a session, links and poses are the session's: leave --tip, --base, --poses out"
-            )
+            what = "with a session, links and poses are the session's: leave --tip, --base, --poses out"
+            raise click.UsageError(what)
         result = _session(urdf, Path(other), points)
     elif not Path(other).exists() and not other.startswith("package://"):
         raise SessionError("there is no such file or folder", where=other, remedy="Name a URDF, or a session's folder.")
@@ -60,33 +57,26 @@ def command(
     elif tip is None:
         raise click.UsageError("two URDFs need --tip LINK")
     else:
-        result = _robots(urdf, other, tip, base, poses or 1000, seed)
+        result = compared(urdf, other, tip, base, poses or 1000, seed)
     if as_json:
         click.echo(json.dumps(result, indent=2))
     else:
-        _print(result)
+        _print_residuals(result)
 
 
-def _robots(a: str, b: str, tip: str, base: str | None, poses: int, seed: int) -> dict[str, Any]:
+def compared(a: str, b: str, tip: str, base: str | None, poses: int, seed: int) -> dict[str, Any]:
+    """How far the tips of two URDFs are apart over the workspace, in mm and mrad."""
     import numpy as np
 
     from urdfcal.estimation.evaluation import compare
     from urdfcal.robot.chain import Chain
-    from urdfcal.robot.urdf.urdf import Urdf, find_urdf
 
-    chain_a, chain_b = (Chain.from_urdf(Urdf.read(find_urdf(path)), tip, base) for path in (a, b))
+    chain_a, chain_b = (Chain.from_urdf(path, tip, base) for path in (a, b))
     q = chain_a.random_values(poses, np.random.default_rng(seed))
     difference = compare(chain_a, chain_b, q)
-    return {
-        "a": a,
-        "b": b,
-        "poses": poses,
-        "seed": seed,
-        "position_mm": _spread(difference.position, 1e3),
-        "orientation_mrad": _spread(difference.orientation, 1e3),
-        "position_unaligned_mm": _spread(difference.position_unaligned, 1e3),
-        "orientation_unaligned_mrad": _spread(difference.orientation_unaligned, 1e3),
-    }
+    units = {"position": "mm", "orientation": "mrad", "position_unaligned": "mm", "orientation_unaligned": "mrad"}
+    spreads = {f"{name}_{unit}": _spread(getattr(difference, name), 1e3) for name, unit in units.items()}
+    return {"a": a, "b": b, "poses": poses, "seed": seed, **spreads}
 
 
 def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
@@ -95,7 +85,7 @@ def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
     from urdfcal.estimation.evaluation import explain
     from urdfcal.io.folder import read_points, read_session
     from urdfcal.robot.chain import read_mechanism
-    from urdfcal.robot.urdf.urdf import Urdf, find_urdf
+    from urdfcal.robot.urdf.urdf import Urdf
 
     session = read_session(folder)
     for warning in session.warnings:
@@ -104,14 +94,12 @@ def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
         measured, leds = read_points(points, session)
         extent = float(np.ptp(measured.xyz, axis=0).max())
         if extent > _FAR * session.chain.reach:
-            raise SessionError(
-                f"the points are spread over {extent:.0f} m, the arm reaches {session.chain.reach:.1f} m",
-                where=str(points),
-                remedy="Coordinates are in metres; these look like millimetres.",
-            )
+            what = f"the points are spread over {extent:.0f} m, the arm reaches {session.chain.reach:.1f} m"
+            remedy = "Coordinates are in metres; these look like millimetres."
+            raise SessionError(what, where=str(points), remedy=remedy)
         session = replace(session, measurements=(measured,), leds=leds)
     links = [tip.link for tip in session.chain.tips]
-    chain = read_mechanism(Urdf.read(find_urdf(urdf)), links, session.chain.base_link)
+    chain = read_mechanism(Urdf.read(urdf), links, session.chain.base_link)
     explained = explain(chain, session)
     result: dict[str, Any] = {"a": urdf, "session": str(folder), "points": points and str(points)}
     for table, residual in zip(session.measurements, explained.residuals, strict=True):
@@ -126,8 +114,7 @@ def _spread(values: Floats, scale: float) -> dict[str, float]:
     return {name: scale * value for name, value in asdict(Spread.of(values)).items()}
 
 
-def _print(result: Mapping[str, Any]) -> None:
-    from urdfcal.cli.console import output, sheet
+def _print_residuals(result: Mapping[str, Any]) -> None:
 
     against = result.get("b") or result.get("points") or result["session"]
     rows = sheet(f"{result['a']}\nagainst {against}", ["", "rms", "mean", "median", "95 %", "max"])
@@ -136,4 +123,48 @@ def _print(result: Mapping[str, Any]) -> None:
             quantity, _, unit = name.rpartition("_")
             cells = [f"{spread[key]:.4f}" for key in ("rms", "mean", "median", "p95", "max")]
             rows.add_row(f"{quantity.replace('_', ' ')} ({unit})", *cells)
-    output().print(rows)
+    terminal().print(rows)
+
+
+@click.command("dh")
+@click.argument("urdf", metavar="ROBOT.urdf")
+@tip_option
+@base_option
+@click.option(
+    "--convention", type=click.Choice(["standard", "modified"]), default="standard",
+    help="Distal rows (Rossi's eq. 2), or Craig's.",
+)  # fmt: skip
+@json_option
+def dh(urdf: str, tip: str, base: str | None, convention: Convention, as_json: bool) -> None:
+    """Print the Denavit-Hartenberg rows of a robot's chain of joints."""
+    from urdfcal.robot.chain import Chain
+    from urdfcal.robot.dh import DHTable
+
+    table = DHTable.from_chain(Chain.from_urdf(urdf, tip, base))
+    if as_json:
+        click.echo(json.dumps(table.to_dict(convention), indent=2))
+    else:
+        _print_rows(table, convention)
+
+
+def _print_rows(table: DHTable, convention: Convention) -> None:
+    import numpy as np
+
+    data = table.to_dict(convention)
+    order = ("theta", "d", "a", "alpha", "beta") if convention == "standard" else ("a", "alpha", "beta", "theta", "d")
+    scales = {name: (1e3, "mm") if name in "da" else (np.degrees(1.0), "deg") for name in order}
+    rows = sheet(
+        f"{table.chain.name}: {table.chain.base_link} to {table.chain.tip_link}, {convention} DH",
+        ["joint", "type", *(f"{name} ({unit})" for name, (_, unit) in scales.items())],
+        texts=2,
+    )
+    for row in data["rows"]:
+        # Rounding first, or tiny negative numbers print as -0.0000.
+        cells = [f"{round(scale * row[name], 4) + 0.0:.4f}" for name, (scale, _) in scales.items()]
+        rows.add_row(row["joint"], row["type"], *cells)
+    console = terminal()
+    console.print(rows)
+    console.print(data["composition"])
+    for name in ("base", "tool"):
+        matrix = np.round(data[name], 6) + 0.0
+        console.print(f"{name} = {np.array2string(matrix, suppress_small=True, prefix='base = ')}")
