@@ -64,7 +64,6 @@ sys.path[:] = [entry for entry in sys.path if Path(entry or ".").resolve() != Pa
 _DECIDES = r"check|doubt|fail|warn|refus|gate|outlier|strange|judge|allow|prefer|screen|verdict|far\b|_far|valid"
 GATES: tuple[tuple[str, str], ...] = (
     ("io/checks/*", r""),
-    ("session/checks/*", r""),
     ("io/*", r"_check|^check"),
     ("session/*", r"__post_init__|_check|^check"),
     ("cameras/*", r"__post_init__|_check"),
