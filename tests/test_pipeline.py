@@ -18,7 +18,7 @@ from urdfcal.pipeline import calibrate
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.robot.urdf.urdf import Urdf
-from urdfcal.session.knowledge import Estimate, Led
+from urdfcal.session.knowledge import Estimate, Led, Noise
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -246,3 +246,27 @@ def test_a_good_calibration_has_nothing_said_against_it(simulated: Callable) -> 
     calibration = calibrate(replace(simulated("ur5").session, estimate=Estimate("dh", "fixed", "fixed")))
     assert calibration.failures == calibration.warnings == ()
     assert calibration.document.verdict.level == "good"
+
+
+def test_noise_of_which_nothing_is_said_is_found_and_used(simulated: Callable) -> None:
+    data = simulated("so101", poses=50)
+    said = data.session
+    silent = replace(said, noise=Noise())
+    assert silent.undeclared_noise == {"pixel", "joint"}
+    told, found = calibrate(said), calibrate(silent)
+    assert found.assessment.level == "good"
+    assert found.session.noise.joint == pytest.approx(said.noise.joint, rel=0.4)
+    assert found.session.noise.pixel == pytest.approx(said.noise.pixel, rel=0.2)
+    assert [noise.declared for noise in found.evidence.noise] == [None, None]
+    assert error(found, data, found.placements) < 1.2 * error(told, data, told.placements)
+    assert found.fit.reduced_chi2 == pytest.approx(1.0, abs=0.3)
+    assert found.nominal_fit.cost != told.nominal_fit.cost  # with usual noise, not with what was found
+
+
+def test_noise_that_makes_predictions_worse_is_not_used(simulated: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    session = replace(simulated("so101", poses=50).session, noise=Noise(pixel=0.1))
+    monkeypatch.setattr("urdfcal.pipeline._NO_WORSE", 0.0)
+    kept = calibrate(session, force=True)
+    assert kept.session.noise.joint is None
+    assert kept.evidence.noise[-1].declared is None
+    assert kept.evidence.noise[-1].found > 1e-4

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
+
+import numpy as np
 
 from urdfcal.errors import CalibrationError, SessionError
 from urdfcal.estimation.assessment import assess
 from urdfcal.estimation.blocks.arm import no_offsets
 from urdfcal.estimation.blocks.cameras import without_cameras
+from urdfcal.estimation.diagnosis.trials import suspect
+from urdfcal.estimation.evidence import gather
 from urdfcal.estimation.joint_models.time_offset import time_offsets
 from urdfcal.estimation.measurements.pixels import Detections, triangulate
 from urdfcal.estimation.model_selection import compare_models, with_fit
 from urdfcal.estimation.multistart import Minimum, multistart
+from urdfcal.estimation.noise import find_noise
 from urdfcal.estimation.problem import Problem
 from urdfcal.estimation.time_offset_start import start_state
 from urdfcal.result.fitted import FittedCalibration
@@ -23,8 +29,14 @@ from urdfcal.session.trajectory import Trajectory
 if TYPE_CHECKING:
     from urdfcal.estimation.blocks.arm import ArmParameterization
     from urdfcal.estimation.measurements import Measurement
+    from urdfcal.estimation.model_selection import Comparison
     from urdfcal.estimation.solver import Progress
+    from urdfcal.estimation.state import State
     from urdfcal.session.model import Session
+
+# What looks like noise of the joint readings may be errors that repeat, as of an encoder's eccentricity: weights that
+# take them for noise are kept where they predict held-out poses no worse than by chance (an IRB 120: 9 % worse).
+_NO_WORSE = 1.05
 
 Method = Literal["pixels", "points"]
 
@@ -75,7 +87,7 @@ def calibrate(
             f"{' and '.join(in_world)} are both named: the tracker's frame is not the first camera's",
             remedy="Name one of them; evaluate --points checks a result against the other.",
         )
-    start = start_state(session, arm, no_offsets(arm))
+    start = _start(session, arm, progress)
     recorded = session.recorded(time_offsets(start))
     if recorded is not session:
         session, problem = recorded, Problem.of(recorded, arm)
@@ -83,13 +95,23 @@ def calibrate(
         others = [of.table for of in problem.observations if not isinstance(of.table, Detections)]
         problem, start = Problem.of(session, arm, [_as_points(session), *others]), without_cameras(start)
     comparison = compare_models(session, problem, start, priors=priors, seed=seed, progress=progress)
+    undeclared = session.undeclared_noise
+    if undeclared and method == "pixels":
+        found = {of.name: of.found for of in find_noise(problem, comparison.chosen.fit) if of.name in undeclared}
+        noisy = session.with_noise(found)
+        weighed = Problem.of(noisy, arm)
+        again = compare_models(noisy, weighed, start, priors=priors, seed=seed, progress=progress)
+        if _held_out(again) <= _NO_WORSE * _held_out(comparison):
+            # The nominal arm is far off: noise that the calibrated one has would only place it worse.
+            session, problem, comparison = noisy, weighed, replace(again, nominal=comparison.nominal)
     solutions: tuple[Minimum, ...] = ()
     if starts:
         solutions = multistart(session, problem, comparison.chosen.fit, starts, seed, progress)
         kept = solutions[0].solution if solutions[0].kept else None
         if kept is not None and kept is not comparison.chosen.fit:
             comparison = with_fit(comparison, kept, problem, seed)
-    assessment = assess(session, problem, comparison)
+    evidence = gather(session, problem, comparison, seed, undeclared, progress)
+    assessment = assess(session, problem, comparison, evidence)
     if assessment.failures and not force:
         remedy = "--force writes it all the same."
         raise CalibrationError("; ".join(assessment.failures), where="not written", remedy=remedy)
@@ -100,8 +122,25 @@ def calibrate(
         comparison=comparison,
         solutions=solutions,
         seed=seed,
+        evidence=evidence,
         assessment=assessment,
     )
+
+
+def _held_out(comparison: Comparison) -> float:
+    """Rms error on held-out poses. [m]."""
+    return float(np.sqrt(np.mean(comparison.chosen.residuals("distance") ** 2)))
+
+
+def _start(session: Session, arm: ArmParameterization, progress: Progress | None) -> State:
+    """Start; where that fails, say which single mistake would explain it."""
+    try:
+        return start_state(session, arm, no_offsets(arm))
+    except CalibrationError as error:
+        suspicion = suspect(session, progress)
+        if suspicion is None:
+            raise
+        raise CalibrationError(f"{suspicion}; {error.what}", where=error.where, remedy=error.remedy) from error
 
 
 def _as_points(session: Session) -> Measurement:

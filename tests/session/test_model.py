@@ -189,7 +189,8 @@ def test_numbers_and_names_of_numpy_become_plain_ones() -> None:
 
 def test_zero_means_exactly_where_that_makes_sense() -> None:
     assert Led("a", np.zeros(3), sigma=0.0).sigma == 0.0
-    assert Noise(joint=0.0) == Noise()
+    assert Noise(joint=0.0).reading == Noise().reading == 0.0
+    assert Noise(joint=0.0) != Noise()  # of nothing said it is estimated
     assert Tolerances(zero=0.0, joints={"a": {"theta": 0.0}}).joints["a"]["theta"] == 0.0
 
 

@@ -146,7 +146,7 @@ def _print(overview: Overview, paths: Sequence[Path], remarks: Sequence[str]) ->
     """Print assessment, numbers, corrections, warnings and files, in at most 25 lines."""
     from rich.text import Text
 
-    from urdfcal.output.findings import HEADLINE, headline
+    from urdfcal.output.findings import HEADLINE, claims, headline
 
     console = terminal()
     screen = console.is_terminal
@@ -162,6 +162,8 @@ def _print(overview: Overview, paths: Sequence[Path], remarks: Sequence[str]) ->
     line(f"{calibration.chain.name}: {assessment.sentence}", tone)
     interval = f"(95 %: {low:.3g} to {high:.3g})"
     line(f"{headline(document)} {interval} {HEADLINE}, nominal -> calibrated", "bold")
+    for claim in claims(document):
+        line(claim)
     units = [unit for unit in ("px", "mm") if f"rms_{unit}" in fit]
     parts = [f"{fit[f'rms_nominal_{unit}']:.3f} -> {fit[f'rms_{unit}']:.3f} {unit}" for unit in units]
     parts += [
@@ -182,7 +184,7 @@ def _print(overview: Overview, paths: Sequence[Path], remarks: Sequence[str]) ->
     if clocks:
         line(f"time offsets, robot less camera: {', '.join(clocks)}")
     rows = len(calibration.geometry.labels)
-    printed = 4 + bool(clocks) + 3  # the files below
+    printed = 6 + bool(clocks) + 3  # the files below
     if rows <= _MOST_ROWS:
         console.print(_corrections(calibration))
         printed += rows + 5  # title, head, rule, and a blank line above and below

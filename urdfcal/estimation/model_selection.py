@@ -12,7 +12,7 @@ from urdfcal.estimation.identifiability import identify
 from urdfcal.estimation.model_spec import allowed, candidates, nominal
 from urdfcal.estimation.parameters import choose_parameters
 from urdfcal.estimation.solver import solve
-from urdfcal.estimation.validation import hold_out, loss
+from urdfcal.estimation.validation import hold_out, loss, random_folds
 
 if TYPE_CHECKING:
     from urdfcal.arrays import Floats
@@ -156,7 +156,7 @@ def _preferred(trial: Trial, rival: Trial, problem: Problem) -> bool:
 
 def validate(attempt: Attempt, problem: Problem, seed: int) -> Trial:
     """Cross-validate an estimated model."""
-    held_out = hold_out(problem, attempt.fit, seed)
+    held_out = hold_out(problem, attempt.fit, random_folds(problem, seed))
     return Trial(
         attempt.spec,
         attempt.identifiability,

@@ -12,6 +12,7 @@ from urdfcal.arrays import Bools, Floats, frozen
 from urdfcal.estimation.blocks.arm import ArmBlock
 from urdfcal.estimation.blocks.base_pose import BaseBlock
 from urdfcal.estimation.blocks.leds import LEDS, LedDistances, LedsBlock
+from urdfcal.estimation.blocks.scale import ScaleBlock
 from urdfcal.names import check_names
 
 if TYPE_CHECKING:
@@ -207,6 +208,8 @@ def choose_parameters(session: Session, problem: Problem, state: State, spec: Mo
         if model.estimated(session, spec.geometry):
             without = model.toleranced and not spec.priors
             blocks.append(replace(model, sigma=np.full(len(model), np.inf)) if without else model)
+    if session.scale_sigma is not None:
+        blocks.append(ScaleBlock.of(session.scale_sigma))
     tables = [observed.table for observed in problem.observations]
     in_world = any(table.defines_world(session.attachments) for table in tables)
     blocks.append(BaseBlock.of(fixed=None if in_world else "nothing is measured in the world: the base link is it"))

@@ -9,7 +9,7 @@ import numpy as np
 
 from urdfcal.estimation.blocks.arm import ARM
 from urdfcal.estimation.blocks.base_pose import BASE
-from urdfcal.estimation.joint_models import joint_models_of
+from urdfcal.estimation.joint_models import Readings, joint_models_of
 from urdfcal.estimation.links import Links
 from urdfcal.estimation.measurements import Measurement
 from urdfcal.estimation.observations import arrange
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from urdfcal.arrays import Bools, Floats, Ints
     from urdfcal.estimation.blocks.arm import ArmParameterization
-    from urdfcal.estimation.joint_models import JointModel, Readings
+    from urdfcal.estimation.joint_models import JointModel
     from urdfcal.estimation.observations import Observations
     from urdfcal.estimation.state import State
     from urdfcal.session.attachments import Attachments
@@ -35,6 +35,7 @@ class Problem:
         arm: the parameters of the arm's geometry.
         joint_models: between joint readings and true joint values.
         attachments: what LEDs and cameras are attached to.
+        readings: of the joints at all poses of the session.
         observations: the measurements, one for each kind.
         joint_sigma: standard deviation of the joint readings. [rad or m]
     """
@@ -42,6 +43,7 @@ class Problem:
     arm: ArmParameterization
     joint_models: tuple[JointModel, ...]
     attachments: Attachments
+    readings: Readings
     observations: tuple[Observations, ...]
     joint_sigma: float
 
@@ -54,8 +56,9 @@ class Problem:
             arm,
             joint_models_of(session),
             session.attachments,
+            Readings(session.q, np.arange(len(session.poses)), session.motion),
             tuple(arrange(session, table) for table in tables),
-            session.noise.joint,
+            session.noise.reading,
         )
 
     def with_observations(self, observations: Sequence[Observations]) -> Problem:

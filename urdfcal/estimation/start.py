@@ -12,6 +12,7 @@ from urdfcal.estimation.alignment import place_base
 from urdfcal.estimation.blocks.arm import ARM
 from urdfcal.estimation.blocks.base_pose import BASE
 from urdfcal.estimation.blocks.leds import LEDS, led_positions
+from urdfcal.estimation.blocks.scale import SCALE
 from urdfcal.estimation.joint_models import joint_models_of
 from urdfcal.estimation.measurements import Measurement
 from urdfcal.estimation.state import Key, State
@@ -74,7 +75,8 @@ def first_state(
     session = session.at(_selection(session))
     models = joint_models_of(session)
     joints = {**{model.key: model.nominal for model in models}, **(known or {})}
-    state = State({ARM: offsets, LEDS: led_positions(session.leds), **joints})
+    scale = {} if session.scale_sigma is None else {SCALE: np.zeros(1)}
+    state = State({ARM: offsets, LEDS: led_positions(session.leds), **joints, **scale})
     at = Start.of(session, arm, offsets + sum(model.offsets(arm, joints[model.key]) for model in models))
     tables = [table for table in session.measurements if isinstance(table, Measurement)]
     for table in tables:

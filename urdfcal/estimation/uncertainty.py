@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 # Configurations that stand for the workspace when the base is aligned.
 _WORKSPACE = 300
+# Draws of an estimate: percentiles to a few per cent.
+_DRAWS = 2000
 
 
 def tip_covariance(problem: Problem, fit: Solution, q: Floats, seed: int = 0) -> Floats:
@@ -36,15 +38,56 @@ def tip_covariance(problem: Problem, fit: Solution, q: Floats, seed: int = 0) ->
     Returns:
         (N, 3, 3). [m^2]
     """
-    workspace = problem.arm.chain.random_values(_WORKSPACE, np.random.default_rng(seed))
-    A_workspace, rigid_workspace = _motion(problem, fit, workspace)
-    alignment = np.linalg.lstsq(
-        rigid_workspace.reshape(-1, 6), A_workspace.reshape(-1, fit.parameters.count), rcond=None
-    )[0]
+    _, alignment = _aligned(problem, fit, seed)
     A, rigid = _motion(problem, fit, np.asarray(q, dtype=float))
     A = A - rigid @ alignment
     result: Floats = A @ fit.covariance @ np.swapaxes(A, 1, 2)
     return result
+
+
+def tip_change(problem: Problem, fit: Solution, step: Floats, seed: int = 0) -> float:
+    """Compute by how much the calibrated tip moves over the workspace, rms after the best alignment, in metres.
+
+    Args:
+        problem: the arm and its joint models.
+        fit: the estimate.
+        step: (count,) of its active parameters.
+        seed: of the configurations that stand for the workspace.
+    """
+    A, _ = _aligned(problem, fit, seed)
+    return float(np.sqrt(np.sum((A @ step) ** 2) / _WORKSPACE))
+
+
+def tip_error(problem: Problem, fit: Solution, seed: int = 0) -> tuple[float, tuple[float, float]]:
+    """Compute what rms error of the calibrated tip over the workspace is to be expected, if the model holds.
+
+    The estimate's covariance carried to the tip, after the best alignment at the base; the interval is that of the rms
+    of estimates drawn from the covariance.
+
+    Args:
+        problem: the arm and its joint models.
+        fit: the estimate.
+        seed: of the configurations and the draws.
+
+    Returns:
+        The expected rms, and its 95 % interval. [m]
+    """
+    A, _ = _aligned(problem, fit, seed)
+    gram = np.einsum("nij,nik->jk", A, A) / _WORKSPACE
+    values, vectors = np.linalg.eigh(fit.covariance)  # without priors it may be singular to rounding
+    factor = vectors * np.sqrt(np.maximum(values, 0.0))
+    strengths = np.maximum(np.linalg.eigvalsh(factor.T @ gram @ factor), 0.0)
+    draws = np.sqrt(np.random.default_rng(seed).standard_normal((_DRAWS, len(strengths))) ** 2 @ strengths)
+    low, high = np.percentile(draws, [2.5, 97.5])
+    return float(np.sqrt(np.sum(strengths))), (float(low), float(high))
+
+
+def _aligned(problem: Problem, fit: Solution, seed: int) -> tuple[Floats, Floats]:
+    """How the tip moves over the workspace with the active parameters (N, 3, count), the base aligned (6, count)."""
+    workspace = problem.arm.chain.random_values(_WORKSPACE, np.random.default_rng(seed))
+    A, rigid = _motion(problem, fit, workspace)
+    alignment = np.asarray(np.linalg.lstsq(rigid.reshape(-1, 6), A.reshape(-1, fit.parameters.count), rcond=None)[0])
+    return A - rigid @ alignment, alignment
 
 
 def _motion(problem: Problem, fit: Solution, q: Floats) -> tuple[Floats, Floats]:

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 FOLDS = 5
 _RESAMPLES = 1000
+# 97.5 % quantiles of Student's t for 1, 2, 3, 4 degrees of freedom.
+_STUDENT = (12.706, 4.303, 3.182, 2.776)
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +46,13 @@ def loss(norms: Sequence[Floats], observations: Sequence[Observations]) -> float
     return float(np.mean(np.concatenate(parts)))
 
 
-def hold_out(problem: Problem, fit: Solution, seed: int) -> HeldOut:
+def random_folds(problem: Problem, seed: int) -> Ints:
+    """Divide the session's poses (N,) into folds at random; what repeats a configuration stays with it."""
+    unit = problem.readings.motion.independent(problem.readings.q)
+    return problem.readings.motion.folds(problem.readings.q, min(FOLDS, len(np.unique(unit[problem.poses]))), seed)
+
+
+def hold_out(problem: Problem, fit: Solution, fold_of_pose: Ints) -> HeldOut:
     """Cross-validate an estimate over poses.
 
     Every fold is estimated anew without its poses, from the full estimate as a start: a start does not leak
@@ -53,15 +61,13 @@ def hold_out(problem: Problem, fit: Solution, seed: int) -> HeldOut:
     Args:
         problem: what was measured.
         fit: the estimate from all of it; its parameters are estimated in every fold.
-        seed: of the division into folds.
+        fold_of_pose: (poses of the session,) the fold that each is left out with.
     """
-    observations, poses = problem.observations, problem.poses
-    count = min(FOLDS, len(poses))
-    motion = max(observations, key=lambda observed: len(observed.pose)).readings.motion
-    fold_of_pose = motion.folds(len(poses), count, seed)
-    fold_of = [fold_of_pose[np.searchsorted(poses, observed.pose)] for observed in observations]
+    observations = problem.observations
+    fold_of = [fold_of_pose[observed.pose] for observed in observations]
+    folds = np.unique(fold_of_pose[problem.poses])
     norms, residual, distance = ([np.zeros(observed.row.shape) for observed in observations] for _ in range(3))
-    for fold in range(count):
+    for fold in folds:
         out = [of == fold for of in fold_of]
         training = problem.with_observations([of.at(~left) for of, left in zip(observations, out, strict=True)])
         unseen = problem.with_observations([of.at(left) for of, left in zip(observations, out, strict=True)])
@@ -72,13 +78,25 @@ def hold_out(problem: Problem, fit: Solution, seed: int) -> HeldOut:
             norms[k][left] = norm
             residual[k][left] = np.linalg.norm(unseen.residual(observed, state), axis=-1)
             distance[k][left] = residual[k][left] * unseen.metres_per_unit(observed, state)
-    return HeldOut(count, tuple(norms), tuple(residual), tuple(distance))
+    return HeldOut(len(folds), tuple(norms), tuple(residual), tuple(distance))
 
 
 def rms_interval(
     observations: Sequence[Observations], kept: Sequence[Bools], distance: Sequence[Floats], unit: Ints, seed: int
 ) -> tuple[float, float]:
-    """Bootstrap the 95 % interval of a root mean square by resampling whole units.
+    """Bootstrap the 95 % interval of a root mean square by resampling whole units; see :func:`rms_samples`.
+
+    Returns:
+        2.5th and 97.5th percentile. [m]
+    """
+    low, high = np.percentile(rms_samples(observations, kept, distance, unit, seed), [2.5, 97.5])
+    return float(low), float(high)
+
+
+def rms_samples(
+    observations: Sequence[Observations], kept: Sequence[Bools], distance: Sequence[Floats], unit: Ints, seed: int
+) -> Floats:
+    """Bootstrap a root mean square by resampling whole units: (1000,) values of it.
 
     Args:
         observations: the measurements, one for each kind.
@@ -86,16 +104,47 @@ def rms_interval(
         distance: for each kind (N, m): the values. [m]
         unit: (poses,) which unit a pose belongs to; errors of different units are independent.
         seed: of the samples.
+    """
+    squares, counts = _sums(observations, kept, distance, unit)
+    seen = np.flatnonzero(counts)
+    sample = np.random.default_rng(seed).choice(seen, (_RESAMPLES, len(seen)))
+    result: Floats = np.sqrt(squares[sample].sum(axis=1) / counts[sample].sum(axis=1))
+    return result
+
+
+def region_interval(
+    observations: Sequence[Observations], kept: Sequence[Bools], distance: Sequence[Floats], region: Ints
+) -> tuple[float, float]:
+    """Compute the 95 % interval of the rms in a further region, from those in some that were left out.
+
+    The logarithms of the regions' rms are taken for normal; a further one scatters about their mean as they do.
+
+    Args:
+        observations: the measurements, one for each kind.
+        kept: for each kind (N, m): those that are no outliers.
+        distance: for each kind (N, m): the values. [m]
+        region: (poses,) of each pose.
 
     Returns:
-        2.5th and 97.5th percentile. [m]
+        Its ends, 0 and infinity where there is but one region. [m]
     """
+    squares, counts = _sums(observations, kept, distance, region)
+    logs = 0.5 * np.log(np.maximum(squares[counts > 0] / counts[counts > 0], 1e-30))
+    if len(logs) < 2:
+        return 0.0, float("inf")
+    half = (
+        _STUDENT[min(len(logs), len(_STUDENT) + 1) - 2] * float(np.std(logs, ddof=1)) * np.sqrt(1.0 + 1.0 / len(logs))
+    )
+    low, high = np.exp(np.mean(logs) + np.array([-half, half]))
+    return float(low), float(high)
+
+
+def _sums(
+    observations: Sequence[Observations], kept: Sequence[Bools], distance: Sequence[Floats], unit: Ints
+) -> tuple[Floats, Floats]:
+    """The sum of squares in each unit, and how many values it is of."""
     squares, counts = np.zeros(unit.max() + 1), np.zeros(unit.max() + 1)
     for observed, used, values in zip(observations, kept, distance, strict=True):
         np.add.at(squares, unit[observed.pose], np.sum(np.where(used, values, 0.0) ** 2, axis=1))
         np.add.at(counts, unit[observed.pose], np.sum(used, axis=1))
-    seen = np.flatnonzero(counts)
-    sample = np.random.default_rng(seed).choice(seen, (_RESAMPLES, len(seen)))
-    rms = np.sqrt(squares[sample].sum(axis=1) / counts[sample].sum(axis=1))
-    low, high = np.percentile(rms, [2.5, 97.5])
-    return float(low), float(high)
+    return squares, counts

@@ -140,7 +140,7 @@ def read_points(path: str | Path, session: Session) -> tuple[Points, tuple[Led, 
     Raises:
         SessionError: the file cannot be read, or names other poses, with line and column.
     """
-    table = read_measurements(Path(path), Points, {"pose": session.poses}, session.noise.point)
+    table = read_measurements(Path(path), Points, {"pose": session.poses}, session.noise.of(Points))
     return table.measurements, tuple(Led(name) for name in table.names["led"])  # type: ignore[return-value]
 
 

@@ -112,7 +112,7 @@ else:
         "NoiseKeys",
         __base__=_Keys,
         __doc__="Standard deviations of the joint readings, and of each kind of measurement.",
-        joint=(NotNegative, Noise.joint),
+        joint=(NotNegative, 0.0),
         **{kind.noise: (Positive, kind.usual) for kind in MEASUREMENTS},
     )
     JointModelName = Literal[tuple(model.name for model in JOINT_MODELS)]
@@ -139,6 +139,12 @@ class TolerancesKeys(_Keys):
     length: NotNegative = Tolerances.length
     angle: NotNegative = Tolerances.angle
     zero: NotNegative = Tolerances.zero
+
+
+class ScaleKeys(_Keys):
+    """How well the unit of the cameras' baselines, or of a tracker's points, is known: a share of any length."""
+
+    sigma: NotNegative
 
 
 class StandKeys(_Keys):
@@ -181,6 +187,7 @@ class SetupFile(_Keys):
     estimate: _Estimate = EstimateKeys()
     tolerances: TolerancesKeys = TolerancesKeys()
     joint_models: dict[JointModelName, bool] = {}
+    scale: ScaleKeys | None = None
 
     def setup(self) -> dict[str, Any]:
         """The parts that need no other file, as arguments of :class:`~urdfcal.session.model.Setup`."""
@@ -195,6 +202,7 @@ class SetupFile(_Keys):
             "estimate": Estimate(**dict(self.estimate)),
             "tolerances": Tolerances(tolerances.length, tolerances.angle, tolerances.zero, exceptions),
             "joint_models": self.joint_models,
+            "scale_sigma": None if self.scale is None else self.scale.sigma,
         }
 
 

@@ -151,6 +151,7 @@ def _write_files(folder: Path, session: Positions, urdf: Urdf) -> None:
         "estimate": {key: value if isinstance(value, str) else dict(value) for key, value in estimate.items()},
         "tolerances": _said(**{**vars(session.tolerances), "joints": None}),
         "joint_models": dict(session.joint_models),
+        "scale": _said(sigma=session.scale_sigma),
     }
     content["tolerances"] |= {name: dict(values) for name, values in session.tolerances.joints.items()}
     content = {key: value for key, value in content.items() if value}

@@ -12,7 +12,7 @@ import numpy as np
 from urdfcal import files
 from urdfcal.estimation.blocks.arm import LENGTHS
 from urdfcal.output import charts, figures
-from urdfcal.output.findings import HEADLINE, Overview, look_up
+from urdfcal.output.findings import HEADLINE, Overview, claims, look_up
 from urdfcal.output.palette import SIGMA_LEGEND
 from urdfcal.output.texts import MOUNTS, fastening_sentences, fixed_parameters, listed
 from urdfcal.robot.tree_dh import MOUNT
@@ -58,7 +58,8 @@ def write_report(path: Path, calibration: FittedCalibration, overview: Overview 
         document,
         n=_number_of(document),
         meaning=HEADLINE,
-        misfit=f"{np.sqrt(document['fit']['reduced_chi2']):.2g}",
+        claims=claims(document),
+        misfit=_misfit(document["fit"]["reduced_chi2"]),
         figures={name: Markup(svg) for name, svg in svgs.items()},  # noqa: S704  # made by us, labels escaped
         sigma_legend=SIGMA_LEGEND,
         rows=_rows(document),
@@ -78,6 +79,10 @@ def write_report(path: Path, calibration: FittedCalibration, overview: Overview 
     files.write_text(path, page)
 
 
+def _misfit(chi2: float | None) -> str:
+    return "of unknown size in" if chi2 is None else f"{np.sqrt(chi2):.2g} times"
+
+
 def _number_of(document: ResultData) -> Callable[..., Markup]:
     """What writes a number of ``calibration.json`` into the page, its full value and key beside it.
 
@@ -90,7 +95,9 @@ def _number_of(document: ResultData) -> Callable[..., Markup]:
     ) -> Markup:
         path = tuple(key.split(".")) if isinstance(key, str) else tuple(map(str, key))
         value = look_up(document, path)
-        if digits is None:
+        if value is None:
+            text = "unknown"
+        elif digits is None:
             text = f"{scale * value:.3g}"
         else:  # rounding first, or tiny negative numbers print as -0.000
             text = f"{round(scale * value, digits) + 0.0:{'+' if signed else ''}.{digits}f}"

@@ -19,6 +19,7 @@ from urdfcal.estimation.model_selection import Trial
 from urdfcal.estimation.observations import arrange
 from urdfcal.estimation.validation import rms_interval
 from urdfcal.result import document as d
+from urdfcal.result import evidence_sections as e
 from urdfcal.robot.mechanism import BASE as BASE_LINK
 from urdfcal.robot.urdf.origins import origins_of
 from urdfcal.rotations import matrix_to_rpy
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 def build_document(of: FittedCalibration) -> d.ResultDocument:
     """Collect everything that a fitted calibration says."""
     parameters = _parameters(of)
+    listed: dict[str, Any] = {"parameters": parameters} if parameters else {}  # absent where there are none
     return d.ResultDocument(
         format=d.FORMAT,
         robot=_robot(of.chain, of.placements, of.session.urdf_reference),
@@ -41,12 +43,13 @@ def build_document(of: FittedCalibration) -> d.ResultDocument:
         T_world_base_sigma=_known(of.sigmas_of(BASE)),
         leds=_leds(of),
         cameras={camera.name: _camera(of, c) for c, camera in enumerate(of.estimate.cameras)},
-        **({"parameters": parameters} if parameters else {}),
+        **listed,
         fit=_fit(of),
         verdict=d.VerdictSection(
             level=of.assessment.level, sentence=of.assessment.sentence, reasons=list(of.assessment.reasons)
         ),
         validation=_validation(of),
+        **_evidence(of),
         models=[
             d.ModelEntry(
                 model=str(attempt.spec),
@@ -228,7 +231,7 @@ def _validation(of: FittedCalibration) -> d.ValidationSection:
     """
     chosen, nominal = of.comparison.chosen, of.comparison.nominal_arm
     distance = 1e3 * chosen.residuals("distance")
-    unit = of.session.motion.independent(len(of.session.poses))
+    unit = of.session.motion.independent(of.session.q)
     low, high = rms_interval(of.observations, chosen.fit.kept, chosen.held_out.distance, unit, of.seed)
     pixels = {}
     if of.estimate.cameras:
@@ -245,6 +248,47 @@ def _validation(of: FittedCalibration) -> d.ValidationSection:
         p95_mm=float(np.percentile(distance, 95)),
         **pixels,
     )
+
+
+def _evidence(of: FittedCalibration) -> dict[str, Any]:
+    """What speaks for and against the estimate beside its residuals."""
+    evidence, session = of.evidence, of.session
+    regions, scale = evidence.regions, evidence.scale
+    q, names = session.chain.readings(session.q), session.chain.actuated
+    return {
+        "tip": e.TipSection(rms_mm=1e3 * evidence.tip.rms, interval_mm=[1e3 * end for end in evidence.tip.interval]),
+        "regions": e.RegionsSection(
+            count=regions.count,
+            rms_nominal_mm=1e3 * regions.rms_nominal,
+            rms_mm=1e3 * regions.rms,
+            interval_mm=[1e3 * end if np.isfinite(end) else None for end in regions.interval],
+        ),
+        "scale": e.ScaleSection(
+            tip_mm_per_permille=1e3 * scale.tip_per_permille,
+            factor=scale.factor,
+            factor_sigma=scale.sigma if np.isfinite(scale.sigma) else None,
+            declared_sigma=scale.declared,
+        ),
+        "noise": {
+            noise.name: e.NoiseEntry(
+                unit=noise.unit, declared=noise.declared, found=noise.found, relative_sigma=noise.relative_sigma
+            )
+            for noise in evidence.noise
+        },
+        "findings": [
+            e.FindingEntry(
+                name=finding.name,
+                sentence=finding.sentence,
+                share=finding.share,
+                pose=None if finding.pose is None else session.label(finding.pose),
+                alike=list(finding.alike),
+            )
+            for finding in evidence.findings
+        ],
+        "domain": e.DomainSection(
+            joints={name: [float(q[:, k].min()), float(q[:, k].max())] for k, name in enumerate(names)}
+        ),
+    }
 
 
 def _outliers(of: FittedCalibration) -> list[d.OutlierEntry]:
@@ -266,7 +310,7 @@ def _outliers(of: FittedCalibration) -> list[d.OutlierEntry]:
     return found
 
 
-def _known(sigmas: Floats) -> d.Sigmas:
+def _known(sigmas: Floats) -> e.Sigmas:
     """Standard deviations, None where a value was fixed."""
     return [float(s) if np.isfinite(s) else None for s in sigmas]
 

@@ -19,6 +19,7 @@ from urdfcal.result.calibration import Calibration, corrected_name
 if TYPE_CHECKING:
     from urdfcal.estimation.assessment import Assessment
     from urdfcal.estimation.blocks.arm import ArmParameterization
+    from urdfcal.estimation.evidence import Evidence
     from urdfcal.estimation.identifiability import Identifiability
     from urdfcal.estimation.model_selection import Comparison
     from urdfcal.estimation.multistart import Minimum
@@ -43,6 +44,7 @@ class FittedCalibration(Calibration):
         comparison: the models that were tried, and the chosen one.
         solutions: minima reached from other starts, if any were asked for; the kept one first.
         seed: random seed of the folds and of the check configurations.
+        evidence: on the chosen model, beside its residuals.
         assessment: whether to trust the result, and what speaks against it.
     """
 
@@ -52,6 +54,7 @@ class FittedCalibration(Calibration):
     comparison: Comparison
     solutions: tuple[Minimum, ...]
     seed: int
+    evidence: Evidence
     assessment: Assessment
 
     @property

@@ -69,29 +69,41 @@ class LedDistance:
 
 @dataclass(frozen=True)
 class Noise:
-    """What was measured, how well: one standard deviation of each number.
+    """What was measured, how well: one standard deviation of each number; None where nothing is said.
+
+    What nothing is said of is estimated from the residuals.
 
     Attributes:
         pixel: of u and of v. [px]
         point: of each coordinate of a measured point. [m]
-        joint: of each joint reading; 0 where it does not matter. [rad or m]
-        other: of further kinds of measurement, by their ``noise`` key; what is not named is the kind's usual one.
+        joint: of each joint reading. [rad or m]
+        other: of further kinds of measurement, by their ``noise`` key.
     """
 
-    pixel: float = 0.1
-    point: float = 1e-4
-    joint: float = 0.0
+    pixel: float | None = None
+    point: float | None = None
+    joint: float | None = None
     other: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        _keep_numbers(self, "noise", "pixel", "point")
-        _keep_numbers(self, "noise", "joint", zero=True)
+        said = [name for name in ("pixel", "point", "joint") if getattr(self, name) is not None]
+        for name in said:
+            _keep_numbers(self, "noise", name, zero=name == "joint")
         keep(self, other=_numbers(self.other, "noise"))
 
+    def said(self, name: str) -> float | None:
+        """Return what is said under a key of ``noise``."""
+        return getattr(self, name) if name in ("pixel", "point", "joint") else self.other.get(name)
+
     def of(self, kind: type[Measurements]) -> float:
-        """Return the standard deviation of a kind of measurement, in its unit."""
-        declared = {"pixel": self.pixel, "point": self.point, **self.other}
-        return declared.get(kind.noise, kind.usual)
+        """Return the standard deviation of a kind of measurement, in its unit; its usual one where nothing is said."""
+        declared = self.said(kind.noise)
+        return kind.usual if declared is None else declared
+
+    @property
+    def reading(self) -> float:
+        """The standard deviation of joint readings; none where nothing is said. [rad or m]."""
+        return self.joint or 0.0
 
 
 @dataclass(frozen=True)

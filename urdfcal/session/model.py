@@ -122,6 +122,11 @@ class Measurements(Rebuilt, ABC):
         """Return some of the rows, by an index or a mask (S,)."""
         return replace(self, **{name: column[chosen] for name, column in self.arrays.items()})
 
+    def with_sigma(self, sigma: float) -> Self:
+        """Return the same measurements with one standard deviation for all. [unit]."""
+        changed: dict[str, Any] = {"sigma": np.full(len(self), sigma)}
+        return replace(self, **changed)
+
     def at(self, poses: Ints) -> Self | None:
         """Return the rows at some poses, (K,) in ascending order, numbered by these; None if there are none."""
         kept = np.isin(self.pose, poses)
@@ -169,6 +174,7 @@ class Setup(Rebuilt):
         estimate: what is to be estimated.
         tolerances: of the robot.
         joint_models: by name, which are estimated (True) or not (False); of the others each decides itself.
+        scale_sigma: of the share that the instrument's lengths may be too long by; None where nothing is said.
         sha256: hash of every input file, by the name that the session gives it.
         folder: where it was read from.
     """
@@ -184,6 +190,7 @@ class Setup(Rebuilt):
     estimate: Estimate = field(default_factory=Estimate)
     tolerances: Tolerances = field(default_factory=Tolerances)
     joint_models: Mapping[str, bool] = field(default_factory=dict)
+    scale_sigma: float | None = None
     sha256: Mapping[str, str] = field(default_factory=dict)
     folder: Path | None = None
 
@@ -363,6 +370,23 @@ class Session(Positions):
             "cameras' time offsets are known, and were left out"
         )
         return replace(self.at(np.flatnonzero(covered)), warnings=(*self.warnings, warning))
+
+    @property
+    def undeclared_noise(self) -> frozenset[str]:
+        """Keys of ``noise`` of which neither the session nor a table of its measurements says anything."""
+        tables = (table for table in self.measurements if np.all(table.sigma == table.usual))
+        names = (*(table.noise for table in tables), "joint")
+        return frozenset(name for name in names if self.noise.said(name) is None)
+
+    def with_noise(self, sigmas: Mapping[str, float]) -> Self:
+        """Return the session with standard deviations for some keys of ``noise``, the tables' own included."""
+        own = {name: sigmas[name] for name in ("pixel", "point", "joint") if name in sigmas}
+        other = {name: sigma for name, sigma in sigmas.items() if name not in own}
+        tables = (
+            table.with_sigma(sigmas[table.noise]) if table.noise in sigmas else table for table in self.measurements
+        )
+        noise = replace(self.noise, **own, other={**self.noise.other, **other})
+        return replace(self, measurements=tuple(tables), noise=noise)
 
     def unmeasured(self) -> Positions:
         """Return the same without its measurements."""

@@ -25,6 +25,11 @@ LONGEST_GAP = 0.15
 MARGIN = 0.1
 
 
+# Configurations that differ by less in every joint repeat each other: the errors of geometry, sag and joint readings,
+# which change over radians, are the same there, and only the measurement's own noise is drawn anew. [rad or m]
+_REPEAT = 0.05
+
+
 class Motion(ABC):
     """What the N poses of a session are: places where the arm rested, or frames of an arm that moved."""
 
@@ -50,12 +55,16 @@ class Motion(ABC):
         """Return for which of ``count`` poses there are joint readings with the cameras' time offsets (C,) in s."""
 
     @abstractmethod
-    def independent(self, count: int) -> Ints:
-        """Number the stretches (count,) whose errors are independent: what a bootstrap may resample."""
+    def independent(self, q: Floats) -> Ints:
+        """Number the stretches or configurations (N,) whose errors are independent: what a bootstrap may resample.
+
+        Args:
+            q: (N, n) joint values as read. [rad or m]
+        """
 
     @abstractmethod
-    def folds(self, count: int, folds: int, seed: int) -> Ints:
-        """Divide ``count`` poses into folds (count,) for cross-validation."""
+    def folds(self, q: Floats, folds: int, seed: int) -> Ints:
+        """Divide the poses of joint values (N, n) into folds (N,) for cross-validation; no unit is divided."""
 
 
 @dataclass(frozen=True)
@@ -78,15 +87,31 @@ class AtRest(Motion):
         """Return that all poses have readings."""
         return np.ones(count, dtype=bool)
 
-    def independent(self, count: int) -> Ints:
-        """Number the poses: each is on its own."""
-        return np.arange(count)
+    def independent(self, q: Floats) -> Ints:
+        """Number the configurations: repeats of one, and those next to it, have its errors."""
+        number = np.full(len(q), -1, dtype=np.intp)
+        count = 0
+        for pose, near in enumerate(_neighbours(q)):
+            if number[pose] < 0:
+                number[[other for other in near if number[other] < 0]] = count
+                count += 1
+        return number
 
-    def folds(self, count: int, folds: int, seed: int) -> Ints:
-        """Divide the poses at random."""
+    def folds(self, q: Floats, folds: int, seed: int) -> Ints:
+        """Divide the configurations at random."""
+        unit = self.independent(q)
+        count = int(unit.max()) + 1
         fold = np.empty(count, dtype=np.intp)
         fold[np.random.default_rng(seed).permutation(count)] = np.arange(count) % folds
-        return fold
+        result: Ints = fold[unit]
+        return result
+
+
+def _neighbours(q: Floats) -> Sequence[Sequence[int]]:
+    """For each of the joint values (N, n) those that repeat it."""
+    from scipy.spatial import KDTree
+
+    return KDTree(q).query_ball_point(q, _REPEAT, p=np.inf, return_sorted=True)  # type: ignore[no-any-return]
 
 
 AT_REST = AtRest()
@@ -199,13 +224,13 @@ class Trajectory(Motion):
         """Return which frames are well within the log."""
         return self.log.covers(self.robot_time(time_offsets))
 
-    def independent(self, count: int) -> Ints:
+    def independent(self, q: Floats) -> Ints:
         """Number the seconds: the errors of neighbouring frames are alike."""
         result: Ints = np.floor(self.time - self.time.min()).astype(np.intp)
         return result
 
-    def folds(self, count: int, folds: int, seed: int) -> Ints:
+    def folds(self, q: Floats, folds: int, seed: int) -> Ints:
         """Divide the frames into stretches of time: to predict one from its neighbours would be no test."""
-        fold = np.empty(count, dtype=np.intp)
-        fold[np.argsort(self.time, kind="stable")] = np.arange(count) * folds // count
+        fold = np.empty(len(q), dtype=np.intp)
+        fold[np.argsort(self.time, kind="stable")] = np.arange(len(q)) * folds // len(q)
         return fold

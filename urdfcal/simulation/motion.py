@@ -9,6 +9,7 @@ import numpy as np
 
 from urdfcal.arrays import Floats, frozen
 from urdfcal.errors import SessionError
+from urdfcal.estimation.measurements import Detections
 from urdfcal.session.trajectory import JointLog, Trajectory
 from urdfcal.simulation.planning import load_collision_checker
 from urdfcal.simulation.scene import noisy_values, simulate_detections
@@ -89,7 +90,7 @@ def set_in_motion(simulated: Simulated, settings: MotionSettings) -> Simulated:
         time=time - time_offsets[camera],
     )
     q = path.at(time)
-    noise, share = (truth.pixel, session.noise.pixel), truth.outlier_share
+    noise, share = (truth.pixel, session.noise.of(Detections)), truth.outlier_share
     detections, outliers = simulate_detections(truth, q, camera[:, None], noise, share, noise_rng, outlier_rng)
     moving = replace(
         session,

@@ -115,7 +115,7 @@ def look_at(position: Floats, target: Floats) -> Floats:
 def noisy_values(setup: Setup, q: Floats, rng: np.random.Generator) -> Floats:
     """Return what encoders say of true joint values (N, n): mimic joints have no reading of their own, and follow."""
     readings = setup.chain.readings(q)
-    return setup.chain.joint_values(readings + setup.noise.joint * rng.standard_normal(readings.shape))
+    return setup.chain.joint_values(readings + setup.noise.reading * rng.standard_normal(readings.shape))
 
 
 def simulate_detections(

@@ -139,9 +139,11 @@ def simulate(
     checker, warnings = load_collision_checker(nominal, rig)
     q = sample_poses(nominal, checker, poses, pose_rng, progress)
     noise = rig.noise if not pixel else replace(rig.noise, pixel=pixel)
-    pixel = rig.noise.pixel if pixel is None else pixel
+    pixel = rig.noise.of(Detections) if pixel is None else pixel
     views = np.tile(np.arange(len(true.cameras)), (poses, 1))
-    detections, outlying = simulate_detections(true, q, views, (pixel, noise.pixel), outliers, noise_rng, outlier_rng)
+    detections, outlying = simulate_detections(
+        true, q, views, (pixel, noise.of(Detections)), outliers, noise_rng, outlier_rng
+    )
     session = Session(
         **{one.name: getattr(rig, one.name) for one in fields(Setup)} | {"noise": noise, "sha256": {}, "folder": None},
         poses=tuple(f"{k:0{len(str(poses))}d}" for k in range(1, poses + 1)),
@@ -195,7 +197,7 @@ def _truth_to_dict(simulated: Simulated) -> dict[str, Any]:
         "poses": len(session.poses),
         "error_scale": truth.error_scale,
         "outlier_share": truth.outlier_share,
-        "noise": {"pixel": truth.pixel, "joint": session.noise.joint},
+        "noise": {"pixel": truth.pixel, "joint": session.noise.reading},
         "dh": [
             {
                 "joint": label,

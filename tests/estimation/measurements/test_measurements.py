@@ -40,7 +40,9 @@ def points(simulated: Callable) -> Session:
     """A tracker's points in place of two cameras' detections."""
     session = at_rest(simulated)
     found = triangulate(session)
-    return replace(session, measurements=(Points(found.pose, found.led, found.xyz, np.array(session.noise.point)),))
+    return replace(
+        session, measurements=(Points(found.pose, found.led, found.xyz, np.array(session.noise.of(Points))),)
+    )
 
 
 SESSIONS: dict[str, tuple[Callable[[Callable], Session], ...]] = {
@@ -317,8 +319,7 @@ def test_a_table_written_and_read_back_is_the_same(
 @each_kind
 def test_it_is_part_of_a_session_folder(kind: type[Measurement], session: Session, tmp_path: Path) -> None:
     # A noise that is not the usual one comes along, too.
-    usual = {"pixel": session.noise.pixel, "point": session.noise.point}
-    usual |= {other.noise: other.usual for other in MEASUREMENTS if other.noise not in usual}
+    usual = {other.noise: session.noise.of(other) for other in MEASUREMENTS}
     usual[kind.noise] *= 1.5
     named = {name: usual.pop(name) for name in ("pixel", "point")}
     noise = Noise(

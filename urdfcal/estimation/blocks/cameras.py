@@ -8,6 +8,7 @@ import numpy as np
 
 from urdfcal.cameras.camera import Camera
 from urdfcal.estimation.blocks.base import POSE_AXES, POSE_UNITS, Block, LeftPoseBlock
+from urdfcal.estimation.blocks.scale import scale_of
 from urdfcal.estimation.state import Key, State
 
 if TYPE_CHECKING:
@@ -85,12 +86,27 @@ def camera_values(attachments: Attachments, state: State) -> tuple[Camera, ...]:
 def camera_poses(attachments: Attachments, state: State) -> Floats:
     """T_cam_frame (C, 4, 4) of all cameras: the frame each is attached to, in the camera. [m]."""
     poses: list[Floats] = []
-    for name, reference in zip(attachments.cameras, attachments.reference.tolist(), strict=True):
+    for c, (name, reference) in enumerate(zip(attachments.cameras, attachments.reference.tolist(), strict=True)):
         if pose_key(name) not in state:
             break
-        T = state[pose_key(name)]
-        poses.append(T if reference == len(poses) else T @ poses[reference])
+        T = own_pose(attachments, state, c)
+        poses.append(T if reference == c else T @ poses[reference])
     return np.array(poses).reshape(-1, 4, 4)
+
+
+def own_pose(attachments: Attachments, state: State, c: int) -> Floats:
+    """T_cam_frame (4, 4) of a reference camera; of the others T_cam_reference, a given baseline at its true length."""
+    T, scale = state[pose_key(attachments.cameras[c])], scale_of(state)
+    if scale == 1.0 or not has_scale(attachments, c):
+        return T
+    shrunk = np.array(T)
+    shrunk[:3, 3] /= scale
+    return shrunk
+
+
+def has_scale(attachments: Attachments, c: int) -> bool:
+    """Return whether a camera's baseline is given, in the unit of the board that calibrated it."""
+    return bool(attachments.reference[c] != c) and attachments.T_cam_reference[c] is not None
 
 
 def has_cameras(state: State) -> bool:

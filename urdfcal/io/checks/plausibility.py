@@ -176,7 +176,7 @@ def _check_mount_units(inputs: Inputs) -> None:
 
 
 def _check_noise_units(inputs: Inputs) -> None:
-    if (joint := inputs.positions.noise.joint) > _UNREAD:
+    if (joint := inputs.positions.noise.reading) > _UNREAD:
         remedy = "Write radians, and metres for prismatic joints."
         raise inputs.wrong(f"a joint noise of {joint:g} rad is no reading noise", remedy, "noise", "joint")
     for table in inputs.tables.values():

@@ -1,0 +1,160 @@
+"""The evidence on an estimate: noise, scale, regions left out, and effects that it leaves unexplained (METHOD 14)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from urdfcal.estimation.diagnosis.doctor import diagnose
+from urdfcal.estimation.diagnosis.residuals import Unexplained
+from urdfcal.estimation.diagnosis.trials import suspect
+from urdfcal.estimation.noise import find_noise
+from urdfcal.estimation.regions import joint_regions, tip_regions
+from urdfcal.estimation.scale import find_scale
+from urdfcal.estimation.uncertainty import tip_error
+from urdfcal.estimation.validation import hold_out, region_interval, rms_samples
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+    from urdfcal.arrays import Bools, Floats
+    from urdfcal.estimation.diagnosis.doctor import Finding
+    from urdfcal.estimation.diagnosis.trials import Suspicion
+    from urdfcal.estimation.model_selection import Comparison
+    from urdfcal.estimation.noise import FoundNoise
+    from urdfcal.estimation.problem import Problem
+    from urdfcal.estimation.scale import LengthScale
+    from urdfcal.estimation.solver import Progress, Solution
+    from urdfcal.session.model import Session
+
+
+# Residuals with a reduced chi-square below this are noise.
+_HOLDS = 2.0
+# Where they are so large, or so many measurements had to be left out, something about the session may be wrong: it is
+# looked for by trial, which takes seconds.
+_ABSURD, _MANY_OUTLIERS = 9.0, 0.25
+
+
+@dataclass(frozen=True)
+class Regions:
+    """What the estimate is worth in a region that was not measured, from leaving out each that was.
+
+    Attributes:
+        count: how many were left out, clusters of joint space or of tip positions, whichever came out worse.
+        rms: of the distances in them. [m]
+        interval: of what a further region may show, 95 %. [m]
+        rms_nominal: the same of the nominal arm. [m]
+    """
+
+    count: int
+    rms: float
+    interval: tuple[float, float]
+    rms_nominal: float
+
+
+@dataclass(frozen=True)
+class TipError:
+    """The error of the calibrated tip that is to be expected over the workspace.
+
+    Attributes:
+        rms: of positions, after the best alignment at the base. [m]
+        interval: 95 %, of the estimate's covariance where the model holds; else up to what left-out regions show. [m]
+    """
+
+    rms: float
+    interval: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What speaks for and against an estimate beside its residuals.
+
+    Attributes:
+        noise: of each kind of measurement and of the joint readings, declared and found.
+        scale: what the unit of the instrument's lengths does.
+        findings: effects that explain the residuals beyond chance, the largest share first.
+        regions: the error in regions that were left out.
+        tip: the error of the calibrated tip that is to be expected.
+        improvement: 95 % interval of the nominal arm's rms error on held-out poses less the calibrated one's. [m]
+        suspicion: the change of the session that would make it fit; None where it fits, or no single one does.
+    """
+
+    noise: tuple[FoundNoise, ...]
+    scale: LengthScale
+    findings: tuple[Finding, ...]
+    regions: Regions
+    tip: TipError
+    improvement: tuple[float, float]
+    suspicion: Suspicion | None
+
+
+def gather(
+    session: Session,
+    problem: Problem,
+    comparison: Comparison,
+    seed: int,
+    undeclared: Collection[str] = (),
+    progress: Progress | None = None,
+) -> Evidence:
+    """Collect the evidence on the chosen model.
+
+    Args:
+        session: what was measured.
+        problem: of its measurements.
+        comparison: the models that were tried.
+        seed: of the bootstrap.
+        undeclared: keys of ``noise`` of which the session says nothing.
+        progress: called after every solver step of trials, where the fit is absurd.
+    """
+    fit = comparison.chosen.fit
+    noise = find_noise(problem, fit, undeclared)
+    unexplained = Unexplained.of(session, problem, fit, noise)
+    findings, regions = diagnose(session, unexplained), _regions(problem, comparison)
+    cut, kept = (sum(int(np.sum(part)) for part in parts) for parts in (fit.outlier, fit.kept))
+    absurd = fit.reduced_chi2 > _ABSURD or cut > _MANY_OUTLIERS * (cut + kept)
+    return Evidence(
+        noise=noise,
+        scale=find_scale(problem, fit, unexplained),
+        findings=findings,
+        regions=regions,
+        tip=_tip(problem, fit, regions, holds=not findings and fit.reduced_chi2 < _HOLDS),
+        improvement=_improvement(problem, comparison, seed),
+        suspicion=suspect(session, progress) if absurd else None,
+    )
+
+
+def _tip(problem: Problem, fit: Solution, regions: Regions, *, holds: bool) -> TipError:
+    rms, (low, high) = tip_error(problem, fit)
+    if holds:
+        return TipError(rms, (low, high))
+    return TipError(max(rms, regions.rms), (low, max(high, regions.interval[1])))
+
+
+def _regions(problem: Problem, comparison: Comparison) -> Regions:
+    found = []
+    for divide in (joint_regions, tip_regions):
+        region = divide(problem)
+        chosen, nominal = (
+            hold_out(problem, trial.fit, region) for trial in (comparison.chosen, comparison.nominal_arm)
+        )
+        kept = comparison.chosen.fit.kept
+        rms, rms_nominal = (_rms(of.distance, kept) for of in (chosen, nominal))
+        interval = region_interval(problem.observations, kept, chosen.distance, region)
+        found.append(Regions(chosen.folds, rms, interval, rms_nominal))
+    return max(found, key=lambda of: of.interval[1])
+
+
+def _improvement(problem: Problem, comparison: Comparison, seed: int) -> tuple[float, float]:
+    unit = problem.readings.motion.independent(problem.readings.q)
+    kept = comparison.chosen.fit.kept
+    trials = [trial.held_out.distance for trial in (comparison.nominal_arm, comparison.chosen)]
+    samples = [rms_samples(problem.observations, kept, of, unit, seed) for of in trials]
+    low, high = np.percentile(samples[0] - samples[1], [2.5, 97.5])
+    return float(low), float(high)
+
+
+def _rms(distance: tuple[Floats, ...], kept: tuple[Bools, ...]) -> float:
+    values = np.concatenate([of[used] for of, used in zip(distance, kept, strict=True)])
+    return float(np.sqrt(np.mean(values**2)))
