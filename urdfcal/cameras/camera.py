@@ -69,6 +69,12 @@ class Camera:
         """Names of :attr:`parameters`: fx, fy, cx, cy, k1, ..."""
         return ("fx", "fy", "cx", "cy", *COEFFICIENTS[self.distortion_model][: len(self.distortion)])
 
+    @property
+    def matrix(self) -> Floats:
+        """(3, 3) camera matrix, px."""
+        fx, fy, cx, cy = self.intrinsics
+        return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+
     def with_parameters(self, values: Floats) -> Camera:
         """The same camera with other :attr:`parameters`, ``values`` (4 + k,).
 

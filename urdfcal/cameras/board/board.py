@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, cast, get_args
 import numpy as np
 
 from urdfcal.arrays import Floats, Ints, frozen
-from urdfcal.cameras.io.entries import Entry
+from urdfcal.cameras.io.entries import Entry, standing
 from urdfcal.errors import CameraError
 
 if TYPE_CHECKING:
@@ -150,7 +150,5 @@ def read_board(path: Path) -> Board:
     size = entry.whole("columns"), entry.whole("rows"), entry.number("square", _METRES)
     marker = entry.number("marker", _METRES) if "marker" in given else None
     dictionary = entry.text("dictionary") if "dictionary" in given else None
-    try:
+    with standing(str(path)):
         return Board(cast("BoardKind", entry.text("type")), *size, marker, dictionary)
-    except CameraError as error:
-        raise CameraError(error.what, where=str(path), remedy=error.remedy) from error

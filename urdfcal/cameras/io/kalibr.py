@@ -24,7 +24,7 @@ import numpy as np
 
 from urdfcal.arrays import Floats, inverse
 from urdfcal.cameras.camera import Camera
-from urdfcal.cameras.io.entries import Entry, place, rigid
+from urdfcal.cameras.io.entries import Entry, place, rigid, standing
 from urdfcal.cameras.rig import CameraSigma, Rig
 from urdfcal.errors import CameraError
 from urdfcal.files import write_text
@@ -32,9 +32,8 @@ from urdfcal.files import write_text
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-_REQUIRED = ("camera_model", "intrinsics", "distortion_model", "resolution")
 _SIGMA = "urdfcal_sigma"
-_USED = (*_REQUIRED, "distortion_coeffs", "T_cn_cnm1", _SIGMA)
+_USED = ("camera_model", "intrinsics", "distortion_model", "resolution", "distortion_coeffs", "T_cn_cnm1", _SIGMA)
 # Kalibr writes these too; they say nothing about where a pixel looks.
 _IGNORED = ("rostopic", "cam_overlaps", "timeshift_cam_imu", "T_cam_imu")
 _SIGMAS = ("intrinsics", "distortion_coeffs", "T_cn_c0", "correlations")
@@ -148,14 +147,9 @@ def _camera(entry: Entry) -> Camera:
         )
     given = written != "none" or "distortion_coeffs" in entry.fields
     coefficients = entry.numbers("distortion_coeffs") if given else []
-    size = entry.size("resolution")
-    intrinsics = entry.numbers("intrinsics")
-    try:
+    size, intrinsics = entry.size("resolution"), entry.numbers("intrinsics")
+    with standing(f"{place(entry.path, entry.node)} ({entry.name})"):
         return Camera(entry.name, size, np.array(intrinsics), _DISTORTIONS[written], np.array(coefficients))
-    except CameraError as error:
-        raise CameraError(
-            error.what, where=f"{place(entry.path, entry.node)} ({entry.name})", remedy=error.remedy
-        ) from error
 
 
 def _step(entry: Entry) -> Floats | None:
@@ -185,14 +179,11 @@ def _sigma(entry: Entry, camera: Camera, *, placed: bool) -> CameraSigma | None:
         del expected["T_cn_c0"]
     elif not placed:
         raise inner.error("T_cn_c0", "this camera's place is not given, or is the world", "Leave T_cn_c0 out.")
-    values = {}
+    values: dict[str, list[float]] = {}
     for key, count in expected.items():
         values[key] = numbers = inner.numbers(key)
         if len(numbers) != count or min(numbers, default=0.0) < 0.0:
             raise inner.error(key, f"{key} must be {count} standard deviations, none negative; it is {numbers}")
-    pose = values.get("T_cn_c0")
-    return CameraSigma(
-        np.array(values["intrinsics"] + values["distortion_coeffs"]),
-        None if pose is None else np.array(pose),
-        inner.rows("correlations") if "correlations" in inner.fields else None,
-    )
+    correlations = inner.rows("correlations") if "correlations" in inner.fields else None
+    pose = np.array(values["T_cn_c0"]) if "T_cn_c0" in values else None
+    return CameraSigma(np.array(values["intrinsics"] + values["distortion_coeffs"]), pose, correlations)
