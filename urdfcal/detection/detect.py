@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -68,42 +69,34 @@ class Detected:
         Raises:
             SessionError: there is none.
         """
-        rows = [(shot, c, i) for c, shot, i in self._detections()]
-        if not rows:
+        if not self.found:
             raise SessionError(
                 f"no LED was found in {self.index.count} images", remedy=f"What was seen instead: {self.summary()}."
             )
-        fits = [self.spots[c].fits for _, c, _ in rows]
-        return Detections(
-            pose=np.array([shot.pose for shot, _, _ in rows]),
-            camera=np.array([c for _, c, _ in rows]),
-            led=np.array([shot.led for shot, _, _ in rows]),
-            uv=np.array([of.uv[i] for of, (_, _, i) in zip(fits, rows, strict=True)]),
-            sigma=np.array([self._sigma(c, float(self.spots[c].fits.sigma[i])) for _, c, i in rows]),
-        )
-
-    def _sigma(self, camera: int, sigma: float) -> float:
-        """Of a detection, from that of its spot in the image. [px]."""
-        compressed = isinstance(self.index.images[camera], Video)
-        return float(np.hypot(sigma, _COMPRESSED)) if compressed else max(_LEAST_SIGMA, sigma)
+        parts = []
+        for c, (shots, images, spots) in enumerate(zip(self.index.shots, self.index.images, self.spots, strict=True)):
+            pose, led = _indices(shots)
+            seen = spots[spots.good]
+            sigma = seen.fits.sigma
+            sigma = np.hypot(sigma, _COMPRESSED) if isinstance(images, Video) else np.maximum(_LEAST_SIGMA, sigma)
+            parts.append((pose[seen.image], np.full(len(seen), c), led[seen.image], seen.fits.uv, sigma))
+        return Detections(*(np.concatenate(values) for values in zip(*parts, strict=True)))
 
     @property
     def found(self) -> int:
         """Number of detections."""
-        return sum(1 for _ in self._detections())
+        return sum(int(spots.good.sum()) for spots in self.spots)
 
     def rejected(self) -> Iterator[tuple[str, str, str, int | None, str]]:
         """Pose, camera, LED, row of its camera's spots (None: no light) and reason of every light rejected."""
-        for name, shots, spots in self._by_camera():
-            rows = defaultdict(list)
-            for i, number in enumerate(spots.image):
-                rows[int(number)].append(i)
-            for k, shot in enumerate(shots):
+        for name, shots, spots in zip(self.positions.rig.names, self.index.shots, self.spots, strict=True):
+            ends = np.searchsorted(spots.image, np.arange(len(shots) + 1)).tolist()
+            for shot, (start, end) in zip(shots, pairwise(ends), strict=True):
                 labels = self.positions.label(shot.pose), name, self.positions.led_names[shot.led]
-                for i in rows[k]:
+                for i in range(start, end):
                     if spots.reasons[i]:
                         yield (*labels, i, spots.reasons[i])
-                if not rows[k]:
+                if start == end:
                     yield (*labels, None, "no light at all")
 
     def summary(self) -> str:
@@ -111,15 +104,6 @@ class Detected:
         # "12.3 px from where ..." and the like are one reason.
         counts = Counter(" ".join(w for w in reason.split() if not w[0].isdigit()) for *_, reason in self.rejected())
         return ", ".join(f"{reason} ({count})" for reason, count in counts.most_common())
-
-    def _by_camera(self) -> Iterator[tuple[str, tuple[Shot, ...], Spots]]:
-        names = self.positions.rig.names
-        return zip(names, self.index.shots, self.spots, strict=True)
-
-    def _detections(self) -> Iterator[tuple[int, Shot, int]]:
-        for camera, (_, shots, spots) in enumerate(self._by_camera()):
-            for i in np.flatnonzero(spots.good):
-                yield camera, shots[spots.image[i]], int(i)
 
 
 def detect(
@@ -190,10 +174,8 @@ def detect_in(
             warnings.append(f"camera {camera.name!r}: small lights stand still and were left out: {listing}")
         if not shots:
             continue
-        good = np.flatnonzero(seen.good)
         lights = Lights(seen.image, seen.fits.uv, _flux(seen))
-        some = Lights(lights.image[good], lights.uv[good], lights.flux[good])
-        prediction = predict(camera, positions.leds, T_base_tip[pose], led, some)
+        prediction = predict(camera, positions.leds, T_base_tip[pose], led, lights[seen.good])
         if prediction is None:
             warnings.append(
                 f"camera {camera.name!r}: the arm did not help to tell the LED from other lights: "
@@ -201,8 +183,12 @@ def detect_in(
             )
         else:
             misses = prediction.misses(lights)
-            far = np.flatnonzero(misses > prediction.gate)
-            spots[-1] = seen.with_reasons({int(i): _far(float(misses[i])) for i in far})
+            far = [f"{miss:.0f} px from where the arm holds the LED" for miss in misses]
+            hidden = "the arm holds the LED out of this camera's sight"
+            seen = seen.rejected(np.isinf(misses), hidden).rejected(
+                misses > prediction.gate, np.array(far, dtype=object)
+            )
+            spots[-1] = seen
     spots, more = _agreeing(rig, index, spots)
     return Detected(positions, index, tuple(spots), (*positions.warnings, *index.warnings, *warnings, *more))
 
@@ -258,24 +244,20 @@ def write_debug_images(
     if not rig.cameras:
         return
 
-    def draw(task: tuple[Camera, int, Shot, SequenceImage, Spots]) -> None:
-        camera, number, shot, shown, spots = task
-        rows = np.flatnonzero(spots.image == number)
+    def draw(task: tuple[Camera, Shot, SequenceImage, Spots]) -> None:
+        camera, shot, shown, spots = task
         label, led = positions.label(shot.pose), positions.led_names[shot.led]
         title = f"{camera.name}  pose {label}  LED {led}"
-        reasons = [spots.reasons[i] for i in rows]
-        image = shown.lit(camera.resolution)
-        drawing = draw_spots(image, colour, spots.fits.uv[rows], spots.fits.sigma[rows], reasons, title)
-        write_image(
-            stage / camera.name / (f"{label}.{led}.png" if len(positions.leds) > 1 else f"{label}.png"), drawing
-        )
+        drawing = draw_spots(shown.lit(camera.resolution), colour, spots, title)
+        name = f"{label}.{led}.png" if len(positions.leds) > 1 else f"{label}.png"
+        write_image(stage / camera.name / name, drawing)
 
-    def tasks() -> Iterator[tuple[Camera, int, Shot, SequenceImage, Spots]]:
-        index, images = detected.index, detected.index.images
-        for camera, shots, of_camera, spots in zip(rig.cameras, index.shots, images, detected.spots, strict=True):
-            shown: ImageSequence = of_camera
-            for number, (shot, image) in enumerate(zip(shots, shown, strict=True)):
-                yield camera, number, shot, image, spots
+    def tasks() -> Iterator[tuple[Camera, Shot, SequenceImage, Spots]]:
+        index = detected.index
+        for camera, shots, images, spots in zip(rig.cameras, index.shots, index.images, detected.spots, strict=True):
+            sequence: ImageSequence = images
+            for number, (shot, shown) in enumerate(zip(shots, sequence, strict=True)):
+                yield camera, shot, shown, spots[spots.image == number]
 
     with staged(folder) as stage:
         for name in rig.names:
@@ -307,12 +289,6 @@ def _places(positions: Positions, T_base_tip: Floats, led: Ints) -> Ints:
     return np.asarray(np.unique(rounded, axis=0, return_inverse=True)[1].ravel())
 
 
-def _far(miss: float) -> str:
-    if not np.isfinite(miss):
-        return "the arm holds the LED out of this camera's sight"
-    return f"{miss:.0f} px from where the arm holds the LED"
-
-
 def _flux(spots: Spots) -> Floats:
     """(n,) brightness of spots: the volume under them."""
     return np.asarray(2.0 * np.pi * spots.fits.peak * (spots.fits.width**2 + 1.0 / 12.0))
@@ -327,7 +303,7 @@ def _agreeing(rig: Rig, index: ImageIndex, spots: list[Spots]) -> tuple[list[Spo
             shot = shots[seen.image[i]]
             groups[shot.pose, shot.led].append(LightCandidate(camera, int(i), seen.fits.uv[i], float(flux[i])))
     verdict, warnings = associate(rig, list(groups.values()))
-    by_camera: list[dict[int, str]] = [{} for _ in spots]
+    reasons = [np.full(len(seen), "", dtype=object) for seen in spots]
     for (camera, row), reason in verdict.items():
-        by_camera[camera][row] = reason
-    return [seen.with_reasons(reasons) for seen, reasons in zip(spots, by_camera, strict=True)], warnings
+        reasons[camera][row] = reason
+    return [seen.rejected(of != "", of) for seen, of in zip(spots, reasons, strict=True)], warnings

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from urdfcal.detection.spots.gaussian import Rows
 from urdfcal.rotations import rotation_vector_to_matrix, skew
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ _ROUNDS = 8
 
 
 @dataclass(frozen=True, eq=False)
-class Lights:
+class Lights(Rows):
     """What one camera saw: n lights in P images.
 
     Attributes:

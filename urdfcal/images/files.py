@@ -85,7 +85,7 @@ def channel(image: Image, colour: Colour) -> NDArray[np.float32]:
         return image.astype(np.float32)
     if colour == "any":
         return np.asarray(cv2.transform(image, np.full((1, 3), 1.0 / 3.0)).astype(np.float32))
-    return image[..., ("red", "green", "blue").index(colour)].astype(np.float32)
+    return image[..., COLOURS.index(colour) - 1].astype(np.float32)
 
 
 def saturation(image: Image) -> float:

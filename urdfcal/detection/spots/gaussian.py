@@ -7,13 +7,19 @@ move it. A spot is therefore a point-sampled Gaussian here, and 1/12 is taken of
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import MISSING, dataclass, fields, replace
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from typing_extensions import Self
+
     from urdfcal.arrays import Bools, Floats, Ints
+
+_Rows = TypeVar("_Rows", bound="Rows")
 
 PIXEL_VARIANCE = 1.0 / 12.0
 # Columns of the parameters: centre, peak, the triangle L of u = L d (density exp(-|u|²/2)), background and slopes.
@@ -32,6 +38,30 @@ _STRETCH, _SKEW = np.eye(COUNT)[L11] - np.eye(COUNT)[L22], np.eye(COUNT)[L12]
 _ROUND = 0.3
 # A pixel's own square has a standard deviation of 0.29: nothing is narrower. Windows are narrower than 1 / 0.02.
 _NARROWEST, _WIDEST = 0.27, 40.0
+
+
+class Rows:
+    """A dataclass of arrays with a row for each of n things; a field with a default is of all together."""
+
+    def __len__(self) -> int:
+        return len(getattr(self, fields(self)[0].name))  # type: ignore[arg-type]
+
+    def __getitem__(self, rows: Ints | Bools) -> Self:
+        return self._with(lambda name: getattr(self, name)[rows])
+
+    @staticmethod
+    def join(parts: Sequence[_Rows]) -> _Rows:
+        """All rows of several, one at least, in order."""
+
+        def joined(name: str) -> Any:
+            values = [getattr(part, name) for part in parts]
+            return Rows.join(values) if isinstance(values[0], Rows) else np.concatenate(values)
+
+        return parts[0]._with(joined)
+
+    def _with(self, values: Callable[[str], Any]) -> Self:
+        rows = [field.name for field in fields(self) if field.default_factory is MISSING]  # type: ignore[arg-type]
+        return replace(self, **{name: values(name) for name in rows})  # type: ignore[type-var]
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,24 +90,15 @@ class Windows:
         return Windows(self.u, self.v, self.values, self.usable & (distance <= reach[:, None] ** 2), self.saturated)
 
 
-@dataclass(frozen=True, eq=False)
-class PixelNoise:
-    """Variance of a pixel: constant, and proportional to the light that the spot adds to it.
+def pixel_variance(floor: Floats, shot: Floats | float, light: Floats) -> Floats:
+    """Variance (n, P) of pixels, in counts²: constant, and proportional to the light that the spot adds to it.
 
-    Attributes:
+    Args:
         floor: (n,) of the background. [counts²]
-        shot: (n,) per count of light. [counts]
+        shot: (n,) per count of light, or one for all. [counts]
+        light: (n, P) counts of the spot on them.
     """
-
-    floor: Floats
-    shot: Floats
-
-    def __getitem__(self, rows: Ints | Bools) -> PixelNoise:
-        return PixelNoise(self.floor[rows], self.shot[rows])
-
-    def variance(self, light: Floats) -> Floats:
-        """Variance of pixels with ``light`` (n, P) counts of the spot on them."""
-        return np.asarray(self.floor[:, None] + self.shot[:, None] * np.maximum(light, 0.0))
+    return np.asarray(floor[:, None] + np.reshape(shot, (-1, 1)) * np.maximum(light, 0.0))
 
 
 def light(windows: Windows, spots: Floats) -> Floats:
@@ -151,7 +172,8 @@ def fit(windows: Windows, spots: Floats, variance: Floats) -> GaussianFit:
     for _ in range(_MAX_STEPS):
         if not active.size:
             break
-        step = _steps(H[active], gradient[active], damping[active])
+        scaled, scale = _scaled(H[active], damping[active])
+        step = np.linalg.solve(scaled, (gradient[active] * scale)[..., None])[..., 0] * scale
         trial = spots[active] + step
         trial_H, trial_gradient, trial_cost = _linearise(windows[active], trial, variance[active], stiffness[active])
         better = (trial_cost <= cost[active]) & _possible(trial)
@@ -164,14 +186,9 @@ def fit(windows: Windows, spots: Floats, variance: Floats) -> GaussianFit:
         done = better & (gain < _CONVERGED**2)
         converged[active[done]] = True
         active = active[~done & (damping[active] < _LARGEST_DAMPING)]
-    return GaussianFit(spots, _inverse(H), converged)
-
-
-def leverages(windows: Windows, solution: GaussianFit, variance: Floats) -> Floats:
-    """Share (n, P) of each pixel's noise that the fit takes up."""
-    _, J = jacobian(windows, solution.spots)
-    hat: Floats = np.einsum("nip,nij,njp->np", J, solution.covariances, J, optimize=True)
-    return np.clip(hat / variance, 0.0, 0.99)
+    # What the information matrices do not tell gets a huge variance.
+    scaled, scale = _scaled(H, np.zeros(len(H)))
+    return GaussianFit(spots, np.linalg.inv(scaled) * scale[:, :, None] * scale[:, None, :], converged)
 
 
 def _linearise(windows: Windows, spots: Floats, variance: Floats, stiffness: Floats) -> tuple[Floats, Floats, Floats]:
@@ -190,19 +207,11 @@ def _linearise(windows: Windows, spots: Floats, variance: Floats, stiffness: Flo
     return H, gradient, cost
 
 
-def _steps(H: Floats, gradient: Floats, damping: Floats) -> Floats:
-    diagonal = np.einsum("nii->ni", H)
-    scale = 1.0 / np.sqrt(np.maximum(diagonal, 1e-30))
-    scaled = H * scale[:, :, None] * scale[:, None, :]
-    scaled += (damping[:, None] + 1e-12)[..., None] * np.eye(COUNT)
-    return np.asarray(np.linalg.solve(scaled, (gradient * scale)[..., None])[..., 0] * scale)
-
-
-def _inverse(H: Floats) -> Floats:
-    """Inverses of information matrices; what they do not tell gets a huge variance."""
+def _scaled(H: Floats, damping: Floats) -> tuple[Floats, Floats]:
+    """Matrices (n, 9, 9) scaled to ones on their diagonals, which are then raised a little, and the scales (n, 9)."""
     scale = 1.0 / np.sqrt(np.maximum(np.einsum("nii->ni", H), 1e-30))
-    scaled = H * scale[:, :, None] * scale[:, None, :] + 1e-12 * np.eye(COUNT)
-    return np.asarray(np.linalg.inv(scaled) * scale[:, :, None] * scale[:, None, :])
+    raised = (damping[:, None] + 1e-12)[..., None] * np.eye(COUNT)
+    return H * scale[:, :, None] * scale[:, None, :] + raised, scale
 
 
 def _possible(spots: Floats) -> Bools:
