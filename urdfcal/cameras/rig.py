@@ -11,6 +11,7 @@ import numpy as np
 
 from urdfcal.arrays import Bools, Floats, Ints, frozen
 from urdfcal.errors import CameraError
+from urdfcal.rotations import rotation_vector_to_matrix, skew
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -369,3 +370,15 @@ def _is_rigid(T: Floats) -> bool:
         return False
     R = T[:3, :3]
     return bool(np.allclose(R @ R.T, np.eye(3), rtol=0.0, atol=1e-9) and np.linalg.det(R) > 0.0)
+
+
+def by_motion(J_point: Floats, points: Floats) -> Floats:
+    """Derivative (..., 2, 6) wrt a step (v, w) of the frame the ``points`` (..., 3) are in: dp = v + w x p."""
+    return np.concatenate([J_point, -J_point @ skew(points)], axis=-1)
+
+
+def small_motion(step: Floats) -> Floats:
+    """Transforms [exp(w) v; 0 1] of steps (v, w), (..., 6) -> (..., 4, 4)."""
+    T = np.zeros((*step.shape[:-1], 4, 4))
+    T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = rotation_vector_to_matrix(step[..., 3:]), step[..., :3], 1.0
+    return T

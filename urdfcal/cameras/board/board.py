@@ -81,6 +81,10 @@ class Board:
         x, y = np.meshgrid(np.arange(across), np.arange(down))
         return frozen(self.square * np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1))
 
+    def at(self, T: Floats) -> Floats:
+        """Corners (V, N, 3) of boards at ``T`` (V, 4, 4), m."""
+        return np.asarray(self.corners @ np.swapaxes(T[:, :3, :3], 1, 2) + T[:, None, :3, 3])
+
     @cached_property
     def symmetries(self) -> tuple[Ints, ...]:
         """Orders (N,) of the corners in which the board looks the same, the first being 0 ... N - 1.

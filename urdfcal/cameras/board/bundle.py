@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import Floats, frozen
+from urdfcal.arrays import Floats, Ints, frozen
+from urdfcal.cameras.rig import by_motion, small_motion
 from urdfcal.errors import CameraError
-from urdfcal.rotations import rotation_vector_to_matrix, skew
 
 if TYPE_CHECKING:
     from urdfcal.cameras.board.board import Board
@@ -55,31 +55,23 @@ class Bundle:
     T_world_board: Floats
 
     @property
-    def lens_slices(self) -> tuple[slice, ...]:
-        """Where each camera's intrinsics and distortion are among the cameras' parameters."""
+    def columns(self) -> tuple[Ints, ...]:
+        """Where each camera's parameters are among all: its lens's, and after all lenses the pose's but the first's."""
         ends = np.cumsum([0, *(len(camera.parameters) for camera in self.cameras)])
-        return tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
-
-    @property
-    def pose_slices(self) -> tuple[slice | None, ...]:
-        """Where each camera's pose is among them, after all lenses; None for the first camera."""
-        first = self.lens_slices[-1].stop
-        return (None, *(slice(first + 6 * i, first + 6 * i + 6) for i in range(len(self.cameras) - 1)))
+        poses = ends[-1] + np.arange(6 * (len(self.cameras) - 1)).reshape(-1, 6)
+        lenses = [np.arange(a, b) for a, b in pairwise(ends)]
+        return (lenses[0], *(np.concatenate(both) for both in zip(lenses[1:], poses, strict=True)))
 
     @property
     def size(self) -> int:
         """Number of the cameras' parameters."""
-        return int(self.lens_slices[-1].stop) + 6 * (len(self.cameras) - 1)
+        return sum(map(len, self.columns))
 
     def project(self) -> Floats:
         """(C, V, N, 2) px of all corners; NaN where a camera cannot see one."""
-        points = self._points_in_world()
-        return np.stack(
-            [
-                camera.project(points @ T[:3, :3].T + T[:3, 3])
-                for camera, T in zip(self.cameras, self.T_cam_world, strict=True)
-            ]
-        )
+        points = self.board.at(self.T_world_board)
+        each = zip(self.cameras, self.T_cam_world, strict=True)
+        return np.stack([camera.project(points @ T[:3, :3].T + T[:3, 3]) for camera, T in each])
 
     def moved(self, shared: Floats, views: Floats) -> Bundle:
         """Step the cameras' parameters by ``shared`` (size,) and the boards by ``views`` (V, 6).
@@ -87,58 +79,43 @@ class Bundle:
         Raises:
             CameraError: a camera has become none.
         """
-        T_cam_world = np.array(self.T_cam_world)
-        for c, where in enumerate(self.pose_slices):
-            if where is not None:
-                T_cam_world[c] = _small_motion(shared[where]) @ T_cam_world[c]
-        return replace(
-            self,
-            cameras=tuple(
-                camera.with_parameters(camera.parameters + shared[where])
-                for camera, where in zip(self.cameras, self.lens_slices, strict=True)
-            ),
-            T_cam_world=T_cam_world,
-            T_world_board=_small_motion(views) @ self.T_world_board,
-        )
+        cameras, places = [], []
+        for camera, T, columns in zip(self.cameras, self.T_cam_world, self.columns, strict=True):
+            lens, pose = np.split(shared[columns], [len(camera.parameters)])
+            cameras.append(camera.with_parameters(camera.parameters + lens))
+            places.append(small_motion(pose) @ T if len(pose) else T)
+        boards = small_motion(views) @ self.T_world_board
+        return replace(self, cameras=tuple(cameras), T_cam_world=np.stack(places), T_world_board=boards)
 
     def normal_equations(self, uv: Floats, weights: Floats) -> _Normal:
         """Accumulate JᵀWJ and JᵀWr; ``weights`` (C, V, N) are 1 / sigma², zero where there is no corner."""
         V, N = uv.shape[1:3]
-        points = self._points_in_world()
-        normal = _Normal(
-            np.zeros((self.size, self.size)), np.zeros(self.size),
-            np.zeros((V, self.size, 6)), np.zeros((V, 6, 6)), np.zeros((V, 6)), 0.0,
-        )  # fmt: skip
-        for c, (camera, T) in enumerate(zip(self.cameras, self.T_cam_world, strict=True)):
+        points = self.board.at(self.T_world_board)
+        shared, g_shared, mixed = np.zeros((self.size, self.size)), np.zeros(self.size), np.zeros((V, self.size, 6))
+        boards, g_boards, cost = np.zeros((V, 6, 6)), np.zeros((V, 6)), 0.0
+        for c, (camera, T, columns) in enumerate(zip(self.cameras, self.T_cam_world, self.columns, strict=True)):
             p = points @ T[:3, :3].T + T[:3, 3]
             predicted, J_point, J_lens = camera.project_with_derivatives(p)
             used = weights[c] > 0.0
             root = np.sqrt(weights[c])[..., None]
             r = np.where(used[..., None], uv[c] - predicted, 0.0) * root
             if np.isnan(r).any():
-                return replace(normal, cost=np.inf)
+                cost = np.inf
+                break
             J_point = np.where(used[..., None, None], J_point, 0.0) * root[..., None]
             J_lens = np.where(used[..., None, None], J_lens, 0.0) * root[..., None]
-            blocks = [J_lens, _moving(J_point, p)]
-            J_view = _moving(J_point @ T[:3, :3], points).reshape(V, 2 * N, 6)
             r = r.reshape(V, 2 * N, 1)
-            where = [self.lens_slices[c], self.pose_slices[c]]
-            columns = np.concatenate([np.arange(s.start, s.stop) for s in where if s is not None])
-            J = np.concatenate([b for b, s in zip(blocks, where, strict=True) if s is not None], axis=-1)
-            J = J.reshape(V, 2 * N, -1)
-            Jt, Jt_view = np.swapaxes(J, 1, 2), np.swapaxes(J_view, 1, 2)
-            normal.shared[np.ix_(columns, columns)] += (Jt @ J).sum(axis=0)
-            normal.g_shared[columns] += (Jt @ r)[..., 0].sum(axis=0)
-            normal.mixed[:, columns] += Jt @ J_view
-            normal.views[:] += Jt_view @ J_view
-            normal.g_views[:] += (Jt_view @ r)[..., 0]
-            normal = replace(normal, cost=normal.cost + float((r * r).sum()))
-        return normal
-
-    def _points_in_world(self) -> Floats:
-        T = self.T_world_board
-        points: Floats = self.board.corners @ np.swapaxes(T[:, :3, :3], 1, 2) + T[:, None, :3, 3]
-        return points
+            J_board = by_motion(J_point @ T[:3, :3], points).reshape(V, 2 * N, 6)
+            # The first camera's pose has no columns.
+            J = np.concatenate([J_lens, by_motion(J_point, p)], axis=-1)[..., : len(columns)].reshape(V, 2 * N, -1)
+            Jt, Jt_board = np.swapaxes(J, 1, 2), np.swapaxes(J_board, 1, 2)
+            shared[np.ix_(columns, columns)] += (Jt @ J).sum(axis=0)
+            g_shared[columns] += (Jt @ r)[..., 0].sum(axis=0)
+            mixed[:, columns] += Jt @ J_board
+            boards += Jt_board @ J_board
+            g_boards += (Jt_board @ r)[..., 0]
+            cost += float((r * r).sum())
+        return _Normal(shared, g_shared, mixed, boards, g_boards, cost)
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,15 +239,3 @@ def _descend(bundle: Bundle, uv: Floats, weights: Floats) -> Bundle:
         if length < _CONVERGED:
             return bundle
     raise CameraError("the calibration of the cameras does not converge", remedy=_MORE)
-
-
-def _moving(J_point: Floats, points: Floats) -> Floats:
-    """Derivative (..., 2, 6) wrt a step (v, w) of the frame the ``points`` (..., 3) are in: dp = v + w x p."""
-    return np.concatenate([J_point, -J_point @ skew(points)], axis=-1)
-
-
-def _small_motion(step: Floats) -> Floats:
-    """[exp(w) v; 0 1] of steps (..., 6)."""
-    T = np.zeros((*step.shape[:-1], 4, 4))
-    T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = rotation_vector_to_matrix(step[..., 3:]), step[..., :3], 1.0
-    return T

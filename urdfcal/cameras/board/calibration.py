@@ -324,15 +324,13 @@ def _quality(views: BoardViews, c: int, fitted: Adjusted, i: int) -> CameraQuali
 def _result(
     views: BoardViews, board: Board, fits: dict[int, tuple[Adjusted, int]], rejected: Sequence[Rejection]
 ) -> BoardCalibration:
-    first = fits[0][0]
     names: list[str] = []
     blocks: list[tuple[Adjusted, Ints]] = []
     for c in range(len(views.cameras)):
         fitted, i = fits[c]
-        camera, lens, pose = fitted.bundle.cameras[i], fitted.bundle.lens_slices[i], fitted.bundle.pose_slices[i]
-        own = [*range(lens.start, lens.stop), *(range(pose.start, pose.stop) if pose else ())]
-        blocks.append((fitted, np.array(own, dtype=np.intp)))
-        names += [f"{camera.name}.{name}" for name in (*camera.parameter_names, *(_POSE_AXES if pose else ()))]
+        camera, columns = fitted.bundle.cameras[i], fitted.bundle.columns[i]
+        blocks.append((fitted, columns))
+        names += [f"{camera.name}.{name}" for name in (*camera.parameter_names, *_POSE_AXES)[: len(columns)]]
     # Cameras that were not fitted together know nothing of each other.
     covariance = np.block(
         [
@@ -345,16 +343,18 @@ def _result(
     correlation = 0.5 * (correlation + correlation.T)
 
     cameras, places, sigmas, qualities, warnings, end = [], [], [], [], [], 0
-    for c in range(len(views.cameras)):
-        fitted, i = fits[c]
-        camera = fitted.bundle.cameras[i]
-        start, lens_end, end = end, end + len(camera.parameters), end + len(blocks[c][1])
-        pose_sigma = sigma[lens_end:end] if end > lens_end else None
+    for c, (fitted, columns) in enumerate(blocks):
+        i = fits[c][1]
+        camera, T = fitted.bundle.cameras[i], fitted.bundle.T_cam_world[i]
+        # The nearest rigid transform: many small steps leave some 1e-15.
+        U, _, Vt = np.linalg.svd(T[:3, :3])
+        start, end = end, end + len(columns)
+        lens, pose = np.split(sigma[start:end], [len(camera.parameters)])
         cameras.append(camera)
-        places.append(_orthonormal(fitted.bundle.T_cam_world[i]) if fitted is first else None)
-        sigmas.append(CameraSigma(sigma[start:lens_end], pose_sigma, correlation[start:end, :end]))
+        places.append(np.block([[U @ Vt, T[:3, 3:]], [T[3]]]) if fitted is blocks[0][0] else None)
+        sigmas.append(CameraSigma(lens, pose if len(pose) else None, correlation[start:end, :end]))
         qualities.append(_quality(views, c, fitted, i))
-        warnings += _remarks(camera, qualities[-1], placed=fitted is first)
+        warnings += _remarks(qualities[-1], placed=places[-1] is not None)
     return BoardCalibration(
         board=board,
         rig=Rig(tuple(cameras), tuple(places), tuple(sigmas)),
@@ -366,34 +366,22 @@ def _result(
     )
 
 
-def _remarks(camera: Camera, quality: CameraQuality, *, placed: bool) -> list[str]:
+def _remarks(quality: CameraQuality, *, placed: bool) -> list[str]:
     remarks = []
     if quality.coverage < _LEAST_COVERAGE:
+        covered = quality.covered
+        thirds = {
+            "at the left": covered[:, : _GRID[0] // 3], "at the right": covered[:, -(_GRID[0] // 3) :],
+            "at the top": covered[: _GRID[1] // 3], "at the bottom": covered[-(_GRID[1] // 3) :],
+        }  # fmt: skip
+        empty = min(thirds, key=lambda side: float(thirds[side].mean()))
         remarks.append(
-            f"camera '{camera.name}': corners lie in {100 * quality.coverage:.0f} % of the image only; the distortion "
-            f"of the rest is a guess. Add images with the board {_empty_side(quality.covered)}"
+            f"camera '{quality.name}': corners lie in {100 * quality.coverage:.0f} % of the image only; the distortion "
+            f"of the rest is a guess. Add images with the board {empty}"
         )
     if not placed:
         remarks.append(
-            f"camera '{camera.name}' has no view in common with the cameras before it: its place is not known. "
+            f"camera '{quality.name}' has no view in common with the cameras before it: its place is not known. "
             "Images of the same name must be taken at the same time"
         )
     return remarks
-
-
-def _empty_side(covered: Bools) -> str:
-    """Where most is missing, in words."""
-    rows, columns = covered.shape
-    thirds = {
-        "at the left": covered[:, : columns // 3], "at the right": covered[:, -(columns // 3) :],
-        "at the top": covered[: rows // 3], "at the bottom": covered[-(rows // 3) :],
-    }  # fmt: skip
-    return min(thirds, key=lambda side: float(thirds[side].mean()))
-
-
-def _orthonormal(T: Floats) -> Floats:
-    """The nearest rigid transform: many small steps leave some 1e-15."""
-    U, _, Vt = np.linalg.svd(T[:3, :3])
-    result = np.array(T)
-    result[:3, :3] = U @ Vt
-    return result

@@ -64,8 +64,7 @@ def first_guesses(name: str, resolution: tuple[int, int], model: str, board: Boa
 
     def misfit(focal: float) -> float:
         guess = camera(focal)
-        T = board_poses(guess, board, uv)
-        error = guess.project(board.corners @ np.swapaxes(T[:, :3, :3], 1, 2) + T[:, None, :3, 3]) - uv
+        error = guess.project(board.at(board_poses(guess, board, uv))) - uv
         squared = np.where(np.isfinite(uv), np.nan_to_num(error, nan=1e3) ** 2, 0.0).sum(axis=(1, 2))
         return float(np.median(squared / np.isfinite(uv[..., 0]).sum(axis=1)))
 
@@ -101,14 +100,10 @@ def place(cameras: Sequence[Camera], board: Board, uv: Floats) -> tuple[list[Flo
             return T_cam_world, T_world_board, uv
         views = np.flatnonzero(seen[c] & known)
         # (S, views, 4, 4): this camera's place, for every reading of the board.
-        candidates = np.stack(
-            [
-                board_poses(cameras[c], board, uv[c, views][:, order]) @ inverse(T_world_board[views])
-                for order in board.symmetries
-            ]
-        )
-        T, readings = _most_agreed(candidates)
-        for view, reading in zip(views, readings, strict=True):
+        readings = [board_poses(cameras[c], board, uv[c, views][:, order]) for order in board.symmetries]
+        candidates = np.stack(readings) @ inverse(T_world_board[views])
+        T, agreed = _most_agreed(candidates)
+        for view, reading in zip(views, agreed, strict=True):
             uv[c, view] = uv[c, view, board.symmetries[reading]]
         T_cam_world[c] = T
         new = seen[c] & ~known
