@@ -14,6 +14,8 @@ from urdfcal.errors import CameraError
 from urdfcal.rotations import rotation_vector_to_matrix, skew
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import ArrayLike
 
     from urdfcal.cameras.camera import Camera
@@ -204,10 +206,9 @@ class Rig:
             CameraError: the shapes do not fit, or a detection's sigma is not positive.
         """
         uv, sigma = self._checked_pixels(uv, sigma)
-        placed = [(i, T) for i, T in enumerate(self.T_cam_world) if T is not None]
-        columns = [i for i, _ in placed]
-        cameras = tuple(self.cameras[i] for i in columns)
-        return _Observations(cameras, tuple(T for _, T in placed), uv[:, columns], sigma[:, columns]).triangulate()
+        placed = {i: T for i, T in enumerate(self.T_cam_world) if T is not None}
+        cameras, columns = [self.cameras[i] for i in placed], list(placed)
+        return _Observations(cameras, list(placed.values()), uv[:, columns], sigma[:, columns]).triangulate()
 
     def _check_sigmas(self) -> None:
         if len(self.sigmas) != len(self.cameras):
@@ -264,8 +265,8 @@ class Rig:
 class _Observations:
     """What the C cameras of known place saw of M points: uv (M, C, 2) and sigma (M, C) px, NaN if nothing."""
 
-    cameras: tuple[Camera, ...]
-    T_cam_world: tuple[Floats, ...]
+    cameras: Sequence[Camera]
+    T_cam_world: Sequence[Floats]
     uv: Floats
     sigma: Floats
 
@@ -280,7 +281,8 @@ class _Observations:
 
         found = np.flatnonzero(status == Status.OK)
         start = self._nearest_to(rays[found], seen[found])
-        behind = self._behind(start, seen[found])
+        depths = np.stack([start @ T[2, :3] + T[2, 3] for T in self.T_cam_world], axis=1)
+        behind = (seen[found] & ~(depths > 0.0)).any(axis=1)
         status[found[behind]] = Status.BEHIND_CAMERA
         found = found[~behind]
 
@@ -336,11 +338,6 @@ class _Observations:
             A += across
             b += across @ (-T[:3, :3].T @ T[:3, 3])
         return np.asarray((_inverse(A) @ b[..., None])[..., 0])
-
-    def _behind(self, points: Floats, seen: Bools) -> Bools:
-        """(M,) whether a point lies behind a camera that saw it."""
-        depths = np.stack([points @ T[2, :3] + T[2, 3] for T in self.T_cam_world], axis=1)
-        return np.asarray((seen & ~(depths > 0.0)).any(axis=1))
 
     def _linearise(self, points: Floats, rows: Ints) -> tuple[Floats, Floats, Floats]:
         """JᵀJ (k, 3, 3), Jᵀr (k, 3) and rᵀr (k,) of the whitened residuals of the detections ``rows``."""

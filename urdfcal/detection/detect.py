@@ -25,14 +25,15 @@ from urdfcal.io.writing import write_measurements, write_table
 from urdfcal.robot.kinematics import tip_poses
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from urdfcal.arrays import Floats, Ints
     from urdfcal.cameras.camera import Camera
     from urdfcal.cameras.rig import Rig
     from urdfcal.detection.image_index import Shot
     from urdfcal.detection.spots.detector import Spots
-    from urdfcal.images.files import Colour, ImageSequence, SequenceImage
+    from urdfcal.images.files import Colour
+    from urdfcal.images.video import ImageSequence, SequenceImage
     from urdfcal.session.model import Positions
 
 REJECTED = "detections_rejected.csv"
@@ -255,7 +256,7 @@ def write_debug_images(
     def tasks() -> Iterator[tuple[Camera, Shot, SequenceImage, Spots]]:
         index = detected.index
         for camera, shots, images, spots in zip(rig.cameras, index.shots, index.images, detected.spots, strict=True):
-            sequence: ImageSequence = images
+            sequence: Iterable[SequenceImage] = images
             for number, (shot, shown) in enumerate(zip(shots, sequence, strict=True)):
                 yield camera, shot, shown, spots[spots.image == number]
 

@@ -6,7 +6,7 @@ import os
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, get_args
 
 import numpy as np
 
@@ -96,29 +96,6 @@ def saturation(image: Image) -> float:
     if top >= _ALMOST * full and top < full and np.count_nonzero(image == top) >= _SHARED:
         full = top
     return float(_CLIPPED * full)
-
-
-class SequenceImage(Protocol):
-    """One image; reading it may take time, and is done where it is needed."""
-
-    def lit(self, resolution: tuple[int, int]) -> Image:
-        """The image, which must be of the size ``resolution`` (width, height) in px."""
-
-    def unlit(self, resolution: tuple[int, int]) -> Image | None:
-        """One from the same place with the LED off, to be subtracted, if there is one."""
-
-
-class ImageSequence(Protocol):
-    """Many of them, in order: a list of files, or a video, of which only a few are in memory at a time."""
-
-    def __len__(self) -> int:
-        """How many."""
-
-    def __iter__(self) -> Iterator[SequenceImage]:
-        """From the first to the last."""
-
-    def __getitem__(self, index: int, /) -> SequenceImage:
-        """One of them."""
 
 
 @dataclass(frozen=True)

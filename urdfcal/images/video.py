@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -13,10 +13,14 @@ from urdfcal.files import replacing
 from urdfcal.images.files import sized
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
-    from urdfcal.images.files import Image
+    from urdfcal.images.files import Image, ImageFile
+
+    # Reading one image may take time, and is done where it is needed; of a video only a few are in memory at a time.
+    SequenceImage: TypeAlias = ImageFile | "VideoFrame"
+    ImageSequence: TypeAlias = Sequence[ImageFile] | "Video"
 
 SUFFIXES = (".mp4", ".avi", ".mkv")
 
@@ -76,10 +80,7 @@ class Video:
                     raise self._miscounted(row)
                 if row in wanted:
                     yield self._retrieved(video, row)
-            more = 0
-            while video.grab():
-                more += 1
-            if more:
+            if more := _rest(video):
                 raise self._miscounted(self.count + more)
 
     def __getitem__(self, index: int) -> VideoFrame:
@@ -94,7 +95,8 @@ class Video:
             video.set(cv2.CAP_PROP_POS_FRAMES, self.rows[index])
             if video.grab():
                 return self._retrieved(video, self.rows[index])
-        raise self._miscounted(_counted(self.path))
+        with _opened(self.path) as video:
+            raise self._miscounted(_rest(video))
 
     def _retrieved(self, video: Any, row: int) -> VideoFrame:
         done, image = video.retrieve()
@@ -152,9 +154,6 @@ def _opened(path: Path) -> Iterator[Any]:
         video.release()
 
 
-def _counted(path: Path) -> int:
-    with _opened(path) as video:
-        count = 0
-        while video.grab():
-            count += 1
-        return count
+def _rest(video: Any) -> int:
+    """How many images follow."""
+    return sum(1 for _ in iter(video.grab, False))

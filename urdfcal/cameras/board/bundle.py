@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import Floats, Ints, frozen
+from urdfcal.arrays import Bools, Floats, Ints, frozen
 from urdfcal.cameras.rig import by_motion, small_motion
 from urdfcal.errors import CameraError
 
@@ -159,15 +159,13 @@ class Adjusted:
         sigma: (C,) standard deviation of a corner's coordinate in each camera, px, from the residuals.
         residuals: (C, V, N, 2) px, NaN where there was no corner.
         outliers: (C, V, N) corners that were left out.
-        cost: sum of the squared residuals, whitened by ``sigma``.
     """
 
     bundle: Bundle
     covariance: Floats
     sigma: Floats
     residuals: Floats
-    outliers: Floats
-    cost: float
+    outliers: Bools
 
 
 def adjust(bundle: Bundle, uv: Floats) -> Adjusted:
@@ -194,9 +192,8 @@ def adjust(bundle: Bundle, uv: Floats) -> Adjusted:
             break
     if np.count_nonzero(weights) < _LEAST_SHARE * np.count_nonzero(seen):
         raise CameraError("the corners do not agree on any camera", remedy=_MORE)
-    normal = bundle.normal_equations(uv, weights)
-    _, _, covariance = normal.solve(0.0)
-    return Adjusted(bundle, frozen(covariance), frozen(sigma), residuals, seen & (weights == 0.0), normal.cost)
+    _, _, covariance = bundle.normal_equations(uv, weights).solve(0.0)
+    return Adjusted(bundle, frozen(covariance), frozen(sigma), residuals, seen & (weights == 0.0))
 
 
 def _noise(distance: Floats, seen: Floats, bundle: Bundle) -> Floats:

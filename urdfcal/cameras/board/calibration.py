@@ -220,7 +220,8 @@ def _alone(name: str, resolution: tuple[int, int], model: str, board: Board, uv:
             continue
         if best is None or _merit(fitted) < _merit(best):
             best = fitted
-        if best.sigma[0] < _GOOD_SIGMA and _left_out(best) < _GOOD_SHARE:
+        left_out = best.outliers.sum() / np.isfinite(best.residuals[..., 0]).sum()
+        if best.sigma[0] < _GOOD_SIGMA and left_out < _GOOD_SHARE:
             break
     if best is None:
         raise CameraError(failure.what if failure else "", where=f"camera '{name}'", remedy=_TILT_THE_BOARD)
@@ -236,10 +237,6 @@ def _alone(name: str, resolution: tuple[int, int], model: str, board: Board, uv:
     return fitted.bundle.cameras[0] if abs(k3) > _SIGNIFICANT * np.sqrt(fitted.covariance[-1, -1]) else camera
 
 
-def _left_out(fitted: Adjusted) -> float:
-    return float(fitted.outliers.sum() / np.isfinite(fitted.residuals[..., 0]).sum())
-
-
 def _merit(fitted: Adjusted) -> float:
     """Median residual, which no left-out corner flatters."""
     return float(np.nanmedian(np.linalg.norm(fitted.residuals, axis=-1)))
@@ -253,8 +250,7 @@ def _without_bad_views(
     rejected: list[Rejection] = []
     while True:
         T_cam_world, T_world_board, uv = place(cameras, board, uv)
-        unseen = ~np.isfinite(T_world_board[:, 0, 0])
-        T_world_board[unseen] = np.eye(4)
+        T_world_board[np.isnan(T_world_board[:, 0, 0])] = np.eye(4)
         placed = [T for T in T_cam_world if T is not None]
         if len(placed) < len(cameras):
             lost = next(camera for camera, T in zip(cameras, T_cam_world, strict=True) if T is None)
@@ -268,21 +264,15 @@ def _without_bad_views(
         # A few corners left out are a reflection or a finger; many are a bad view, judged by all its corners.
         few = fitted.outliers.sum(axis=2) <= _MOST_LEFT_OUT * np.isfinite(uv[..., 0]).sum(axis=2)
         rms = _rms(np.where(few[..., None, None], kept, fitted.residuals))
-        usual = np.nanmedian(rms, axis=1)
-        ratio = np.nan_to_num(rms / np.maximum(usual, 1e-3)[:, None])
+        ratio = np.nan_to_num(rms / np.maximum(np.nanmedian(rms, axis=1), 1e-3)[:, None])
         c, v = (int(i) for i in np.unravel_index(ratio.argmax(), ratio.shape))
         if ratio[c, v] < _FAR_ABOVE:
             return rejected, fitted
         uv[c, v] = np.nan
         # Between several cameras the odd view is one where the board or the exposure moved.
         cause = "was the board bent or read wrongly?" if len(group) == 1 else "did the board move between the cameras?"
-        rejected.append(
-            Rejection(
-                views.cameras[group[c]],
-                views.views[v],
-                f"its residual {rms[c, v]:.2f} px is {ratio[c, v]:.0f} x that of the others: {cause}",
-            )
-        )
+        reason = f"its residual {rms[c, v]:.2f} px is {ratio[c, v]:.0f} x that of the others: {cause}"
+        rejected.append(Rejection(views.cameras[group[c]], views.views[v], reason))
 
 
 def _rms(residuals: Floats) -> Floats:
@@ -290,23 +280,20 @@ def _rms(residuals: Floats) -> Floats:
     seen = np.isfinite(residuals[..., 0])
     squared = np.where(seen[..., None], residuals, 0.0) ** 2
     with np.errstate(invalid="ignore"):
-        rms: Floats = np.sqrt(squared.sum(axis=(2, 3)) / (2.0 * seen.sum(axis=2)))
-    return rms
+        return np.asarray(np.sqrt(squared.sum(axis=(2, 3)) / (2.0 * seen.sum(axis=2))))
 
 
 def _tilts(bundle: Bundle, c: int) -> Floats:
     """(V,) angle between board and image plane, degrees."""
     z = (bundle.T_cam_world[c] @ bundle.T_world_board)[:, 2, 2]
-    tilts: Floats = np.degrees(np.arccos(np.clip(np.abs(z), 0.0, 1.0)))
-    return tilts
+    return np.asarray(np.degrees(np.arccos(np.clip(np.abs(z), 0.0, 1.0))))
 
 
 def _quality(views: BoardViews, c: int, fitted: Adjusted, i: int) -> CameraQuality:
     residuals = fitted.residuals[i]
     used = np.isfinite(residuals[..., 0]).any(axis=1)
-    kept = np.isfinite(residuals[..., 0]) & ~np.asarray(fitted.outliers[i], dtype=bool)
-    uv = views.uv[c][kept]
-    cells = np.floor((uv + 0.5) / np.array(views.resolutions[c]) * _GRID).astype(int)
+    kept = np.isfinite(residuals[..., 0]) & ~fitted.outliers[i]
+    cells = np.floor((views.uv[c][kept] + 0.5) / np.array(views.resolutions[c]) * _GRID).astype(int)
     covered = np.zeros(_GRID[::-1], dtype=bool)
     covered[tuple(np.clip(cells, 0, np.array(_GRID) - 1).T[::-1])] = True
     return CameraQuality(

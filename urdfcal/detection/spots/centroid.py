@@ -66,7 +66,6 @@ class Fits(Rows):
         width: (n,) geometric mean of the spot's two standard deviations, the pixel's own taken off. [px]
         ratio: (n,) of the longer to the shorter one.
         ratio_sigma: (n,) its standard deviation.
-        contrast: (n,) peak over the standard deviation of the background.
         significance: (n,) peak over its own standard deviation.
         misfit: (n,) rms of what the spot leaves unexplained of its core beyond noise, as a share of the peak.
         lobe: (n,) the brightest thing beside the spot in its window, as a share of the peak; 0 if it may be noise.
@@ -80,7 +79,6 @@ class Fits(Rows):
     width: Floats
     ratio: Floats
     ratio_sigma: Floats
-    contrast: Floats
     significance: Floats
     misfit: Floats
     lobe: Floats
@@ -201,7 +199,6 @@ class _Rough:
             width=np.sqrt(widths.prod(axis=1)),
             ratio=widths.max(axis=1) / widths.min(axis=1),
             ratio_sigma=np.sqrt(np.maximum(spread, covariances[:, L12, L12])) / np.maximum(scale, 1e-9),
-            contrast=peak / np.sqrt(self.floor),
             significance=peak / np.sqrt(covariances[:, PEAK, PEAK]),
             misfit=np.sqrt(np.maximum(beyond, 0.0)) / np.maximum(peak, 1e-9),
             lobe=_lobes(windows, r, variance) / np.maximum(peak, 1e-9),

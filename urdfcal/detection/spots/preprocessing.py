@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from urdfcal.arrays import Bools, Floats, Ints
-    from urdfcal.images.files import Colour, Image, ImageSequence, SequenceImage
+    from urdfcal.images.files import Colour, Image
+    from urdfcal.images.video import ImageSequence, SequenceImage
 
 # What is wider than this is a lamp, a window, a sheet of paper: a saturated LED of sigma 6 px is 25 px wide.
 _WIDEST = 26
