@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from urdfcal.arrays import Floats, frozen
+from urdfcal.arrays import Bools, Floats, frozen
 from urdfcal.cameras.lens import COEFFICIENTS, LENGTHS, Lens
 from urdfcal.errors import CameraError
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 # A focal length of 5 % of the image's longer side means a half field of view of 84°. In pixels every lens is
 # above (a 180° fisheye has 32 %); in millimetres or multiples of the image's width it is below (16 mm on
@@ -100,10 +97,7 @@ class Camera:
 
     def project_with_jacobian(self, points: Floats) -> tuple[Floats, Floats]:
         """:meth:`project` and its derivative wrt the points: (..., 2) px and (..., 2, 3) px/m."""
-        points = np.asarray(points, dtype=np.float64)
-        xy, hidden = self._onto_plane(points)
-        distorted, J_lens = self._lens.distort_with_jacobian(xy)
-        return self._to_pixels(points, xy, hidden, distorted, J_lens)
+        return self._linearised(points)[:2]
 
     def project_with_derivatives(self, points: Floats) -> tuple[Floats, Floats, Floats]:
         """:meth:`project` with all its derivatives.
@@ -115,10 +109,7 @@ class Camera:
             uv (..., 2) px, d_uv/d_point (..., 2, 3) px/m and d_uv/d_parameters (..., 2, 4 + k), its columns
             in the order of :attr:`parameters`. All NaN where :meth:`project` is.
         """
-        points = np.asarray(points, dtype=np.float64)
-        xy, hidden = self._onto_plane(points)
-        distorted, J_lens = self._lens.distort_with_jacobian(xy)
-        uv, J_point = self._to_pixels(points, xy, hidden, distorted, J_lens)
+        uv, J_point, xy, hidden, distorted = self._linearised(points)
         J_parameters = np.zeros((*uv.shape, 4 + len(self.distortion)))
         J_parameters[..., 0, 0] = distorted[..., 0]
         J_parameters[..., 1, 1] = distorted[..., 1]
@@ -138,12 +129,12 @@ class Camera:
         rays[np.isnan(rays[..., 0])] = np.nan
         return rays
 
-    def in_image(self, uv: Floats, margin: float = 0.0) -> NDArray[np.bool_]:
+    def in_image(self, uv: Floats, margin: float = 0.0) -> Bools:
         """Which of ``uv`` (..., 2) lie in the image, at least ``margin`` px from its border; NaN does not."""
         inside = (uv >= margin - 0.5) & (uv <= np.array(self.resolution) - 0.5 - margin)
         return np.asarray(inside.all(axis=-1))
 
-    def _onto_plane(self, points: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    def _onto_plane(self, points: Floats) -> tuple[Floats, Bools]:
         """Normalised (x, y), zero where the camera cannot see the point, and the mask of those points."""
         with np.errstate(all="ignore"):
             xy = points[..., :2] / points[..., 2:]
@@ -152,9 +143,11 @@ class Camera:
         xy[hidden] = 0.0
         return xy, hidden
 
-    def _to_pixels(
-        self, points: Floats, xy: Floats, hidden: NDArray[np.bool_], distorted: Floats, J_lens: Floats
-    ) -> tuple[Floats, Floats]:
+    def _linearised(self, points: Floats) -> tuple[Floats, Floats, Floats, Bools, Floats]:
+        """Pixels, their derivative wrt the points, (x, y), which of them are hidden, and what the lens makes of it."""
+        points = np.asarray(points, dtype=np.float64)
+        xy, hidden = self._onto_plane(points)
+        distorted, J_lens = self._lens.distort_with_jacobian(xy)
         focal = self.intrinsics[:2]
         uv = distorted * focal + self.intrinsics[2:]
         # d(x, y)/d(X, Y, Z) = [1 | -(x, y)] / Z
@@ -164,7 +157,7 @@ class Camera:
         J *= (focal / np.where(hidden, 1.0, points[..., 2])[..., None])[..., None]
         uv[hidden] = np.nan
         J[hidden] = np.nan
-        return uv, J
+        return uv, J, xy, hidden, distorted
 
     def _error(self, what: str, remedy: str = "") -> CameraError:
         return CameraError(what, where=f"camera '{self.name}'", remedy=remedy)

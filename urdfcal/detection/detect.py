@@ -263,9 +263,8 @@ def write_debug_images(
     with staged(folder) as stage:
         for name in rig.names:
             (stage / name).mkdir()
-        for _ in in_parallel(draw, tasks()):
-            if progress:
-                progress(1)
+        for _ in in_parallel(draw, tasks(), progress=progress):
+            pass
 
 
 def _rejected_rows(detected: Detected) -> Iterator[tuple[str, ...]]:

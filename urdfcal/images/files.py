@@ -148,22 +148,34 @@ def workers() -> int:
     return max(1, len(affinity(0)) if affinity else os.cpu_count() or 1)
 
 
-def in_parallel(function: Callable[[_T], _R], items: Iterable[_T], threads: int | None = None) -> Iterator[_R]:
+def in_parallel(
+    function: Callable[[_T], _R],
+    items: Iterable[_T],
+    threads: int | None = None,
+    progress: Callable[[int], object] | None = None,
+) -> Iterator[_R]:
     """``map`` with threads, in order, that never runs more than two items a thread ahead of its reader.
 
     Decoding and filtering happen outside Python's lock, so threads are enough; memory is bounded by what
-    2 x threads results take.
+    2 x threads results take. ``progress`` is called with 1 for every result.
     """
     threads = threads or workers()
     with ThreadPoolExecutor(threads) as pool:
         waiting: deque[Any] = deque()
+
+        def next_one() -> _R:
+            result: _R = waiting.popleft().result()
+            if progress:
+                progress(1)
+            return result
+
         try:
             for item in items:
                 waiting.append(pool.submit(function, item))
                 if len(waiting) >= 2 * threads:
-                    yield waiting.popleft().result()
+                    yield next_one()
             while waiting:
-                yield waiting.popleft().result()
+                yield next_one()
         finally:
             for future in waiting:
                 future.cancel()

@@ -117,8 +117,7 @@ def calibrate_cameras(views: BoardViews, board: Board, model: str = "radtan") ->
         CameraError: too few or too parallel views, or corners that fit no camera; says what images to add.
     """
     uv, rejected = _usable(views, board)
-    alone: list[Camera] = []
-    noise: list[float] = []
+    alone: list[Adjusted] = []
     for c, name in enumerate(views.cameras):
         _check_views(views, c, uv, rejected)
         camera = _alone(name, views.resolutions[c], model, board, uv[c])
@@ -128,18 +127,18 @@ def calibrate_cameras(views: BoardViews, board: Board, model: str = "radtan") ->
             uv[c, views.views.index(rejection.view)] = np.nan
         _check_views(views, c, uv, rejected)
         _check_focal(fitted, name)
-        alone.append(fitted.bundle.cameras[0])
-        noise.append(float(fitted.sigma[0]))
+        alone.append(fitted)
 
-    placed, _, _ = place(alone, board, uv)
-    together = tuple(c for c, T in enumerate(placed) if T is not None)
-    groups = [together, *((c,) for c in range(len(alone)) if c not in together)]
+    cameras = [fitted.bundle.cameras[0] for fitted in alone]
+    placed, _, _ = place(cameras, board, uv)
+    together = [c for c, T in enumerate(placed) if T is not None]
     fits: dict[int, tuple[Adjusted, int]] = {}
-    for group in groups:
-        dropped, fitted = _without_bad_views(board, [alone[c] for c in group], uv[list(group)], views, group)
+    for group in [together, *([c] for c, T in enumerate(placed) if T is None)]:
+        dropped, fitted = _without_bad_views(board, [cameras[c] for c in group], uv[group], views, group)
         rejected += dropped
-        _check_together(fitted, [noise[c] for c in group])
-        fits.update({c: (fitted, i) for i, c in enumerate(group)})
+        for i, c in enumerate(group):
+            fits[c] = fitted, i
+            _check_together(cameras[c].name, float(alone[c].sigma[0]), float(fitted.sigma[i]))
     return _result(views, board, fits, rejected)
 
 
@@ -196,15 +195,14 @@ def _check_focal(fitted: Adjusted, name: str) -> None:
         )
 
 
-def _check_together(fitted: Adjusted, noise: Sequence[float]) -> None:
-    """Refuse cameras that each agree with themselves but not with each other."""
-    for camera, sigma, before in zip(fitted.bundle.cameras, fitted.sigma, noise, strict=True):
-        if sigma > _FAR_ABOVE * max(before, _LEAST_NOISE):
-            raise CameraError(
-                f"its corners fit to {before:.2g} px alone, but to {sigma:.2g} px together with the other cameras",
-                where=f"camera '{camera.name}'",
-                remedy=_AT_THE_SAME_TIME,
-            )
+def _check_together(name: str, alone: float, together: float) -> None:
+    """Refuse a camera that agrees with itself but not with the others."""
+    if together > _FAR_ABOVE * max(alone, _LEAST_NOISE):
+        raise CameraError(
+            f"its corners fit to {alone:.2g} px alone, but to {together:.2g} px together with the other cameras",
+            where=f"camera '{name}'",
+            remedy=_AT_THE_SAME_TIME,
+        )
 
 
 def _alone(name: str, resolution: tuple[int, int], model: str, board: Board, uv: Floats) -> Camera:

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from urdfcal.images.files import channel
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from urdfcal.arrays import Bools, Floats
     from urdfcal.cameras.board.board import Board
+    from urdfcal.images.files import Image
 
 # Further out there is little left to learn, and the lens bends the edges.
 _REACH = 8
@@ -47,7 +46,7 @@ class Corners:
         return np.isfinite(self.uv[:, 0])
 
 
-def detect_board(image: NDArray[Any], board: Board) -> Corners | None:
+def detect_board(image: Image, board: Board) -> Corners | None:
     """Find the corners of ``board``.
 
     Args:
@@ -66,7 +65,7 @@ def detect_board(image: NDArray[Any], board: Board) -> Corners | None:
     return refine(grey, board, start)
 
 
-def refine(image: NDArray[Any], board: Board, uv: Floats) -> Corners:
+def refine(image: Image, board: Board, uv: Floats) -> Corners:
     """Find the corners near ``uv``.
 
     Around a corner at c the image is ``m + h erf(n1·(x - c) / (√2 s1)) erf(n2·(x - c) / (√2 s2))``, with an
@@ -126,8 +125,7 @@ def _weights(board: Board, directions: Floats, d: Floats) -> Floats:
         frame = 0.5 * (1.0 - board.marker / board.square)
         size = np.linalg.norm(directions, axis=2).min(axis=1)[:, None]
         shown &= ab.min(axis=-1) < frame - np.minimum(2.0 * _BLUR / size, 0.5 * frame)
-    weights: Floats = shown.astype(float)
-    return weights
+    return np.asarray(shown.astype(float))
 
 
 def _fit(windows: Floats, weights: Floats, offsets: Floats, start: Floats, directions: Floats) -> tuple[Floats, Bools]:
@@ -140,7 +138,7 @@ def _fit(windows: Floats, weights: Floats, offsets: Floats, start: Floats, direc
     angles = np.arctan2(directions[..., 1], directions[..., 0])
     p = np.concatenate([start, angles, np.full((n, 2), _BLUR), np.zeros((n, 2))], axis=1)
     # m and h enter linearly.
-    shape, _ = _model(p, offsets, only_shape=True)
+    shape = _model(p, offsets)[1][..., 7]
     total = weights.sum(axis=1)
     mean, middle = (weights * windows).sum(axis=1) / total, (weights * shape).sum(axis=1) / total
     spread = (weights * (shape - middle[:, None]) ** 2).sum(axis=1)
@@ -176,7 +174,7 @@ def _fit(windows: Floats, weights: Floats, offsets: Floats, start: Floats, direc
     return p, good
 
 
-def _model(p: Floats, offsets: Floats, *, only_shape: bool = False) -> tuple[Floats, Floats]:
+def _model(p: Floats, offsets: Floats) -> tuple[Floats, Floats]:
     """The image (n, K) of corners ``p`` (n, 8) and its derivative (n, K, 8)."""
     from scipy.special import erf
 
@@ -190,11 +188,8 @@ def _model(p: Floats, offsets: Floats, *, only_shape: bool = False) -> tuple[Flo
         slopes.append(np.sqrt(2.0 / np.pi) * np.exp(-0.5 * across**2) / blur)
         along.append((across, c * d[..., 0] + s * d[..., 1], c, s))
     shape = sides[0] * sides[1]
-    if only_shape:
-        return shape, shape
     h = p[:, 7, None]
-    J = np.empty((*shape.shape, 8))
-    J[..., 0] = J[..., 1] = 0.0
+    J = np.zeros((*shape.shape, 8))
     for i in (0, 1):
         across, forward, c, s = along[i]
         slope = h * slopes[i] * sides[1 - i]
@@ -207,14 +202,14 @@ def _model(p: Floats, offsets: Floats, *, only_shape: bool = False) -> tuple[Flo
     return p[:, 6, None] + h * shape, J
 
 
-def _eight_bit(grey: NDArray[np.float32]) -> NDArray[np.uint8]:
+def _eight_bit(grey: Image) -> Image:
     # A few glaring pixels must not press the board into the dark end.
     low, high = np.percentile(grey[::4, ::4], [1.0, 99.0])
     scaled = (grey - low) * (235.0 / max(high - low, 1e-6)) + 10.0
     return np.asarray(np.clip(scaled, 0, 255), dtype=np.uint8)
 
 
-def _charuco(image: NDArray[Any], board: Board) -> Floats | None:
+def _charuco(image: Image, board: Board) -> Floats | None:
     import cv2
 
     corners, numbers, _, _ = cv2.aruco.CharucoDetector(board.to_opencv()).detectBoard(image)
@@ -225,7 +220,7 @@ def _charuco(image: NDArray[Any], board: Board) -> Floats | None:
     return uv
 
 
-def _chessboard(image: NDArray[Any], board: Board) -> Floats | None:
+def _chessboard(image: Image, board: Board) -> Floats | None:
     import cv2
 
     # findChessboardCorners finds no more boards, and searches a plain noisy wall for ten seconds and more.
@@ -236,7 +231,7 @@ def _chessboard(image: NDArray[Any], board: Board) -> Floats | None:
     return _turned(np.asarray(corners, dtype=float).reshape(down, across, 2), image).reshape(-1, 2)
 
 
-def _turned(grid: Floats, image: NDArray[Any]) -> Floats:
+def _turned(grid: Floats, image: Image) -> Floats:
     """Corners (rows, columns, 2) turned so that x goes right of y and the square up and left of the first is black."""
     right, below = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
     if right[0] * below[1] - right[1] * below[0] < 0.0:

@@ -71,12 +71,7 @@ def read_views(folder: Path, board: Board, progress: Callable[[int], None] | Non
     """
     images = find_images(folder)
     paths = [(camera, path) for camera, found in images.items() for path in found.values()]
-    results = []
-    for result in in_parallel(lambda item: _look(item[1], board), paths):
-        results.append(result)
-        if progress is not None:
-            progress(1)
-
+    results = list(in_parallel(lambda item: _look(item[1], board), paths, progress=progress))
     cameras = tuple(images)
     views = tuple(sorted({view for found in images.values() for view in found}, key=_natural))
     uv = np.full((len(cameras), len(views), len(board.corners), 2), np.nan)
@@ -110,9 +105,8 @@ def find_images(folder: Path) -> dict[str, dict[str, Path]]:
     """
     if not folder.is_dir():
         raise CameraError("there is no such folder", where=str(folder))
-    inside = [path for path in folder.iterdir() if path.is_dir() and not path.name.startswith(".")]
-    found = {path.name: _images(path) for path in sorted(inside, key=lambda path: _natural(path.name))}
-    found = {camera: views for camera, views in found.items() if views}
+    inside = [path for path in _sorted(folder) if path.is_dir() and not path.name.startswith(".")]
+    found = {path.name: views for path in inside if (views := _images(path))}
     if not found and (alone := _images(folder)):
         found = {"cam0": alone}
     if not found:
@@ -126,7 +120,7 @@ def find_images(folder: Path) -> dict[str, dict[str, Path]]:
 
 def _images(folder: Path) -> dict[str, Path]:
     images: dict[str, Path] = {}
-    for path in sorted(folder.iterdir(), key=lambda p: _natural(p.name)):
+    for path in _sorted(folder):
         if path.suffix.lower() in SUFFIXES and not path.name.startswith("."):
             if path.stem in images:
                 raise CameraError(
@@ -153,3 +147,7 @@ def _look(path: Path, board: Board) -> tuple[tuple[int, int], Corners | str]:
 def _natural(name: str) -> list[tuple[int, str]]:
     """Sorts cam2 before cam10."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
+
+
+def _sorted(folder: Path) -> list[Path]:
+    return sorted(folder.iterdir(), key=lambda path: _natural(path.name))

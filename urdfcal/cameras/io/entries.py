@@ -80,9 +80,9 @@ class Entry:
                 remedy = f"Allowed: {', '.join(allowed)}."
                 raise CameraError(f"key '{key}' of {owner} is not known", where=place(self.path, node), remedy=remedy)
 
-    def error(self, key: str, what: str, remedy: str = "") -> CameraError:
-        """An error at the value of ``key``, or at the entry if it has none."""
-        where = place(self.path, self.fields.get(key, self.node))
+    def error(self, key: str, what: str, remedy: str = "", node: yaml.Node | None = None) -> CameraError:
+        """An error at the value of ``key`` or a ``node`` in it, or at the entry if it has none."""
+        where = place(self.path, node or self.fields.get(key, self.node))
         return CameraError(what, where=f"{where} ({self._full(key)})", remedy=remedy)
 
     def text(self, key: str) -> str:
@@ -154,8 +154,7 @@ class Entry:
     def _number(self, key: str, node: yaml.Node, remedy: str = "") -> float:
         text = node.value if isinstance(node.value, str) else "a nested value"
         if not _NUMBER.fullmatch(text) or not np.isfinite(float(text)):
-            where = f"{place(self.path, node)} ({self._full(key)})"
-            raise CameraError(f"'{text}' is not a finite number", where=where, remedy=remedy)
+            raise self.error(key, f"'{text}' is not a finite number", remedy, node)
         return float(text)
 
 

@@ -107,17 +107,11 @@ def find_spots(
     """
     place = np.arange(len(images)) if place is None else place
     background = read_background(images, place, resolution, colour, threads)
-    looks = in_parallel(
-        partial(preprocess, resolution=resolution, colour=colour, background=background), images, threads
-    )
+    look = partial(preprocess, resolution=resolution, colour=colour, background=background)
+    looks = in_parallel(look, images, threads, progress)
     batches = [Spots.of(0, Fits.unknown(np.zeros((0, 2), dtype=np.intp)))]
     for first in range(0, len(images), _TOGETHER):
-        batch = []
-        for seen in islice(looks, _TOGETHER):
-            batch.append(seen)
-            if progress:
-                progress(1)
-        batches.append(_measured(batch, first, resolution, colour))
+        batches.append(_measured(list(islice(looks, _TOGETHER)), first, resolution, colour))
     spots = Rows.join(batches)
     if background:
         spots = replace(spots, still=background.lights)

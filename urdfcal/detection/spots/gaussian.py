@@ -176,7 +176,11 @@ def fit(windows: Windows, spots: Floats, variance: Floats) -> GaussianFit:
         step = np.linalg.solve(scaled, (gradient[active] * scale)[..., None])[..., 0] * scale
         trial = spots[active] + step
         trial_H, trial_gradient, trial_cost = _linearise(windows[active], trial, variance[active], stiffness[active])
-        better = (trial_cost <= cost[active]) & _possible(trial)
+        # A spot is as wide as a pixel at least, and not endless.
+        l11, l12, l22 = trial[:, [L11, L12, L22]].T
+        possible = (np.minimum(l11, l22) > 1.0 / _WIDEST) & (trial[:, PEAK] > 0.0)
+        possible &= np.maximum(np.hypot(l11, l12), l22) < 1.0 / _NARROWEST
+        better = possible & (trial_cost <= cost[active])
         # The step's length in the metric of the information: squared, how many standard deviations it goes.
         gain = np.sum(step * gradient[active], axis=1)
         rows = active[better]
@@ -212,14 +216,3 @@ def _scaled(H: Floats, damping: Floats) -> tuple[Floats, Floats]:
     scale = 1.0 / np.sqrt(np.maximum(np.einsum("nii->ni", H), 1e-30))
     raised = (damping[:, None] + 1e-12)[..., None] * np.eye(COUNT)
     return H * scale[:, :, None] * scale[:, None, :] + raised, scale
-
-
-def _possible(spots: Floats) -> Bools:
-    """(n,) whether a spot is one: as wide as a pixel at least, and not endless."""
-    l11, l22 = spots[:, L11], spots[:, L22]
-    narrow, wide = 1.0 / _NARROWEST, 1.0 / _WIDEST
-    return np.asarray(
-        (np.minimum(l11, l22) > wide)
-        & (np.maximum(np.hypot(l11, spots[:, L12]), l22) < narrow)
-        & (spots[:, PEAK] > 0.0)
-    )

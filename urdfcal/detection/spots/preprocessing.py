@@ -309,8 +309,7 @@ def _purity(image: Image, centre: Ints, colour: Colour, clipped: float) -> Float
 
 def _median(images: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
     middle = len(images) // 2
-    result: NDArray[np.float32] = np.partition(np.stack(images), middle, axis=0)[middle]
-    return result
+    return np.asarray(np.partition(np.stack(images), middle, axis=0)[middle])
 
 
 def _damping(
@@ -323,5 +322,4 @@ def _damping(
         return np.ones_like(values)
     # Median, because the arm may have hidden a lamp.
     shot = (1.48 * float(np.median(np.abs(change[bright]) / np.sqrt(light[bright])))) ** 2
-    result: NDArray[np.float32] = 1.0 / np.sqrt(1.0 + np.float32(shot / noise**2) * light)
-    return result
+    return np.asarray(1.0 / np.sqrt(1.0 + np.float32(shot / noise**2) * light))
