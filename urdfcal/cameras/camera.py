@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -49,7 +48,10 @@ class Camera:
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name.strip():
             raise CameraError(f"a camera is named {self.name!r}", remedy="Give every camera a name.")
-        object.__setattr__(self, "resolution", self._checked_resolution())
+        whole, sides = (int, np.integer), tuple(self.resolution)
+        if len(sides) != 2 or not all(isinstance(s, whole) and not isinstance(s, bool) and s > 0 for s in sides):
+            raise self._error(f"resolution {list(sides)} is not [width, height] in whole positive pixels")
+        object.__setattr__(self, "resolution", (int(sides[0]), int(sides[1])))
         object.__setattr__(self, "intrinsics", self._numbers("intrinsics", self.intrinsics))
         object.__setattr__(self, "distortion", self._numbers("distortion", self.distortion))
         self._check_lens()
@@ -161,13 +163,6 @@ class Camera:
 
     def _error(self, what: str, remedy: str = "") -> CameraError:
         return CameraError(what, where=f"camera '{self.name}'", remedy=remedy)
-
-    def _checked_resolution(self) -> tuple[int, int]:
-        whole = (int, np.integer)
-        sides: tuple[Any, ...] = tuple(self.resolution)
-        if len(sides) != 2 or not all(isinstance(s, whole) and not isinstance(s, bool) and s > 0 for s in sides):
-            raise self._error(f"resolution {list(sides)} is not [width, height] in whole positive pixels")
-        return int(sides[0]), int(sides[1])
 
     def _numbers(self, what: str, values: Floats) -> Floats:
         try:

@@ -25,7 +25,7 @@ from urdfcal.io.writing import write_measurements, write_table
 from urdfcal.robot.kinematics import tip_poses
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator
 
     from urdfcal.arrays import Floats, Ints
     from urdfcal.cameras.camera import Camera
@@ -76,7 +76,7 @@ class Detected:
             )
         parts = []
         for c, (shots, images, spots) in enumerate(zip(self.index.shots, self.index.images, self.spots, strict=True)):
-            pose, led = _indices(shots)
+            pose, led = np.array(shots, dtype=np.intp).reshape(-1, 2).T
             seen = spots[spots.good]
             sigma = seen.fits.sigma
             sigma = np.hypot(sigma, _COMPRESSED) if isinstance(images, Video) else np.maximum(_LEAST_SIGMA, sigma)
@@ -158,7 +158,7 @@ def detect_in(
 
     def look(task: tuple[Camera, tuple[Shot, ...], ImageSequence]) -> Spots:
         camera, shots, images = task
-        pose, led = _indices(shots)
+        pose, led = np.array(shots, dtype=np.intp).reshape(-1, 2).T
         place = _places(positions, T_base_tip[pose], led)
         share = max(1, threads // len(index.shots))
         return find_spots(images, camera.resolution, colour, place, progress, share)
@@ -168,7 +168,7 @@ def detect_in(
     found = list(in_parallel(look, tasks, min(threads, len(index.shots))))
     spots, warnings = [], []
     for camera, shots, seen in zip(rig.cameras, index.shots, found, strict=True):
-        pose, led = _indices(shots)
+        pose, led = np.array(shots, dtype=np.intp).reshape(-1, 2).T
         spots.append(seen)
         if len(seen.still):
             listing = ", ".join(f"({u}, {v})" for u, v in seen.still)
@@ -184,20 +184,11 @@ def detect_in(
             )
         else:
             misses = prediction.misses(lights)
-            far = [f"{miss:.0f} px from where the arm holds the LED" for miss in misses]
-            hidden = "the arm holds the LED out of this camera's sight"
-            seen = seen.rejected(np.isinf(misses), hidden).rejected(
-                misses > prediction.gate, np.array(far, dtype=object)
-            )
-            spots[-1] = seen
+            far = np.array([f"{miss:.0f} px from where the arm holds the LED" for miss in misses], dtype=object)
+            far[np.isinf(misses)] = "the arm holds the LED out of this camera's sight"
+            spots[-1] = seen.rejected(misses > prediction.gate, far)
     spots, more = _agreeing(rig, index, spots)
     return Detected(positions, index, tuple(spots), (*positions.warnings, *index.warnings, *warnings, *more))
-
-
-def _indices(shots: Sequence[Shot]) -> tuple[Ints, Ints]:
-    """(P,) and (P,) the poses and the LEDs of some shots."""
-    pose, led = ([getattr(shot, name) for shot in shots] for name in ("pose", "led"))
-    return np.array(pose, dtype=np.intp), np.array(led, dtype=np.intp)
 
 
 def write_detected(path: str | Path, detected: Detected) -> list[Path]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from urdfcal.errors import SessionError
 from urdfcal.images.files import SUFFIXES, ImageFile
@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 _DARK = "off"
 
 
-@dataclass(frozen=True)
-class Shot:
+class Shot(NamedTuple):
     """An image of one LED at one pose.
 
     Attributes:
@@ -152,7 +151,7 @@ def _sort(folder: Path, camera: int, positions: Positions) -> tuple[dict[Shot, I
         poses, known = _poses_of(positions.motion, camera), set(positions.motion.frames[camera])
     leds = positions.led_names
     numbers = {"": 0, _DARK: -1} | {name: i for i, name in enumerate(leds)}
-    found: dict[tuple[int, int], Path] = {}
+    found: dict[Shot, Path] = {}
     strangers = []
     for path in sorted(folder.iterdir()) if folder.is_dir() else []:
         if path.suffix.lower() not in SUFFIXES:
@@ -171,8 +170,7 @@ def _sort(folder: Path, camera: int, positions: Positions) -> tuple[dict[Shot, I
                 where=str(path),
                 remedy=f"Call it {path.stem}.{leds[0]}{path.suffix} or the like, one image an LED.",
             )
-        if other := found.get((pose, numbers[last])):
+        if (other := found.setdefault(Shot(pose, numbers[last]), path)) is not path:
             raise SessionError(f"this is the same image as {other.name}", where=str(path), remedy="Keep one.")
-        found[pose, numbers[last]] = path
-    lit = [(Shot(pose, led), path) for (pose, led), path in sorted(found.items()) if led >= 0]
-    return {shot: ImageFile(path, found.get((shot.pose, -1))) for shot, path in lit}, strangers
+    lit = [(shot, path) for shot, path in sorted(found.items()) if shot.led >= 0]
+    return {shot: ImageFile(path, found.get(Shot(shot.pose, -1))) for shot, path in lit}, strangers

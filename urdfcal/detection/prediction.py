@@ -148,6 +148,5 @@ class _Fit:
         pull = prior * np.concatenate([np.zeros(6), (self.declared - self.leds).ravel()])
         H = np.einsum("mdi,mdj->ij", J, J) + np.diag(prior + 1e-6)
         step = np.linalg.solve(H, np.einsum("mdi,md->i", J, r * weight[:, None]) + pull)
-        return replace(
-            self, T_cam_base=small_motion(step[:6]) @ self.T_cam_base, leds=self.leds + step[6:].reshape(-1, 3)
-        )
+        T = small_motion(step[:6]) @ self.T_cam_base
+        return replace(self, T_cam_base=T, leds=self.leds + step[6:].reshape(-1, 3))

@@ -340,15 +340,9 @@ def _result(
         sigmas.append(CameraSigma(lens, pose if len(pose) else None, correlation[start:end, :end]))
         qualities.append(_quality(views, c, fitted, i))
         warnings += _remarks(qualities[-1], placed=places[-1] is not None)
-    return BoardCalibration(
-        board=board,
-        rig=Rig(tuple(cameras), tuple(places), tuple(sigmas)),
-        covariance=frozen(covariance),
-        names=tuple(names),
-        qualities=tuple(qualities),
-        rejected=tuple(rejected),
-        warnings=tuple(warnings),
-    )
+    rig = Rig(tuple(cameras), tuple(places), tuple(sigmas))
+    lists = tuple(names), tuple(qualities), tuple(rejected), tuple(warnings)
+    return BoardCalibration(board, rig, frozen(covariance), *lists)
 
 
 def _remarks(quality: CameraQuality, *, placed: bool) -> list[str]:

@@ -58,11 +58,14 @@ def detect_board(image: Image, board: Board) -> Corners | None:
         sides); None if there is no board.
     """
     grey = channel(image, "any")
-    eight = image if image.shape == grey.shape and image.dtype == np.uint8 else _eight_bit(grey)
+    eight = image
+    if image.shape != grey.shape or image.dtype != np.uint8:
+        # A few glaring pixels must not press the board into the dark end.
+        low, high = np.percentile(grey[::4, ::4], [1.0, 99.0])
+        scaled = (grey - low) * (235.0 / max(high - low, 1e-6)) + 10.0
+        eight = np.clip(scaled, 0, 255).astype(np.uint8)
     start = _charuco(eight, board) if board.kind == "charuco" else _chessboard(eight, board)
-    if start is None:
-        return None
-    return refine(grey, board, start)
+    return None if start is None else refine(grey, board, start)
 
 
 def refine(image: Image, board: Board, uv: Floats) -> Corners:
@@ -110,9 +113,10 @@ def _squares(board: Board, uv: Floats) -> Floats:
     here = grid[1:-1, 1:-1]
     steps = []
     for before, after in ((grid[1:-1, :-2], grid[1:-1, 2:]), (grid[:-2, 1:-1], grid[2:, 1:-1])):
-        both = 0.5 * (after - before)
-        both = np.where(np.isfinite(both), both, after - here)
-        steps.append(np.where(np.isfinite(both), both, here - before))
+        step = 0.5 * (after - before)
+        for alone in (after - here, here - before):
+            step = np.where(np.isfinite(step), step, alone)
+        steps.append(step)
     return np.stack(steps, axis=-2).reshape(-1, 2, 2)
 
 
@@ -160,9 +164,8 @@ def _fit(windows: Floats, weights: Floats, offsets: Floats, start: Floats, direc
         new_value, new_J = _model(trial, offsets)
         new_cost = (weights * (windows - new_value) ** 2).sum(axis=1)
         better = new_cost <= cost
-        p[better], value[better], J[better], cost[better] = (
-            trial[better], new_value[better], new_J[better], new_cost[better],
-        )  # fmt: skip
+        p[better], value[better], J[better] = trial[better], new_value[better], new_J[better]
+        cost[better] = new_cost[better]
         step[better] = np.abs(move[better, :2])
         damping = np.where(better, damping / 10.0, damping * 10.0)
         if (step.max(axis=1) < _CONVERGED).all():
@@ -200,13 +203,6 @@ def _model(p: Floats, offsets: Floats) -> tuple[Floats, Floats]:
     J[..., 6] = 1.0
     J[..., 7] = shape
     return p[:, 6, None] + h * shape, J
-
-
-def _eight_bit(grey: Image) -> Image:
-    # A few glaring pixels must not press the board into the dark end.
-    low, high = np.percentile(grey[::4, ::4], [1.0, 99.0])
-    scaled = (grey - low) * (235.0 / max(high - low, 1e-6)) + 10.0
-    return np.asarray(np.clip(scaled, 0, 255), dtype=np.uint8)
 
 
 def _charuco(image: Image, board: Board) -> Floats | None:

@@ -92,9 +92,13 @@ class Entry:
             raise self.error(key, f"{key} must be one word")
         return value
 
-    def number(self, key: str, remedy: str = "") -> float:
-        """The value of ``key``, a number; ``remedy`` helps where it is none."""
-        return self._number(key, self._required(key), remedy)
+    def number(self, key: str, remedy: str = "", node: yaml.Node | None = None) -> float:
+        """The value of ``key``, or of a ``node`` in it, a number; ``remedy`` helps where it is none."""
+        node = node or self._required(key)
+        text = node.value if isinstance(node.value, str) else "a nested value"
+        if not _NUMBER.fullmatch(text) or not np.isfinite(float(text)):
+            raise self.error(key, f"'{text}' is not a finite number", remedy, node)
+        return float(text)
 
     def whole(self, key: str) -> int:
         """The value of ``key``, a whole number."""
@@ -103,9 +107,12 @@ class Entry:
             raise self.error(key, f"{key} {value:g} is not a whole number")
         return int(value)
 
-    def numbers(self, key: str) -> list[float]:
-        """The value of ``key``, a list of numbers."""
-        return self._numbers(key, self._required(key))
+    def numbers(self, key: str, node: yaml.Node | None = None) -> list[float]:
+        """The value of ``key``, or of a ``node`` in it, a list of numbers."""
+        node = node or self._required(key)
+        if _kind(node) != "sequence":
+            raise self.error(key, f"{key} must be a list of numbers")
+        return [self.number(key, node=item) for item in node.value]
 
     def size(self, key: str) -> tuple[int, int]:
         """The value of ``key``, [width, height]."""
@@ -117,7 +124,7 @@ class Entry:
     def rows(self, key: str, shape: tuple[int, int] | None = None) -> Floats:
         """The value of ``key``, a list of equally long lists of numbers, of a given ``shape`` or any."""
         node = self._required(key)
-        rows = [self._numbers(key, row) for row in node.value] if _kind(node) == "sequence" else []
+        rows = [self.numbers(key, row) for row in node.value] if _kind(node) == "sequence" else []
         lengths = {len(row) for row in rows}
         if len(lengths) != 1 or shape not in (None, (len(rows), *lengths)):
             what = f"{shape[0]} rows of {shape[1]} numbers" if shape else "rows of equally many numbers"
@@ -145,17 +152,6 @@ class Entry:
         if key not in self.fields:
             raise self.error(key, f"{key} is missing")
         return self.fields[key]
-
-    def _numbers(self, key: str, node: yaml.Node) -> list[float]:
-        if _kind(node) != "sequence":
-            raise self.error(key, f"{key} must be a list of numbers")
-        return [self._number(key, item) for item in node.value]
-
-    def _number(self, key: str, node: yaml.Node, remedy: str = "") -> float:
-        text = node.value if isinstance(node.value, str) else "a nested value"
-        if not _NUMBER.fullmatch(text) or not np.isfinite(float(text)):
-            raise self.error(key, f"'{text}' is not a finite number", remedy, node)
-        return float(text)
 
 
 def read_bytes(path: Path) -> bytes:

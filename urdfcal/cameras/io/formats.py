@@ -70,6 +70,5 @@ def write_cameras(path: str | Path, rig: Rig, format_: Format) -> tuple[Path, ..
     path = Path(path)
     if format_ == "ros":
         return write_ros(path, rig)
-    write = write_kalibr if format_ == "kalibr" else write_opencv
-    write(path, rig)
+    (write_kalibr if format_ == "kalibr" else write_opencv)(path, rig)
     return (path,)

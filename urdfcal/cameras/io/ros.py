@@ -162,17 +162,10 @@ def write_ros(path: str | Path, rig: Rig) -> tuple[Path, ...]:
 def _info(name: str, entry: Entry) -> CameraInfo:
     R = entry.table("rectification_matrix", (3, 3)) if "rectification_matrix" in entry.fields else np.eye(3)
     P = entry.table("projection_matrix", (3, 4)) if "projection_matrix" in entry.fields else np.eye(3, 4)
-    return CameraInfo(
-        name=name,
-        size=(entry.whole("image_width"), entry.whole("image_height")),
-        K=entry.table("camera_matrix", (3, 3)),
-        distortion_model=entry.text("distortion_model"),
-        D=entry.table("distortion_coefficients").ravel(),
-        R=R,
-        P=P,
-        where=place(entry.path, entry.node),
-        error=entry.error,
-    )
+    size = entry.whole("image_width"), entry.whole("image_height")
+    K, model = entry.table("camera_matrix", (3, 3)), entry.text("distortion_model")
+    D = entry.table("distortion_coefficients").ravel()
+    return CameraInfo(name, size, K, model, D, R, P, place(entry.path, entry.node), entry.error)
 
 
 def _rectified(rig: Rig) -> list[tuple[Floats, Floats]]:

@@ -106,7 +106,7 @@ def fit_spots(crops: Crops) -> Fits:
     half = _HALVES[np.searchsorted(_HALVES[:-1], np.ceil(_WIDTHS * _widths(first).max(axis=1) + _MARGIN))]
     alike = [np.flatnonzero(half == h) for h in _HALVES]
     groups = [rows[i : i + _BATCH] for rows in alike for i in range(0, len(rows), _BATCH)]
-    rough = [_Rough.of(_windows(crops[rows], int(half[rows[0]])), first[rows]) for rows in groups]
+    rough = [_Rough.of(crops[rows], int(half[rows[0]]), first[rows]) for rows in groups]
     shot = _shot_noise(rough)
     fits = Rows.join([part.refined(shot) for part in rough])[np.argsort(np.concatenate(groups))]
     fits.uv[:] += crops.centre
@@ -139,7 +139,13 @@ class _Rough:
     shot: Floats
 
     @classmethod
-    def of(cls, windows: Windows, spots: Floats) -> _Rough:
+    def of(cls, crops: Crops, half: int, spots: Floats) -> _Rough:
+        cut = slice(HALF - half, HALF + half + 1)
+        axis = np.arange(-half, half + 1, dtype=np.float64)
+        pixels: list[NDArray[Any]] = [crops.values, crops.usable, crops.saturated]
+        values, usable, saturated = (of[:, cut, cut].reshape(len(crops), -1) for of in pixels)
+        u, v = np.tile(axis, axis.size), np.repeat(axis, axis.size)
+        windows = Windows(u, v, values.astype(np.float64), usable, saturated)
         floor = np.maximum(_rim_variance(windows), _LEAST_VARIANCE)
         # A first guess: as if the brightest pixel had ten times the background's variance.
         shot = 9.0 * floor / np.maximum(spots[:, PEAK], 1e-9)
@@ -251,14 +257,6 @@ def _start(crops: Crops) -> Floats:
     spots[:, L11] = spots[:, L22] = np.where(clipped, 1.3, 1.0) / np.sqrt(sigma**2 + gaussian.PIXEL_VARIANCE)
     spots[:, LEVEL] = level
     return spots
-
-
-def _windows(crops: Crops, half: int) -> Windows:
-    cut = slice(HALF - half, HALF + half + 1)
-    axis = np.arange(-half, half + 1, dtype=np.float64)
-    of_pixels: list[NDArray[Any]] = [crops.values, crops.usable, crops.saturated]
-    values, usable, saturated = (of[:, cut, cut].reshape(len(crops), -1) for of in of_pixels)
-    return Windows(np.tile(axis, axis.size), np.repeat(axis, axis.size), values.astype(np.float64), usable, saturated)
 
 
 def _widths(spots: Floats) -> Floats:

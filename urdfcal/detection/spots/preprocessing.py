@@ -6,7 +6,7 @@ What may be an LED is small, and brighter than everything around it.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -79,15 +79,6 @@ class Background:
     noise: float
     lights: Ints
 
-    def off(self, crops: NDArray[np.float32], index: Any) -> NDArray[np.float32]:
-        """Take it off ``crops`` (n, s, s) where it has structure; ``index`` cuts the same crops out of it."""
-        here = self.values[index]
-        # Means over 7 x 7 pixels, so that the median's noise is no structure.
-        side = here.shape[1] // 7
-        means = here[:, : 7 * side, : 7 * side].reshape(len(here), side, 7, side, 7).mean(axis=(2, 4))
-        structured = np.ptp(means, axis=(1, 2)) > _STRUCTURE * self.noise
-        return np.asarray(crops - np.where(structured[:, None, None], here, np.float32(0.0)))
-
 
 @dataclass(frozen=True, eq=False)
 class Preprocessed:
@@ -129,7 +120,12 @@ def preprocess(
         usable &= ~_clipped(dark[index], colour, saturation(dark))
     elif background is not None:
         usable &= ~background.blind[index]
-        cut = background.off(cut, index)
+        here = background.values[index]
+        # Means over 7 x 7 pixels, so that the median's noise is no structure.
+        side = here.shape[1] // 7
+        means = here[:, : 7 * side, : 7 * side].reshape(len(here), side, 7, side, 7).mean(axis=(2, 4))
+        structured = np.ptp(means, axis=(1, 2)) > _STRUCTURE * background.noise
+        cut = cut - np.where(structured[:, None, None], here, np.float32(0.0))
     crops = Crops(places, cut, usable, _clipped(image[index], colour, clipped))
     return Preprocessed(crops, _purity(image, places, colour, clipped), others)
 
