@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.arrays import Bools, Floats, Ints, frozen
-from urdfcal.cameras.board.bundle import Adjusted, Bundle, adjust
-from urdfcal.cameras.board.start import board_poses, first_guesses, place
+from urdfcal.cameras.board.bundle import Adjusted, Bundle, adjust, board_poses, first_guesses, place
 from urdfcal.cameras.board.views import Rejection
 from urdfcal.cameras.rig import CameraSigma, Rig
 from urdfcal.errors import CameraError
@@ -341,8 +340,9 @@ def _result(
         qualities.append(_quality(views, c, fitted, i))
         warnings += _remarks(qualities[-1], placed=places[-1] is not None)
     rig = Rig(tuple(cameras), tuple(places), tuple(sigmas))
-    lists = tuple(names), tuple(qualities), tuple(rejected), tuple(warnings)
-    return BoardCalibration(board, rig, frozen(covariance), *lists)
+    return BoardCalibration(
+        board, rig, frozen(covariance), tuple(names), tuple(qualities), tuple(rejected), tuple(warnings)
+    )
 
 
 def _remarks(quality: CameraQuality, *, placed: bool) -> list[str]:
