@@ -46,21 +46,6 @@ class Status(IntEnum):
     BEHIND_CAMERA = 4
     NOT_CONVERGED = 5
 
-    @property
-    def text(self) -> str:
-        """The status in words, to follow the name of a pose or LED."""
-        return _TEXTS[self]
-
-
-_TEXTS = {
-    Status.OK: "triangulated",
-    Status.TOO_FEW_VIEWS: "seen by fewer than two cameras of known place",
-    Status.OUTSIDE_LENS: "seen at a pixel the lens model cannot produce",
-    Status.PARALLEL_RAYS: "the rays are too close to parallel to tell the distance",
-    Status.BEHIND_CAMERA: "the rays meet behind a camera",
-    Status.NOT_CONVERGED: "no point explains these pixels",
-}
-
 
 @dataclass(frozen=True, eq=False)
 class Triangulation:

@@ -107,25 +107,18 @@ class Detected:
         return ", ".join(f"{reason} ({count})" for reason, count in counts.most_common())
 
 
-def detect(
-    folder: str | Path,
-    colour: Colour = "any",
-    progress: Callable[[int], object] | None = None,
-    threads: int | None = None,
-) -> Detected:
+def detect(folder: str | Path, colour: Colour = "any") -> Detected:
     """Look for the LEDs in all images of a session.
 
     Args:
         folder: the session's, or its YAML file.
         colour: of the LEDs; "any" if it is not known, or the images are grey.
-        progress: called with the number of images read since the last call.
-        threads: that read images, one a core by default.
 
     Raises:
         SessionError: the session is malformed, or has no images.
         CameraError: an image cannot be read, or has another size than its camera.
     """
-    return detect_in(*open_images(folder), colour, progress, threads)
+    return detect_in(*open_images(folder), colour)
 
 
 def open_images(path: str | Path) -> tuple[Positions, ImageIndex]:
@@ -143,29 +136,23 @@ def open_images(path: str | Path) -> tuple[Positions, ImageIndex]:
 
 
 def detect_in(
-    positions: Positions,
-    index: ImageIndex,
-    colour: Colour = "any",
-    progress: Callable[[int], object] | None = None,
-    threads: int | None = None,
+    positions: Positions, index: ImageIndex, colour: Colour = "any", progress: Callable[[int], object] | None = None
 ) -> Detected:
     """Look for the LEDs in the images of an index; see :func:`detect`."""
     rig = positions.rig
     if not rig.cameras:
         raise SessionError("no cameras are named", remedy="Images need a camera file.")
     T_base_tip = tip_poses(positions.chain, positions.q)
-    threads = threads or workers()
 
     def look(task: tuple[Camera, tuple[Shot, ...], ImageSequence]) -> Spots:
         camera, shots, images = task
         pose, led = np.array(shots, dtype=np.intp).reshape(-1, 2).T
         place = _places(positions, T_base_tip[pose], led)
-        share = max(1, threads // len(index.shots))
-        return find_spots(images, camera.resolution, colour, place, progress, share)
+        return find_spots(images, camera.resolution, colour, place, progress, max(1, workers() // len(index.shots)))
 
     # A thread a camera: a video is decoded from its beginning to its end by one.
     tasks = zip(rig.cameras, index.shots, index.images, strict=True)
-    found = list(in_parallel(look, tasks, min(threads, len(index.shots))))
+    found = list(in_parallel(look, tasks, min(workers(), len(index.shots))))
     spots, warnings = [], []
     for camera, shots, seen in zip(rig.cameras, index.shots, found, strict=True):
         pose, led = np.array(shots, dtype=np.intp).reshape(-1, 2).T

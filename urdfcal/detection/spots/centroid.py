@@ -64,8 +64,7 @@ class Fits(Rows):
         sigma: (n,) standard deviation of u and of v. [px]
         peak: (n,) of the light, extrapolated where saturated. [counts]
         width: (n,) geometric mean of the spot's two standard deviations, the pixel's own taken off. [px]
-        ratio: (n,) of the longer to the shorter one.
-        ratio_sigma: (n,) its standard deviation.
+        ratio: (n,) of the longer to the shorter one at least, less two standard deviations.
         significance: (n,) peak over its own standard deviation.
         misfit: (n,) rms of what the spot leaves unexplained of its core beyond noise, as a share of the peak.
         lobe: (n,) the brightest thing beside the spot in its window, as a share of the peak; 0 if it may be noise.
@@ -78,7 +77,6 @@ class Fits(Rows):
     peak: Floats
     width: Floats
     ratio: Floats
-    ratio_sigma: Floats
     significance: Floats
     misfit: Floats
     lobe: Floats
@@ -150,7 +148,9 @@ class _Rough:
         # A first guess: as if the brightest pixel had ten times the background's variance.
         shot = 9.0 * floor / np.maximum(spots[:, PEAK], 1e-9)
         solution = gaussian.fit(windows, spots, gaussian.pixel_variance(floor, shot, gaussian.light(windows, spots)))
-        near = windows.within(solution.spots, _WIDTHS * _widths(solution.spots).max(axis=1) + _MARGIN)
+        reach = _WIDTHS * _widths(solution.spots).max(axis=1) + _MARGIN
+        distance = (u - solution.spots[:, U, None]) ** 2 + (v - solution.spots[:, V, None]) ** 2
+        near = replace(windows, usable=windows.usable & (distance <= reach[:, None] ** 2))
         glow, r, plain = _explained(near, solution.spots)
         wings = plain & (glow < _WINGS * solution.spots[:, PEAK, None])
         counted = wings.sum(axis=1)
@@ -198,13 +198,13 @@ class _Rough:
         # The deviation of the ratio of axes is that of a nearly round spot: of (l11 - l22, l12) relative to l.
         scale = np.sqrt(np.abs(spots[:, L11] * spots[:, L22]))
         spread = covariances[:, L11, L11] + covariances[:, L22, L22] - 2.0 * covariances[:, L11, L22]
+        ratio_sigma = np.sqrt(np.maximum(spread, covariances[:, L12, L12])) / np.maximum(scale, 1e-9)
         return Fits(
             uv=spots[:, [U, V]].copy(),
             sigma=np.sqrt(sigma2),
             peak=peak,
             width=np.sqrt(widths.prod(axis=1)),
-            ratio=widths.max(axis=1) / widths.min(axis=1),
-            ratio_sigma=np.sqrt(np.maximum(spread, covariances[:, L12, L12])) / np.maximum(scale, 1e-9),
+            ratio=widths.max(axis=1) / widths.min(axis=1) - 2.0 * ratio_sigma,
             significance=peak / np.sqrt(covariances[:, PEAK, PEAK]),
             misfit=np.sqrt(np.maximum(beyond, 0.0)) / np.maximum(peak, 1e-9),
             lobe=_lobes(windows, r, variance) / np.maximum(peak, 1e-9),

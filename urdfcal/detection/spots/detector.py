@@ -15,9 +15,7 @@ import numpy as np
 from urdfcal.detection.spots.centroid import Fits, fit_spots
 from urdfcal.detection.spots.gaussian import Rows
 from urdfcal.detection.spots.preprocessing import HOT, LARGE, Preprocessed, preprocess, read_background
-from urdfcal.images.files import ImageFile, in_parallel
-
-__all__ = ["ImageFile", "Spots", "find_spots"]
+from urdfcal.images.files import in_parallel
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -150,12 +148,11 @@ def _judged(spots: Spots, resolution: tuple[int, int]) -> Spots:
     # In widths as they appear, the pixel's own included.
     apparent = np.sqrt(fits.width**2 + 1.0 / 12.0)
     distance = np.minimum(fits.uv + 0.5, np.array(resolution) - 0.5 - fits.uv).min(axis=1)
-    ratio = fits.ratio - 2.0 * fits.ratio_sigma
     spots = spots.rejected(distance < 2.0 * apparent, "cut by the border")
     spots = spots.rejected(fits.width < _SMALLEST, HOT)
     spots = spots.rejected(fits.significance < _FAINTEST, "too faint")
     spots = spots.rejected(fits.width > _LARGEST, LARGE)
-    spots = spots.rejected(ratio > _ELONGATED, "elongated: a streak or a reflection on an edge")
+    spots = spots.rejected(fits.ratio > _ELONGATED, "elongated: a streak or a reflection on an edge")
     spots = spots.rejected(fits.lobe > _LOBE, "another light beside it")
     spots = spots.rejected(fits.misfit > _MISFIT, "not a round spot")
     return spots.rejected(~fits.found | ~np.isfinite(fits.sigma), "no spot")

@@ -84,11 +84,6 @@ class Windows:
     def __getitem__(self, rows: Ints | Bools | slice) -> Windows:
         return Windows(self.u, self.v, self.values[rows], self.usable[rows], self.saturated[rows])
 
-    def within(self, spots: Floats, reach: Floats) -> Windows:
-        """The same windows, usable only within ``reach`` (n,) of the spots' centres."""
-        distance = (self.u - spots[:, U, None]) ** 2 + (self.v - spots[:, V, None]) ** 2
-        return Windows(self.u, self.v, self.values, self.usable & (distance <= reach[:, None] ** 2), self.saturated)
-
 
 def pixel_variance(floor: Floats, shot: Floats | float, light: Floats) -> Floats:
     """Variance (n, P) of pixels, in counts²: constant, and proportional to the light that the spot adds to it.
