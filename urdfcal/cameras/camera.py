@@ -176,17 +176,13 @@ class Camera:
 
     def _check_lens(self) -> None:
         if self.distortion_model not in LENGTHS:
-            raise self._error(
-                f"distortion model '{self.distortion_model}' is not known",
-                f"Use one of: {', '.join(LENGTHS)}.",
-            )
+            remedy = f"Use one of: {', '.join(LENGTHS)}."
+            raise self._error(f"distortion model '{self.distortion_model}' is not known", remedy)
         names, given = COEFFICIENTS[self.distortion_model], len(self.distortion)
         if given not in LENGTHS[self.distortion_model]:
             count = " or ".join(map(str, LENGTHS[self.distortion_model]))
-            raise self._error(
-                f"{self.distortion_model} distortion takes {count} coefficients, {given} are given",
-                f"Their order is {' '.join(names)}." if names else "",
-            )
+            what = f"{self.distortion_model} distortion takes {count} coefficients, {given} are given"
+            raise self._error(what, f"Their order is {' '.join(names)}." if names else "")
 
     def _check_pinhole(self) -> None:
         if len(self.intrinsics) != 4:
@@ -196,15 +192,11 @@ class Camera:
         if (focal <= 0.0).any():
             raise self._error(f"focal length {_pair(focal)} px must be positive")
         if (focal < _SHORTEST_FOCAL * size.max()).any():
-            raise self._error(
-                f"focal length {_pair(focal)} px is too short for {image}; it looks like millimetres or normalised",
-                "Give it in pixels: millimetres divided by the pixel pitch.",
-            )
+            what = f"focal length {_pair(focal)} px is too short for {image}; it looks like millimetres or normalised"
+            raise self._error(what, "Give it in pixels: millimetres divided by the pixel pitch.")
         if focal.max() > _PIXEL_ASPECT * focal.min():
-            raise self._error(
-                f"focal lengths {_pair(focal)} px differ by more than a factor {_PIXEL_ASPECT:g}",
-                "The order is fx fy cx cy.",
-            )
+            remedy = "The order is fx fy cx cy."
+            raise self._error(f"focal lengths {_pair(focal)} px differ by more than a factor {_PIXEL_ASPECT:g}", remedy)
         if (np.abs(centre) <= _CORNER * size).all():
             raise self._error(
                 f"principal point {_pair(centre)} px lies in the corner of {image}; "
@@ -212,10 +204,8 @@ class Camera:
                 "Give it in pixels from the top-left pixel.",
             )
         if ((centre < -_OUTSIDE * size) | (centre > (1.0 + _OUTSIDE) * size)).any():
-            raise self._error(
-                f"principal point {_pair(centre)} px lies far outside {image}",
-                "Check the resolution [width, height] and the order fx fy cx cy.",
-            )
+            remedy = "Check the resolution [width, height] and the order fx fy cx cy."
+            raise self._error(f"principal point {_pair(centre)} px lies far outside {image}", remedy)
 
 
 def _pair(values: Floats) -> str:

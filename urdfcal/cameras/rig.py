@@ -138,11 +138,8 @@ class Rig:
             if T is not None and not _is_rigid(T):
                 raise CameraError("T_cam_world is not a rigid 4 x 4 transform", where=f"camera '{name}'")
         if placed and (placed[0] is None or not np.array_equal(placed[0], np.eye(4))):
-            raise CameraError(
-                "T_cam_world of the first camera is not the identity",
-                where=f"camera '{self.names[0]}'",
-                remedy="The world frame is the first camera's.",
-            )
+            what = "T_cam_world of the first camera is not the identity"
+            raise CameraError(what, where=f"camera '{self.names[0]}'", remedy="The world frame is the first camera's.")
         object.__setattr__(self, "T_cam_world", placed)
         self._check_sigmas()
 
@@ -215,10 +212,8 @@ class Rig:
                 continue
             own = table[:, -count:] if table.shape == (count, before) else None
             if own is None or not (np.abs(table) <= 1.0 + _ROUNDING).all() or not np.array_equal(own, own.T):
-                raise CameraError(
-                    f"its correlations are not {count} x {before} numbers from -1 to 1, its own ones symmetric",
-                    where=where,
-                )
+                what = f"its correlations are not {count} x {before} numbers from -1 to 1, its own ones symmetric"
+                raise CameraError(what, where=where)
             ones = np.allclose(np.diag(own), 1.0, rtol=0.0, atol=_ROUNDING)
             if not ones or np.linalg.eigvalsh(self.correlation[:before, :before])[0] < _LEAST_EIGENVALUE:
                 raise CameraError(
@@ -239,10 +234,8 @@ class Rig:
         bad = seen & ~((sigma > 0.0) & np.isfinite(sigma))
         if bad.any():
             point, camera = np.argwhere(bad)[0]
-            raise CameraError(
-                f"sigma {sigma[point, camera]:g} px of detection {point} must be positive",
-                where=f"camera '{self.names[camera]}'",
-            )
+            what = f"sigma {sigma[point, camera]:g} px of detection {point} must be positive"
+            raise CameraError(what, where=f"camera '{self.names[camera]}'")
         return uv, np.where(seen, sigma, np.nan)
 
 

@@ -71,9 +71,8 @@ class Detected:
             SessionError: there is none.
         """
         if not self.found:
-            raise SessionError(
-                f"no LED was found in {self.index.count} images", remedy=f"What was seen instead: {self.summary()}."
-            )
+            remedy = f"What was seen instead: {self.summary()}."
+            raise SessionError(f"no LED was found in {self.index.count} images", remedy=remedy)
         parts = []
         for c, (shots, images, spots) in enumerate(zip(self.index.shots, self.index.images, self.spots, strict=True)):
             pose, led = np.array(shots, dtype=np.intp).reshape(-1, 2).T
@@ -194,9 +193,8 @@ def write_detected(path: str | Path, detected: Detected) -> list[Path]:
     """
     table = detections_path(path)
     if table.exists() and not table.with_name(REJECTED).exists():
-        raise OutputError(
-            "there are detections already, and not by urdfcal detect", where=str(table), remedy="Move them away first."
-        )
+        remedy = "Move them away first."
+        raise OutputError("there are detections already, and not by urdfcal detect", where=str(table), remedy=remedy)
     detections = detected.detections
     with staged(table.parent) as stage:
         write_measurements(stage / table.name, detected.positions, detections)

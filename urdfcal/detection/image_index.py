@@ -68,15 +68,11 @@ def read_index(folder: Path, positions: Positions) -> ImageIndex:
     """
     cameras = positions.rig.names
     if not folder.is_dir():
-        raise SessionError(
-            "there is no such folder",
-            where=str(folder),
-            remedy=f"Put the images into {folder.name}/<camera>/<pose>.png.",
-        )
+        remedy = f"Put the images into {folder.name}/<camera>/<pose>.png."
+        raise SessionError("there is no such folder", where=str(folder), remedy=remedy)
     if _DARK in positions.led_names:
-        raise SessionError(
-            f"an LED is named {_DARK!r}, as are the images with the LED dark", where="leds", remedy="Rename it."
-        )
+        what = f"an LED is named {_DARK!r}, as are the images with the LED dark"
+        raise SessionError(what, where="leds", remedy="Rename it.")
     warnings = [
         f"{path}: no camera is called {path.name!r}. {suggest(path.name, cameras, 'cameras')}"
         for path in sorted(folder.iterdir())
@@ -115,21 +111,15 @@ def _frames(paths: Sequence[Path], camera: int, folder: Path, positions: Positio
     path, *others = paths
     if others or folder.is_dir():
         other = others[0] if others else folder
-        raise SessionError(
-            f"there is {other.name} as well", where=str(path), remedy="One video, or one folder, a camera: keep one."
-        )
+        remedy = "One video, or one folder, a camera: keep one."
+        raise SessionError(f"there is {other.name} as well", where=str(path), remedy=remedy)
     if not isinstance(positions.motion, Trajectory):
-        raise SessionError(
-            "this is a video, and the session names no frames",
-            where=str(path),
-            remedy="frames: frames.csv in session.yaml lists them: camera,frame,time.",
-        )
+        remedy = "frames: frames.csv in session.yaml lists them: camera,frame,time."
+        raise SessionError("this is a video, and the session names no frames", where=str(path), remedy=remedy)
     if len(positions.leds) > 1:
-        raise SessionError(
-            f"there are {len(positions.leds)} LEDs, and a video does not say which is lit",
-            where=str(path),
-            remedy="Write its frames as images <frame>.<led>.png, or leave one LED on.",
-        )
+        what = f"there are {len(positions.leds)} LEDs, and a video does not say which is lit"
+        remedy = "Write its frames as images <frame>.<led>.png, or leave one LED on."
+        raise SessionError(what, where=str(path), remedy=remedy)
     poses = _poses_of(positions.motion, camera)
     rows = tuple(int(positions.motion.row[pose]) for pose in poses.values())
     shots = tuple(Shot(pose, 0) for pose in poses.values())
@@ -165,11 +155,9 @@ def _sort(folder: Path, camera: int, positions: Positions) -> tuple[dict[Shot, I
             strangers.append(path.name)
             continue
         if not last and len(leds) > 1:
-            raise SessionError(
-                f"there are {len(leds)} LEDs, and the name does not say which is lit",
-                where=str(path),
-                remedy=f"Call it {path.stem}.{leds[0]}{path.suffix} or the like, one image an LED.",
-            )
+            what = f"there are {len(leds)} LEDs, and the name does not say which is lit"
+            remedy = f"Call it {path.stem}.{leds[0]}{path.suffix} or the like, one image an LED."
+            raise SessionError(what, where=str(path), remedy=remedy)
         if (other := found.setdefault(Shot(pose, numbers[last]), path)) is not path:
             raise SessionError(f"this is the same image as {other.name}", where=str(path), remedy="Keep one.")
     lit = [(shot, path) for shot, path in sorted(found.items()) if shot.led >= 0]

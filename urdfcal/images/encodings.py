@@ -54,10 +54,8 @@ def decode_raw(encoding: str, size: tuple[int, int], step: int, data: Image, *, 
     width, height = size
     row = width * values * bits // 8
     if min(size) <= 0 or step < row or len(data) != height * step:
-        raise CameraError(
-            f"{len(data)} bytes in rows of {step} are no {encoding} image of {width} x {height} pixels",
-            remedy=f"{height} rows of {max(row, 0)} bytes or more are expected.",
-        )
+        what = f"{len(data)} bytes in rows of {step} are no {encoding} image of {width} x {height} pixels"
+        raise CameraError(what, remedy=f"{height} rows of {max(row, 0)} bytes or more are expected.")
     rows = np.ascontiguousarray(data.reshape(height, step)[:, :row])
     kind = np.dtype(np.uint8) if bits == 8 else np.dtype(">u2" if big_endian else "<u2")
     pixels = rows.view(kind).reshape(height, width, values)[..., taken].astype(kind.newbyteorder("="))

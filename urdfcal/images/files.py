@@ -134,11 +134,9 @@ def sized(image: Image, resolution: tuple[int, int], where: str) -> Image:
         CameraError: it has another.
     """
     if image.shape[1::-1] != resolution:
-        raise CameraError(
-            f"the image is {image.shape[1]} x {image.shape[0]} px, the camera {resolution[0]} x {resolution[1]}",
-            where=where,
-            remedy="Give the camera's resolution in the camera file, at which it was calibrated.",
-        )
+        what = f"the image is {image.shape[1]} x {image.shape[0]} px, the camera {resolution[0]} x {resolution[1]}"
+        remedy = "Give the camera's resolution in the camera file, at which it was calibrated."
+        raise CameraError(what, where=where, remedy=remedy)
     return image
 
 

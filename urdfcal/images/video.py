@@ -105,11 +105,9 @@ class Video:
         return VideoFrame(np.ascontiguousarray(image[..., ::-1]), f"{self.path}, image {row + 1}")
 
     def _miscounted(self, found: int) -> CameraError:
-        return CameraError(
-            f"the video has {found} images, and the table of frames {self.count} of this camera",
-            where=str(self.path),
-            remedy="Every image has its row, in the same order; none may be lost or added in encoding.",
-        )
+        what = f"the video has {found} images, and the table of frames {self.count} of this camera"
+        remedy = "Every image has its row, in the same order; none may be lost or added in encoding."
+        return CameraError(what, where=str(self.path), remedy=remedy)
 
 
 def write_video(path: Path, images: Iterable[Image], resolution: tuple[int, int], rate: float) -> None:

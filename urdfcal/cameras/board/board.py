@@ -57,10 +57,8 @@ class Board:
         if self.kind not in get_args(BoardKind):
             raise CameraError(f"board type '{self.kind}' is not known", remedy="Use chessboard or charuco.")
         if min(self.shape) < _FEWEST:
-            raise CameraError(
-                f"a {self.columns} x {self.rows} {self.kind} has {self.shape[0]} x {self.shape[1]} inner corners",
-                remedy=f"It needs at least {_FEWEST} x {_FEWEST}.",
-            )
+            what = f"a {self.columns} x {self.rows} {self.kind} has {self.shape[0]} x {self.shape[1]} inner corners"
+            raise CameraError(what, remedy=f"It needs at least {_FEWEST} x {_FEWEST}.")
         if not 0.0 < self.square < _LARGEST_SQUARE:
             raise CameraError(f"a square of {self.square:g} m is no board's", remedy="Give its side in metres.")
         if self.kind == "charuco":
@@ -119,15 +117,11 @@ class Board:
         import cv2
 
         if self.marker is None or self.dictionary is None:
-            raise CameraError(
-                "a ChArUco board needs the side of its markers and their dictionary",
-                remedy="For example marker 0.018 (m) and dictionary DICT_4X4_50.",
-            )
+            remedy = "For example marker 0.018 (m) and dictionary DICT_4X4_50."
+            raise CameraError("a ChArUco board needs the side of its markers and their dictionary", remedy=remedy)
         if not 0.0 < self.marker < self.square:
-            raise CameraError(
-                f"markers of {self.marker:g} m do not fit into squares of {self.square:g} m",
-                remedy="Give both in metres.",
-            )
+            what = f"markers of {self.marker:g} m do not fit into squares of {self.square:g} m"
+            raise CameraError(what, remedy="Give both in metres.")
         names = sorted(name for name in dir(cv2.aruco) if re.fullmatch(r"DICT_[A-Z0-9_]+", name))
         if self.dictionary not in names:
             raise CameraError(f"dictionary '{self.dictionary}' is not known", remedy=f"OpenCV has: {', '.join(names)}.")

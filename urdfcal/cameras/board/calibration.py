@@ -166,11 +166,9 @@ def _check_views(views: BoardViews, c: int, uv: Floats, rejected: Sequence[Rejec
         return
     mine = [f"{r.view}: {r.reason}" for r in rejected if r.camera == views.cameras[c]]
     because = f" ({'; '.join(mine[:3])}{'; ...' if len(mine) > 3 else ''})" if mine else ""
-    raise CameraError(
-        f"only {count} of its images can be used{because}, at least {_FEWEST_VIEWS} are needed and 15 to 30 are good",
-        where=f"camera '{views.cameras[c]}'",
-        remedy="Add sharp images of the board in all parts of the image, and check the board's kind and its counts.",
-    )
+    what = f"only {count} of its images can be used{because}, at least {_FEWEST_VIEWS} are needed and 15 to 30 are good"
+    remedy = "Add sharp images of the board in all parts of the image, and check the board's kind and its counts."
+    raise CameraError(what, where=f"camera '{views.cameras[c]}'", remedy=remedy)
 
 
 def _check_focal(fitted: Adjusted, name: str) -> None:
@@ -187,21 +185,16 @@ def _check_focal(fitted: Adjusted, name: str) -> None:
         )
     relative = float((np.sqrt(np.diag(fitted.covariance)[:2]) / camera.intrinsics[:2]).max())
     if not relative < _WORST_FOCAL:
-        raise CameraError(
-            f"these images tell the focal length only to {100 * relative:.2g} % (standard deviation)",
-            where=f"camera '{name}'",
-            remedy=f"{100 * _WORST_FOCAL:g} % is needed. {_TILT_THE_BOARD}",
-        )
+        what = f"these images tell the focal length only to {100 * relative:.2g} % (standard deviation)"
+        remedy = f"{100 * _WORST_FOCAL:g} % is needed. {_TILT_THE_BOARD}"
+        raise CameraError(what, where=f"camera '{name}'", remedy=remedy)
 
 
 def _check_together(name: str, alone: float, together: float) -> None:
     """Refuse a camera that agrees with itself but not with the others."""
     if together > _FAR_ABOVE * max(alone, _LEAST_NOISE):
-        raise CameraError(
-            f"its corners fit to {alone:.2g} px alone, but to {together:.2g} px together with the other cameras",
-            where=f"camera '{name}'",
-            remedy=_AT_THE_SAME_TIME,
-        )
+        what = f"its corners fit to {alone:.2g} px alone, but to {together:.2g} px together with the other cameras"
+        raise CameraError(what, where=f"camera '{name}'", remedy=_AT_THE_SAME_TIME)
 
 
 def _alone(name: str, resolution: tuple[int, int], model: str, board: Board, uv: Floats) -> Camera:
@@ -251,11 +244,8 @@ def _without_bad_views(
         placed = [T for T in T_cam_world if T is not None]
         if len(placed) < len(cameras):
             lost = next(camera for camera, T in zip(cameras, T_cam_world, strict=True) if T is None)
-            raise CameraError(
-                "no image it shares with another camera agrees with the rest",
-                where=f"camera '{lost.name}'",
-                remedy=_AT_THE_SAME_TIME,
-            )
+            what = "no image it shares with another camera agrees with the rest"
+            raise CameraError(what, where=f"camera '{lost.name}'", remedy=_AT_THE_SAME_TIME)
         fitted = adjust(Bundle(board, tuple(cameras), np.stack(placed), T_world_board), uv)
         kept = np.where(fitted.outliers[..., None], np.nan, fitted.residuals)
         # A few corners left out are a reflection or a finger; many are a bad view, judged by all its corners.

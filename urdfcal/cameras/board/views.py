@@ -110,11 +110,8 @@ def find_images(folder: Path) -> dict[str, dict[str, Path]]:
     if not found and (alone := _images(folder)):
         found = {"cam0": alone}
     if not found:
-        raise CameraError(
-            f"there are no images ({', '.join(SUFFIXES)}) here",
-            where=str(folder),
-            remedy="Put them into one folder a camera: <camera>/<view>.png.",
-        )
+        remedy = "Put them into one folder a camera: <camera>/<view>.png."
+        raise CameraError(f"there are no images ({', '.join(SUFFIXES)}) here", where=str(folder), remedy=remedy)
     return found
 
 
@@ -123,9 +120,8 @@ def _images(folder: Path) -> dict[str, Path]:
     for path in _sorted(folder):
         if path.suffix.lower() in SUFFIXES and not path.name.startswith("."):
             if path.stem in images:
-                raise CameraError(
-                    f"{path.name} and {images[path.stem].name} are both called '{path.stem}'", where=str(folder)
-                )
+                what = f"{path.name} and {images[path.stem].name} are both called '{path.stem}'"
+                raise CameraError(what, where=str(folder))
             images[path.stem] = path
     return images
 

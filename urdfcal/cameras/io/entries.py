@@ -258,24 +258,18 @@ def rigid(R: Floats, t: Floats, what: str, error: Callable[[str, str], CameraErr
     """
     off = float(np.abs(R @ R.T - np.eye(3)).max())
     if off > _ORTHONORMAL:
-        raise error(
-            f"the rotation part of {what} is off by {off:.2g} from a rotation matrix",
-            "Its rows must be of length 1 and at right angles; write at least five digits.",
-        )
+        remedy = "Its rows must be of length 1 and at right angles; write at least five digits."
+        raise error(f"the rotation part of {what} is off by {off:.2g} from a rotation matrix", remedy)
     if np.linalg.det(R) < 0.0:
-        raise error(
-            f"the rotation part of {what} is mirrored (determinant -1)",
-            "Two of its rows are exchanged, or one has the wrong sign.",
-        )
+        remedy = "Two of its rows are exchanged, or one has the wrong sign."
+        raise error(f"the rotation part of {what} is mirrored (determinant -1)", remedy)
     baseline = float(np.linalg.norm(t))
     if baseline > _LONGEST_BASELINE:
-        raise error(
-            f"the cameras are {baseline:g} m apart; it looks like millimetres", "Give the translation in metres."
-        )
+        remedy = "Give the translation in metres."
+        raise error(f"the cameras are {baseline:g} m apart; it looks like millimetres", remedy)
     if baseline < _SHORTEST_BASELINE:
-        raise error(
-            "the two cameras are in the same place", f"Leave {what} out if it is not known; it is then estimated."
-        )
+        remedy = f"Leave {what} out if it is not known; it is then estimated."
+        raise error("the two cameras are in the same place", remedy)
     if off > _EXACT:
         U, _, Vt = np.linalg.svd(R)
         R = U @ Vt

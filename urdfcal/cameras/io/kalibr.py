@@ -84,11 +84,8 @@ def write_kalibr(path: str | Path, rig: Rig) -> None:
 
     path = Path(path)
     if _chain_order(rig.names, path) != list(rig.names):
-        raise CameraError(
-            f"the cameras {', '.join(rig.names)} are not in the order of their numbers",
-            where=str(path),
-            remedy="Kalibr's order is that of the numbers: rename them.",
-        )
+        what = f"the cameras {', '.join(rig.names)} are not in the order of their numbers"
+        raise CameraError(what, where=str(path), remedy="Kalibr's order is that of the numbers: rename them.")
     chain: dict[str, dict[str, Any]] = {}
     T_before: Floats | None = None
     for i, (camera, T, sigma) in enumerate(zip(rig.cameras, rig.T_cam_world, rig.sigmas, strict=True)):
@@ -101,11 +98,8 @@ def write_kalibr(path: str | Path, rig: Rig) -> None:
         }
         if T is not None and i > 0:
             if T_before is None:
-                raise CameraError(
-                    f"the place of '{camera.name}' is known, that of '{rig.names[i - 1]}' before it is not",
-                    where=str(path),
-                    remedy="Put cameras of unknown place last.",
-                )
+                what = f"the place of '{camera.name}' is known, that of '{rig.names[i - 1]}' before it is not"
+                raise CameraError(what, where=str(path), remedy="Put cameras of unknown place last.")
             T_step = T @ inverse(T_before)
             # The reader multiplies the steps up: give each the rounding errors of those before it.
             T_step += (T - T_step @ T_before) @ inverse(T_before)
@@ -126,11 +120,9 @@ def _chain_order(names: Iterable[str], path: Path) -> list[str]:
     names.sort(key=lambda name: int(name[3:]))
     for before, after in pairwise(names):
         if int(after[3:]) != int(before[3:]) + 1:
-            raise CameraError(
-                f"'{after}' comes after '{before}': its T_cn_cnm1 speaks of a camera that is missing",
-                where=str(path),
-                remedy="Number the cameras without gaps, or give them other names.",
-            )
+            what = f"'{after}' comes after '{before}': its T_cn_cnm1 speaks of a camera that is missing"
+            remedy = "Number the cameras without gaps, or give them other names."
+            raise CameraError(what, where=str(path), remedy=remedy)
     return names
 
 
@@ -140,11 +132,8 @@ def _camera(entry: Entry) -> Camera:
         raise entry.error("camera_model", f"camera model '{model}' is not supported", "Use a pinhole model.")
     written = entry.text("distortion_model")
     if written not in _DISTORTIONS:
-        raise entry.error(
-            "distortion_model",
-            f"distortion model '{written}' is not supported",
-            f"Use one of: {', '.join(_DISTORTIONS)}.",
-        )
+        remedy = f"Use one of: {', '.join(_DISTORTIONS)}."
+        raise entry.error("distortion_model", f"distortion model '{written}' is not supported", remedy)
     given = written != "none" or "distortion_coeffs" in entry.fields
     coefficients = entry.numbers("distortion_coeffs") if given else []
     size, intrinsics = entry.size("resolution"), entry.numbers("intrinsics")
@@ -160,11 +149,8 @@ def _step(entry: Entry) -> Floats | None:
     T = entry.rows(key, (4, 4))
     if not np.allclose(T[3], [0.0, 0.0, 0.0, 1.0], rtol=0.0, atol=1e-9):
         transposed = np.allclose(T[:, 3], [0.0, 0.0, 0.0, 1.0], rtol=0.0, atol=1e-9)
-        raise entry.error(
-            key,
-            f"the last row of {key} is {T[3].tolist()}, not [0, 0, 0, 1]",
-            "Rows and columns are exchanged: the translation belongs in the last column." if transposed else "",
-        )
+        remedy = "Rows and columns are exchanged: the translation belongs in the last column." if transposed else ""
+        raise entry.error(key, f"the last row of {key} is {T[3].tolist()}, not [0, 0, 0, 1]", remedy)
     return rigid(T[:3, :3], T[:3, 3], key, partial(entry.error, key))
 
 

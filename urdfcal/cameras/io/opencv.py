@@ -62,9 +62,8 @@ def read_opencv(paths: Sequence[str | Path], size: tuple[int, int] | None = None
     found = [_Found(entry, suffix) for entry in entries for suffix in ("", "1", "2")]
     sources = [item for item in found if item.key(*_MATRIX)]
     if not sources:
-        raise CameraError(
-            "there is no camera matrix in it", where=str(paths[0]), remedy=f"It is called one of: {', '.join(_MATRIX)}."
-        )
+        remedy = f"It is called one of: {', '.join(_MATRIX)}."
+        raise CameraError("there is no camera matrix in it", where=str(paths[0]), remedy=remedy)
     names = [source.name() for source in sources]
     if len(set(names)) < len(names):
         names = [f"cam{i}" for i in range(len(names))]
@@ -152,9 +151,8 @@ class _Found:
             model = self.entry.text(written)
             model = {"fisheye": "equidistant", "plumb_bob": "radtan"}.get(model, model)
             if model not in _MODELS:
-                raise self.entry.error(
-                    written, f"distortion model '{model}' is not supported", f"Use one of: {', '.join(_MODELS)}."
-                )
+                remedy = f"Use one of: {', '.join(_MODELS)}."
+                raise self.entry.error(written, f"distortion model '{model}' is not supported", remedy)
         elif fisheye and self.entry.whole(fisheye):
             model = "equidistant"
         else:
@@ -162,11 +160,8 @@ class _Found:
         if model == "none" and not D.any():
             return model, D[:0]
         if model == "radtan" and D[5:].any():
-            raise self.entry.error(
-                key,
-                f"the {_LONGER.get(len(D), 'longer')} model's {len(D)} coefficients are not supported",
-                "Calibrate with k1 k2 p1 p2 k3 only.",
-            )
+            what = f"the {_LONGER.get(len(D), 'longer')} model's {len(D)} coefficients are not supported"
+            raise self.entry.error(key, what, "Calibrate with k1 k2 p1 p2 k3 only.")
         return model, D[:5] if model == "radtan" else D
 
     def _size(self, size: tuple[int, int] | None) -> tuple[int, int]:

@@ -71,11 +71,8 @@ class CameraInfo:
         key = "camera_matrix"
         K = pinhole(self.K, key, lambda what: self.error(key, what, "Skewed pixels are not supported."))
         if self.distortion_model not in _MODELS:
-            raise self.error(
-                "distortion_model",
-                f"distortion model '{self.distortion_model}' is not supported",
-                f"Use one of: {', '.join(_MODELS)}; calibrate again without the rational model.",
-            )
+            remedy = f"Use one of: {', '.join(_MODELS)}; calibrate again without the rational model."
+            raise self.error("distortion_model", f"distortion model '{self.distortion_model}' is not supported", remedy)
         model, D = _MODELS[self.distortion_model], self.D
         # Simulated cameras often have no coefficients at all.
         if model == "radtan" and len(D) in (0, 4, 5):
@@ -143,9 +140,8 @@ def write_ros(path: str | Path, rig: Rig) -> tuple[Path, ...]:
     """
     path = Path(path)
     if len(rig.cameras) > 2:
-        raise CameraError(
-            f"camera_info files speak of one camera or a pair, not of {len(rig.cameras)}", remedy="Write Kalibr."
-        )
+        what = f"camera_info files speak of one camera or a pair, not of {len(rig.cameras)}"
+        raise CameraError(what, remedy="Write Kalibr.")
     texts = [_text(camera, R, P) for camera, (R, P) in zip(rig.cameras, _rectified(rig), strict=True)]
     if len(texts) == 1:
         write_text(path, texts[0])
