@@ -64,7 +64,7 @@ def detect_board(image: Image, board: Board) -> Corners | None:
         low, high = np.percentile(grey[::4, ::4], [1.0, 99.0])
         scaled = (grey - low) * (235.0 / max(high - low, 1e-6)) + 10.0
         eight = np.clip(scaled, 0, 255).astype(np.uint8)
-    start = _charuco(eight, board) if board.kind == "charuco" else _chessboard(eight, board)
+    start = _rough(eight, board)
     return None if start is None else refine(grey, board, start)
 
 
@@ -205,26 +205,21 @@ def _model(p: Floats, offsets: Floats) -> tuple[Floats, Floats]:
     return p[:, 6, None] + h * shape, J
 
 
-def _charuco(image: Image, board: Board) -> Floats | None:
+def _rough(image: Image, board: Board) -> Floats | None:
+    """The corners (N, 2) of a board in an 8-bit image to a fraction of a pixel, px."""
     import cv2
 
-    corners, numbers, _, _ = cv2.aruco.CharucoDetector(board.to_opencv()).detectBoard(image)
-    if numbers is None or len(numbers) == 0:
-        return None
-    uv = np.full((len(board.corners), 2), np.nan)
-    uv[np.ravel(numbers)] = np.reshape(corners, (-1, 2))
-    return uv
-
-
-def _chessboard(image: Image, board: Board) -> Floats | None:
-    import cv2
-
+    if board.kind == "charuco":
+        corners, numbers, _, _ = cv2.aruco.CharucoDetector(board.to_opencv()).detectBoard(image)
+        if numbers is None or len(numbers) == 0:
+            return None
+        uv = np.full((len(board.corners), 2), np.nan)
+        uv[np.ravel(numbers)] = np.reshape(corners, (-1, 2))
+        return uv
     # findChessboardCorners finds no more boards, and searches a plain noisy wall for ten seconds and more.
     found, corners = cv2.findChessboardCornersSB(image, board.shape, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
-    if not found:
-        return None
     across, down = board.shape
-    return _turned(np.asarray(corners, dtype=float).reshape(down, across, 2), image).reshape(-1, 2)
+    return _turned(np.reshape(corners, (down, across, 2)).astype(float), image).reshape(-1, 2) if found else None
 
 
 def _turned(grid: Floats, image: Image) -> Floats:
