@@ -18,8 +18,7 @@ from urdfcal.detection.spots.detector import find_spots
 from urdfcal.errors import OutputError, SessionError
 from urdfcal.estimation.measurements import Detections
 from urdfcal.files import staged
-from urdfcal.images.files import in_parallel, workers, write_image
-from urdfcal.images.video import Video
+from urdfcal.images.files import Video, in_parallel, workers, write_image
 from urdfcal.io.folder import IMAGES, detections_path, read_positions
 from urdfcal.io.writing import write_measurements, write_table
 from urdfcal.robot.kinematics import tip_poses
@@ -32,8 +31,7 @@ if TYPE_CHECKING:
     from urdfcal.cameras.rig import Rig
     from urdfcal.detection.image_index import Shot
     from urdfcal.detection.spots.detector import Spots
-    from urdfcal.images.files import Colour
-    from urdfcal.images.video import ImageSequence, SequenceImage
+    from urdfcal.images.files import Colour, ImageSequence, SequenceImage
     from urdfcal.session.model import Positions
 
 REJECTED = "detections_rejected.csv"

@@ -6,9 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 from urdfcal.errors import SessionError
-from urdfcal.images.files import SUFFIXES, ImageFile
-from urdfcal.images.video import SUFFIXES as VIDEO_SUFFIXES
-from urdfcal.images.video import Video
+from urdfcal.images.files import SUFFIXES, VIDEO_SUFFIXES, ImageFile, Video
 from urdfcal.names import listed, suggest
 from urdfcal.session.trajectory import Trajectory
 

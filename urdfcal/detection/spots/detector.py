@@ -23,8 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from urdfcal.arrays import Bools, Ints
-    from urdfcal.images.files import Colour
-    from urdfcal.images.video import ImageSequence
+    from urdfcal.images.files import Colour, ImageSequence
 
 # Images whose crops are fitted together: with a dozen lights each, their crops take as much as six images.
 _TOGETHER = 64

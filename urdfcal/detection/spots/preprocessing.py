@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from urdfcal.arrays import Bools, Floats, Ints
-    from urdfcal.images.files import Colour, Image
-    from urdfcal.images.video import ImageSequence, SequenceImage
+    from urdfcal.images.files import Colour, Image, ImageSequence, SequenceImage
 
 # What is wider than this is a lamp, a window, a sheet of paper: a saturated LED of sigma 6 px is 25 px wide.
 _WIDEST = 26
@@ -166,8 +165,15 @@ def read_background(
     change = each[0] - values
     noise = max(1.48 * float(np.median(np.abs(change[::5, ::5]))), _LEAST_NOISE)
     blind = values >= max(map(saturation, images))
-    damping = halved(_damping(values, change, blind, noise))
-    return Background(values, image, halved(image), damping, blind, noise, find_candidates(image)[0])
+    # From how much lamps changed between two images.
+    light = np.maximum(values - np.median(values[::5, ::5]), np.float32(0.0))
+    bright = (light > _BRIGHT * noise) & ~blind
+    damping = np.ones_like(values)
+    if np.count_nonzero(bright) >= _ENOUGH:
+        # Median, because the arm may have hidden a lamp.
+        shot = (1.48 * float(np.median(np.abs(change[bright]) / np.sqrt(light[bright])))) ** 2
+        damping = 1.0 / np.sqrt(1.0 + np.float32(shot / noise**2) * light)
+    return Background(values, image, halved(image), halved(damping), blind, noise, find_candidates(image)[0])
 
 
 def find_candidates(image: NDArray[np.float32], still: Background | None = None) -> tuple[Ints, dict[str, Ints]]:
@@ -306,16 +312,3 @@ def _purity(image: Image, centre: Ints, colour: Colour, clipped: float) -> Float
 def _median(images: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
     middle = len(images) // 2
     return np.asarray(np.partition(np.stack(images), middle, axis=0)[middle])
-
-
-def _damping(
-    values: NDArray[np.float32], change: NDArray[np.float32], blind: Bools, noise: float
-) -> NDArray[np.float32]:
-    """Noise in the dark over that of each pixel, from how much lamps changed between two images."""
-    light = np.maximum(values - np.median(values[::5, ::5]), np.float32(0.0))
-    bright = (light > _BRIGHT * noise) & ~blind
-    if np.count_nonzero(bright) < _ENOUGH:
-        return np.ones_like(values)
-    # Median, because the arm may have hidden a lamp.
-    shot = (1.48 * float(np.median(np.abs(change[bright]) / np.sqrt(light[bright])))) ** 2
-    return np.asarray(1.0 / np.sqrt(1.0 + np.float32(shot / noise**2) * light))
