@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from urdfcal.detection.spots import gaussian
-from urdfcal.detection.spots.gaussian import L11, L12, L22, LEVEL, PEAK, GaussianFit, Rows, U, V, Windows
+from urdfcal.detection.spots.gaussian import L11, L12, L22, LEVEL, PEAK, Rows, U, V, Windows
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -132,7 +132,9 @@ class _Rough:
     """Crops fitted without knowing how their noise grows with the light, and the noise (n,) of their background."""
 
     windows: Windows
-    solution: GaussianFit
+    spots: Floats
+    covariances: Floats
+    converged: Bools
     floor: Floats
     shot: Floats
 
@@ -147,25 +149,26 @@ class _Rough:
         floor = np.maximum(_rim_variance(windows), _LEAST_VARIANCE)
         # A first guess: as if the brightest pixel had ten times the background's variance.
         shot = 9.0 * floor / np.maximum(spots[:, PEAK], 1e-9)
-        solution = gaussian.fit(windows, spots, gaussian.pixel_variance(floor, shot, gaussian.light(windows, spots)))
-        reach = _WIDTHS * _widths(solution.spots).max(axis=1) + _MARGIN
-        distance = (u - solution.spots[:, U, None]) ** 2 + (v - solution.spots[:, V, None]) ** 2
+        variance = gaussian.pixel_variance(floor, shot, gaussian.light(windows, spots))
+        spots, covariances, converged = gaussian.fit(windows, spots, variance)
+        reach = _WIDTHS * _widths(spots).max(axis=1) + _MARGIN
+        distance = (u - spots[:, U, None]) ** 2 + (v - spots[:, V, None]) ** 2
         near = replace(windows, usable=windows.usable & (distance <= reach[:, None] ** 2))
-        glow, r, plain = _explained(near, solution.spots)
-        wings = plain & (glow < _WINGS * solution.spots[:, PEAK, None])
+        glow, r, plain = _explained(near, spots)
+        wings = plain & (glow < _WINGS * spots[:, PEAK, None])
         counted = wings.sum(axis=1)
         spread = np.sum(r * r * wings, axis=1) / np.maximum(counted - 3, 1)
         floor = np.where(counted > 20, np.maximum(spread, _LEAST_VARIANCE), floor)
-        return cls(near, solution, floor, shot)
+        return cls(near, spots, covariances, converged, floor, shot)
 
     def shot_evidence(self) -> tuple[Floats, Floats]:
         """For each spot, sums whose ratio is its shot noise per count: what is left in the core against its light."""
-        spots = self.solution.spots
+        spots = self.spots
         glow, r, plain = _explained(self.windows, spots)
         variance = gaussian.pixel_variance(self.floor, self.shot, glow)
         _, J = gaussian.jacobian(self.windows, spots)
         # The share of each pixel's noise that the fit takes up is not left over.
-        hat = np.einsum("nip,nij,njp->np", J, self.solution.covariances, J, optimize=True)
+        hat = np.einsum("nip,nij,njp->np", J, self.covariances, J, optimize=True)
         free = 1.0 - np.clip(hat / variance, 0.0, 0.99)
         weight = (plain & (glow > _CORE * spots[:, PEAK, None])) * (free / variance) ** 2
         left = r * r / free - self.floor[:, None]
@@ -173,7 +176,7 @@ class _Rough:
 
     def refined(self, shot: float) -> Fits:
         """Fit again with the noise that is now known, without what is no spot's, and judge by all that there is."""
-        windows, spots = self.windows, self.solution.spots
+        windows, spots = self.windows, self.spots
         glow, r, plain = _explained(windows, spots)
         variance = gaussian.pixel_variance(self.floor, shot, glow)
         z = r / np.sqrt(variance)
@@ -182,9 +185,7 @@ class _Rough:
         usual = np.ma.median(np.ma.array(np.abs(z), mask=~core), axis=1).filled(0.0)  # type: ignore[no-untyped-call]
         limit = _OUTLYING * np.maximum(1.48 * usual, 1.0)
         clean = replace(windows, usable=windows.usable & (windows.saturated | (np.abs(z) <= limit[:, None])))
-        solution = gaussian.fit(clean, spots, variance)
-
-        spots, covariances = solution.spots, solution.covariances
+        spots, covariances, converged = gaussian.fit(clean, spots, variance)
         peak = spots[:, PEAK]
         glow, r, _ = _explained(windows, spots)
         variance = gaussian.pixel_variance(self.floor, shot, glow)
@@ -209,7 +210,7 @@ class _Rough:
             misfit=np.sqrt(np.maximum(beyond, 0.0)) / np.maximum(peak, 1e-9),
             lobe=_lobes(windows, r, variance) / np.maximum(peak, 1e-9),
             saturated=(windows.saturated & windows.usable).sum(axis=1),
-            found=solution.converged & self.solution.converged & np.isfinite(sigma2),
+            found=converged & self.converged & np.isfinite(sigma2),
         )
 
 
@@ -222,8 +223,8 @@ def _explained(windows: Windows, spots: Floats) -> tuple[Floats, Floats, Bools]:
 def _shot_noise(rough: list[_Rough]) -> float:
     """Variance per count of light, common to all spots that look like one."""
     above, below = (np.concatenate(sums) for sums in zip(*(part.shot_evidence() for part in rough), strict=True))
-    widths = np.concatenate([_widths(part.solution.spots) for part in rough])
-    good = np.concatenate([part.solution.converged for part in rough]) & (below > 0.0)
+    widths = np.concatenate([_widths(part.spots) for part in rough])
+    good = np.concatenate([part.converged for part in rough]) & (below > 0.0)
     good &= (widths[:, 0] > _LIKE_A_SPOT) & (widths[:, 1] < 1.5 * widths[:, 0])
     if not good.any():
         return 0.0

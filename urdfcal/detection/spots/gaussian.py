@@ -132,22 +132,7 @@ def jacobian(windows: Windows, spots: Floats) -> tuple[Floats, Floats]:
     return glow, J
 
 
-@dataclass(frozen=True, eq=False)
-class GaussianFit:
-    """What came of n fits.
-
-    Attributes:
-        spots: (n, 9) parameters.
-        covariances: (n, 9, 9) inverse Fisher information.
-        converged: (n,).
-    """
-
-    spots: Floats
-    covariances: Floats
-    converged: Bools
-
-
-def fit(windows: Windows, spots: Floats, variance: Floats) -> GaussianFit:
+def fit(windows: Windows, spots: Floats, variance: Floats) -> tuple[Floats, Floats, Bools]:
     """Least squares weighted by the pixels' variances, saturated pixels one-sided: damped Gauss-Newton.
 
     With the variances of a spot near the solution this is as good as maximum likelihood; letting them follow the
@@ -157,6 +142,9 @@ def fit(windows: Windows, spots: Floats, variance: Floats) -> GaussianFit:
         windows: n of them.
         spots: (n, 9) to start from.
         variance: (n, P) of the pixels. [counts²]
+
+    Returns:
+        Spots (n, 9), their covariances (n, 9, 9), the inverse Fisher information, and which (n,) have converged.
     """
     spots = spots.copy()
     stiffness = (_ROUND * (spots[:, L11] + spots[:, L22]) / 2.0) ** -2
@@ -187,7 +175,7 @@ def fit(windows: Windows, spots: Floats, variance: Floats) -> GaussianFit:
         active = active[~done & (damping[active] < _LARGEST_DAMPING)]
     # What the information matrices do not tell gets a huge variance.
     scaled, scale = _scaled(H, np.zeros(len(H)))
-    return GaussianFit(spots, np.linalg.inv(scaled) * scale[:, :, None] * scale[:, None, :], converged)
+    return spots, np.linalg.inv(scaled) * scale[:, :, None] * scale[:, None, :], converged
 
 
 def _linearise(windows: Windows, spots: Floats, variance: Floats, stiffness: Floats) -> tuple[Floats, Floats, Floats]:
