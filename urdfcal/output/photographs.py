@@ -29,7 +29,7 @@ def find_photographs(session: Session) -> tuple[dict[int, Path], ...]:
     if folder is None or not folder.is_dir() or not none:
         return none
     from urdfcal.detection.image_index import read_index
-    from urdfcal.images.video import Video
+    from urdfcal.images.files import Video
 
     try:
         index = read_index(folder, session)

@@ -11,8 +11,7 @@ import numpy as np
 
 from urdfcal.errors import SessionError
 from urdfcal.files import staged
-from urdfcal.images.files import in_parallel, write_image
-from urdfcal.images.video import write_video
+from urdfcal.images.files import in_parallel, write_image, write_video
 from urdfcal.io.folder import IMAGES
 from urdfcal.io.writing import write_table
 from urdfcal.session.trajectory import Trajectory

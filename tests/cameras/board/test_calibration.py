@@ -21,11 +21,9 @@ from tests.cameras.board.boards import (
 )
 from tests.cameras.board.rendering import BoardRenderer
 from urdfcal.cameras.board.board import Board
-from urdfcal.cameras.board.bundle import Bundle, adjust
+from urdfcal.cameras.board.bundle import Bundle, adjust, board_poses
 from urdfcal.cameras.board.calibration import calibrate_cameras
-from urdfcal.cameras.board.corners import detect_board
-from urdfcal.cameras.board.start import board_poses
-from urdfcal.cameras.board.views import BoardViews, find_images, read_views
+from urdfcal.cameras.board.views import BoardViews, detect_board, find_images, read_views
 from urdfcal.cameras.camera import Camera
 from urdfcal.cameras.rig import Rig
 from urdfcal.errors import CameraError

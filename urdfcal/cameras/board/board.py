@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, cast, get_args
 import numpy as np
 
 from urdfcal.arrays import Floats, Ints, frozen
-from urdfcal.cameras.io.entries import Entry
+from urdfcal.cameras.io.entries import Entry, standing
 from urdfcal.errors import CameraError
 
 if TYPE_CHECKING:
@@ -57,10 +57,8 @@ class Board:
         if self.kind not in get_args(BoardKind):
             raise CameraError(f"board type '{self.kind}' is not known", remedy="Use chessboard or charuco.")
         if min(self.shape) < _FEWEST:
-            raise CameraError(
-                f"a {self.columns} x {self.rows} {self.kind} has {self.shape[0]} x {self.shape[1]} inner corners",
-                remedy=f"It needs at least {_FEWEST} x {_FEWEST}.",
-            )
+            what = f"a {self.columns} x {self.rows} {self.kind} has {self.shape[0]} x {self.shape[1]} inner corners"
+            raise CameraError(what, remedy=f"It needs at least {_FEWEST} x {_FEWEST}.")
         if not 0.0 < self.square < _LARGEST_SQUARE:
             raise CameraError(f"a square of {self.square:g} m is no board's", remedy="Give its side in metres.")
         if self.kind == "charuco":
@@ -80,6 +78,10 @@ class Board:
         across, down = self.shape
         x, y = np.meshgrid(np.arange(across), np.arange(down))
         return frozen(self.square * np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1))
+
+    def at(self, T: Floats) -> Floats:
+        """Corners (V, N, 3) of boards at ``T`` (V, 4, 4), m."""
+        return np.asarray(self.corners @ np.swapaxes(T[:, :3, :3], 1, 2) + T[:, None, :3, 3])
 
     @cached_property
     def symmetries(self) -> tuple[Ints, ...]:
@@ -115,15 +117,11 @@ class Board:
         import cv2
 
         if self.marker is None or self.dictionary is None:
-            raise CameraError(
-                "a ChArUco board needs the side of its markers and their dictionary",
-                remedy="For example marker 0.018 (m) and dictionary DICT_4X4_50.",
-            )
+            remedy = "For example marker 0.018 (m) and dictionary DICT_4X4_50."
+            raise CameraError("a ChArUco board needs the side of its markers and their dictionary", remedy=remedy)
         if not 0.0 < self.marker < self.square:
-            raise CameraError(
-                f"markers of {self.marker:g} m do not fit into squares of {self.square:g} m",
-                remedy="Give both in metres.",
-            )
+            what = f"markers of {self.marker:g} m do not fit into squares of {self.square:g} m"
+            raise CameraError(what, remedy="Give both in metres.")
         names = sorted(name for name in dir(cv2.aruco) if re.fullmatch(r"DICT_[A-Z0-9_]+", name))
         if self.dictionary not in names:
             raise CameraError(f"dictionary '{self.dictionary}' is not known", remedy=f"OpenCV has: {', '.join(names)}.")
@@ -150,7 +148,5 @@ def read_board(path: Path) -> Board:
     size = entry.whole("columns"), entry.whole("rows"), entry.number("square", _METRES)
     marker = entry.number("marker", _METRES) if "marker" in given else None
     dictionary = entry.text("dictionary") if "dictionary" in given else None
-    try:
+    with standing(str(path)):
         return Board(cast("BoardKind", entry.text("type")), *size, marker, dictionary)
-    except CameraError as error:
-        raise CameraError(error.what, where=str(path), remedy=error.remedy) from error

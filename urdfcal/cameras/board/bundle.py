@@ -5,6 +5,8 @@
 Poses move by a step (v, w) from the left, T <- [exp(w) v; 0 1] T. Every view's pose meets the other views only
 through the cameras, so it is eliminated first (Schur complement); what remains is as large as the cameras'
 parameters alone, and its inverse is their covariance.
+
+It starts with focal length, board poses and camera places in closed form.
 """
 
 from __future__ import annotations
@@ -15,13 +17,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import Floats, frozen
+from urdfcal.arrays import Bools, Floats, Ints, frozen, inverse
+from urdfcal.cameras.camera import Camera
+from urdfcal.cameras.rig import by_motion, small_motion
 from urdfcal.errors import CameraError
-from urdfcal.rotations import rotation_vector_to_matrix, skew
+from urdfcal.rotations import skew
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from urdfcal.cameras.board.board import Board
-    from urdfcal.cameras.camera import Camera
 
 # A step shorter than this many standard deviations of the parameters, all together, is the last.
 _CONVERGED = 1e-3
@@ -35,6 +40,12 @@ _ROUNDS, _SETTLED = 6, 1e-3
 _LEAST_SIGMA = 1e-4
 # A fit that leaves out more corners than it explains is none.
 _LEAST_SHARE = 0.5
+# Half fields of view from 80° (fisheye) to 4°: focal lengths as multiples of the image's longer side.
+_FOCALS = np.geomspace(0.25, 8.0, 36)
+# What else is tried: a barrel lens looks like a shorter one, a fisheye like a longer one.
+_RATIOS = (1.0, 0.8, 1.25, 1.6, 0.6)
+# Two places of a camera that differ by more (radians, and lengths against the board's distance) do not agree.
+_AGREE = 0.2
 _MORE = "Check the board's size; add images with the board tilted in different directions, all over the image."
 
 
@@ -55,31 +66,23 @@ class Bundle:
     T_world_board: Floats
 
     @property
-    def lens_slices(self) -> tuple[slice, ...]:
-        """Where each camera's intrinsics and distortion are among the cameras' parameters."""
+    def columns(self) -> tuple[Ints, ...]:
+        """Where each camera's parameters are among all: its lens's, and after all lenses the pose's but the first's."""
         ends = np.cumsum([0, *(len(camera.parameters) for camera in self.cameras)])
-        return tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
-
-    @property
-    def pose_slices(self) -> tuple[slice | None, ...]:
-        """Where each camera's pose is among them, after all lenses; None for the first camera."""
-        first = self.lens_slices[-1].stop
-        return (None, *(slice(first + 6 * i, first + 6 * i + 6) for i in range(len(self.cameras) - 1)))
+        poses = ends[-1] + np.arange(6 * (len(self.cameras) - 1)).reshape(-1, 6)
+        lenses = [np.arange(a, b) for a, b in pairwise(ends)]
+        return (lenses[0], *(np.concatenate(both) for both in zip(lenses[1:], poses, strict=True)))
 
     @property
     def size(self) -> int:
         """Number of the cameras' parameters."""
-        return int(self.lens_slices[-1].stop) + 6 * (len(self.cameras) - 1)
+        return sum(map(len, self.columns))
 
     def project(self) -> Floats:
         """(C, V, N, 2) px of all corners; NaN where a camera cannot see one."""
-        points = self._points_in_world()
-        return np.stack(
-            [
-                camera.project(points @ T[:3, :3].T + T[:3, 3])
-                for camera, T in zip(self.cameras, self.T_cam_world, strict=True)
-            ]
-        )
+        points = self.board.at(self.T_world_board)
+        each = zip(self.cameras, self.T_cam_world, strict=True)
+        return np.stack([camera.project(points @ T[:3, :3].T + T[:3, 3]) for camera, T in each])
 
     def moved(self, shared: Floats, views: Floats) -> Bundle:
         """Step the cameras' parameters by ``shared`` (size,) and the boards by ``views`` (V, 6).
@@ -87,58 +90,43 @@ class Bundle:
         Raises:
             CameraError: a camera has become none.
         """
-        T_cam_world = np.array(self.T_cam_world)
-        for c, where in enumerate(self.pose_slices):
-            if where is not None:
-                T_cam_world[c] = _small_motion(shared[where]) @ T_cam_world[c]
-        return replace(
-            self,
-            cameras=tuple(
-                camera.with_parameters(camera.parameters + shared[where])
-                for camera, where in zip(self.cameras, self.lens_slices, strict=True)
-            ),
-            T_cam_world=T_cam_world,
-            T_world_board=_small_motion(views) @ self.T_world_board,
-        )
+        cameras, places = [], []
+        for camera, T, columns in zip(self.cameras, self.T_cam_world, self.columns, strict=True):
+            lens, pose = np.split(shared[columns], [len(camera.parameters)])
+            cameras.append(camera.with_parameters(camera.parameters + lens))
+            places.append(small_motion(pose) @ T if len(pose) else T)
+        boards = small_motion(views) @ self.T_world_board
+        return replace(self, cameras=tuple(cameras), T_cam_world=np.stack(places), T_world_board=boards)
 
     def normal_equations(self, uv: Floats, weights: Floats) -> _Normal:
         """Accumulate JᵀWJ and JᵀWr; ``weights`` (C, V, N) are 1 / sigma², zero where there is no corner."""
         V, N = uv.shape[1:3]
-        points = self._points_in_world()
-        normal = _Normal(
-            np.zeros((self.size, self.size)), np.zeros(self.size),
-            np.zeros((V, self.size, 6)), np.zeros((V, 6, 6)), np.zeros((V, 6)), 0.0,
-        )  # fmt: skip
-        for c, (camera, T) in enumerate(zip(self.cameras, self.T_cam_world, strict=True)):
+        points = self.board.at(self.T_world_board)
+        shared, g_shared, mixed = np.zeros((self.size, self.size)), np.zeros(self.size), np.zeros((V, self.size, 6))
+        boards, g_boards, cost = np.zeros((V, 6, 6)), np.zeros((V, 6)), 0.0
+        for c, (camera, T, columns) in enumerate(zip(self.cameras, self.T_cam_world, self.columns, strict=True)):
             p = points @ T[:3, :3].T + T[:3, 3]
             predicted, J_point, J_lens = camera.project_with_derivatives(p)
             used = weights[c] > 0.0
             root = np.sqrt(weights[c])[..., None]
             r = np.where(used[..., None], uv[c] - predicted, 0.0) * root
             if np.isnan(r).any():
-                return replace(normal, cost=np.inf)
+                cost = np.inf
+                break
             J_point = np.where(used[..., None, None], J_point, 0.0) * root[..., None]
             J_lens = np.where(used[..., None, None], J_lens, 0.0) * root[..., None]
-            blocks = [J_lens, _moving(J_point, p)]
-            J_view = _moving(J_point @ T[:3, :3], points).reshape(V, 2 * N, 6)
             r = r.reshape(V, 2 * N, 1)
-            where = [self.lens_slices[c], self.pose_slices[c]]
-            columns = np.concatenate([np.arange(s.start, s.stop) for s in where if s is not None])
-            J = np.concatenate([b for b, s in zip(blocks, where, strict=True) if s is not None], axis=-1)
-            J = J.reshape(V, 2 * N, -1)
-            Jt, Jt_view = np.swapaxes(J, 1, 2), np.swapaxes(J_view, 1, 2)
-            normal.shared[np.ix_(columns, columns)] += (Jt @ J).sum(axis=0)
-            normal.g_shared[columns] += (Jt @ r)[..., 0].sum(axis=0)
-            normal.mixed[:, columns] += Jt @ J_view
-            normal.views[:] += Jt_view @ J_view
-            normal.g_views[:] += (Jt_view @ r)[..., 0]
-            normal = replace(normal, cost=normal.cost + float((r * r).sum()))
-        return normal
-
-    def _points_in_world(self) -> Floats:
-        T = self.T_world_board
-        points: Floats = self.board.corners @ np.swapaxes(T[:, :3, :3], 1, 2) + T[:, None, :3, 3]
-        return points
+            J_board = by_motion(J_point @ T[:3, :3], points).reshape(V, 2 * N, 6)
+            # The first camera's pose has no columns.
+            J = np.concatenate([J_lens, by_motion(J_point, p)], axis=-1)[..., : len(columns)].reshape(V, 2 * N, -1)
+            Jt, Jt_board = np.swapaxes(J, 1, 2), np.swapaxes(J_board, 1, 2)
+            shared[np.ix_(columns, columns)] += (Jt @ J).sum(axis=0)
+            g_shared[columns] += (Jt @ r)[..., 0].sum(axis=0)
+            mixed[:, columns] += Jt @ J_board
+            boards += Jt_board @ J_board
+            g_boards += (Jt_board @ r)[..., 0]
+            cost += float((r * r).sum())
+        return _Normal(shared, g_shared, mixed, boards, g_boards, cost)
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,15 +170,13 @@ class Adjusted:
         sigma: (C,) standard deviation of a corner's coordinate in each camera, px, from the residuals.
         residuals: (C, V, N, 2) px, NaN where there was no corner.
         outliers: (C, V, N) corners that were left out.
-        cost: sum of the squared residuals, whitened by ``sigma``.
     """
 
     bundle: Bundle
     covariance: Floats
     sigma: Floats
     residuals: Floats
-    outliers: Floats
-    cost: float
+    outliers: Bools
 
 
 def adjust(bundle: Bundle, uv: Floats) -> Adjusted:
@@ -217,9 +203,8 @@ def adjust(bundle: Bundle, uv: Floats) -> Adjusted:
             break
     if np.count_nonzero(weights) < _LEAST_SHARE * np.count_nonzero(seen):
         raise CameraError("the corners do not agree on any camera", remedy=_MORE)
-    normal = bundle.normal_equations(uv, weights)
-    _, _, covariance = normal.solve(0.0)
-    return Adjusted(bundle, frozen(covariance), frozen(sigma), residuals, seen & (weights == 0.0), normal.cost)
+    _, _, covariance = bundle.normal_equations(uv, weights).solve(0.0)
+    return Adjusted(bundle, frozen(covariance), frozen(sigma), residuals, seen & (weights == 0.0))
 
 
 def _noise(distance: Floats, seen: Floats, bundle: Bundle) -> Floats:
@@ -264,13 +249,99 @@ def _descend(bundle: Bundle, uv: Floats, weights: Floats) -> Bundle:
     raise CameraError("the calibration of the cameras does not converge", remedy=_MORE)
 
 
-def _moving(J_point: Floats, points: Floats) -> Floats:
-    """Derivative (..., 2, 6) wrt a step (v, w) of the frame the ``points`` (..., 3) are in: dp = v + w x p."""
-    return np.concatenate([J_point, -J_point @ skew(points)], axis=-1)
+def board_poses(camera: Camera, board: Board, uv: Floats) -> Floats:
+    """T_cam_board (V, 4, 4) from the corners ``uv`` (V, N, 2) of V images by direct linear transformation.
 
-
-def _small_motion(step: Floats) -> Floats:
-    """[exp(w) v; 0 1] of steps (..., 6)."""
-    T = np.zeros((*step.shape[:-1], 4, 4))
-    T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = rotation_vector_to_matrix(step[..., 3:]), step[..., :3], 1.0
+    The corners of a plane are seen along d ~ H (x, y, 1), H = [r1 r2 t] up to scale; d x H (x, y, 1) = 0 is
+    linear in H.
+    """
+    rays = camera.unproject(uv)
+    seen = np.isfinite(rays[..., 0])
+    d = np.where(seen[..., None], rays / np.linalg.norm(rays, axis=-1, keepdims=True), 0.0)
+    scale = np.abs(board.corners).max()
+    flat = np.column_stack([board.corners[:, :2] / scale, np.ones(len(board.corners))])
+    A = np.einsum("vnij,nk->vnijk", skew(d), flat).reshape(len(uv), 3 * len(flat), 9)
+    _, vectors = np.linalg.eigh(np.swapaxes(A, 1, 2) @ A)
+    H = vectors[:, :, 0].reshape(-1, 3, 3) / np.array([scale, scale, 1.0])
+    length = 0.5 * np.linalg.norm(H[:, :, :2], axis=1).sum(axis=1)
+    # The board is in front: the sign of H is that of the rays.
+    ahead = np.einsum("vni,vij,nj->v", d, H, np.column_stack([board.corners[:, :2], np.ones(len(flat))]))
+    H /= (np.where(ahead < 0.0, -1.0, 1.0) * np.maximum(length, 1e-300))[:, None, None]
+    M = np.stack([H[:, :, 0], H[:, :, 1], np.cross(H[:, :, 0], H[:, :, 1])], axis=2)
+    U, _, Vt = np.linalg.svd(M)
+    U[:, :, 2] *= np.linalg.det(U @ Vt)[:, None]
+    T = np.tile(np.eye(4), (len(uv), 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = U @ Vt, H[:, :, 2]
     return T
+
+
+def first_guesses(name: str, resolution: tuple[int, int], model: str, board: Board, uv: Floats) -> list[Camera]:
+    """Cameras without distortion to start from, the likeliest first.
+
+    Likeliest is the focal length for which the boards (V, N, 2) are most nearly flat and square; a lens that bends much
+    leads it astray, so shorter and longer ones follow.
+    """
+    w, h = resolution
+    coefficients = np.zeros(0 if model == "none" else 4)
+
+    def camera(focal: float) -> Camera:
+        intrinsics = np.array([focal, focal, 0.5 * (w - 1), 0.5 * (h - 1)])
+        return Camera(name, resolution, intrinsics, model, coefficients)
+
+    def misfit(focal: float) -> float:
+        guess = camera(focal)
+        error = guess.project(board.at(board_poses(guess, board, uv))) - uv
+        squared = np.where(np.isfinite(uv), np.nan_to_num(error, nan=1e3) ** 2, 0.0).sum(axis=(1, 2))
+        return float(np.median(squared / np.isfinite(uv[..., 0]).sum(axis=1)))
+
+    best = min(_FOCALS * max(w, h), key=misfit)
+    return [camera(ratio * best) for ratio in _RATIOS]
+
+
+def place(cameras: Sequence[Camera], board: Board, uv: Floats) -> tuple[list[Floats | None], Floats, Floats]:
+    """Where the cameras stand, from the boards that two or more of them saw.
+
+    A board that looks the same from several sides may have been read differently by two cameras; only one reading lets
+    the cameras stand still from view to view.
+
+    Args:
+        cameras: C first guesses.
+        board: what they saw.
+        uv: (C, V, N, 2) px, NaN where a corner was not seen.
+
+    Returns:
+        T_cam_world of each camera, None where no chain of common views leads to the first; T_world_board (V, 4, 4), NaN
+        where no such camera saw it; and ``uv`` with the readings made to agree.
+    """
+    uv = np.array(uv)
+    seen = np.asarray(np.isfinite(uv[..., 0]).any(axis=2))
+    T_cam_world: list[Floats | None] = [np.eye(4), *[None] * (len(cameras) - 1)]
+    T_world_board = np.full((uv.shape[1], 4, 4), np.nan)
+    T_world_board[seen[0]] = board_poses(cameras[0], board, uv[0, seen[0]])
+    while True:
+        known = np.isfinite(T_world_board[:, 0, 0])
+        common = [0 if T is not None else int((seen[c] & known).sum()) for c, T in enumerate(T_cam_world)]
+        c = int(np.argmax(common))
+        if common[c] == 0:
+            return T_cam_world, T_world_board, uv
+        views = np.flatnonzero(seen[c] & known)
+        # (S, views, 4, 4): this camera's place, for every reading of the board.
+        readings = [board_poses(cameras[c], board, uv[c, views][:, order]) for order in board.symmetries]
+        candidates = np.stack(readings) @ inverse(T_world_board[views])
+        T, agreed = _most_agreed(candidates)
+        for view, reading in zip(views, agreed, strict=True):
+            uv[c, view] = uv[c, view, board.symmetries[reading]]
+        T_cam_world[c] = T
+        new = seen[c] & ~known
+        T_world_board[new] = inverse(T) @ board_poses(cameras[c], board, uv[c, new])
+
+
+def _most_agreed(candidates: Floats) -> tuple[Floats, list[int]]:
+    """The candidate (S, V, 4, 4) that most views have one like, and which of its S readings that is for each view."""
+    flat = candidates.reshape(-1, 4, 4)
+    trace = np.einsum("aij,svij->asv", flat[:, :3, :3], candidates[..., :3, :3])
+    angle = np.arccos(np.clip(0.5 * (trace - 1.0), -1.0, 1.0))
+    away = np.linalg.norm(flat[:, None, None, :3, 3] - candidates[..., :3, 3], axis=-1)
+    distance = angle + away / max(float(np.median(np.linalg.norm(flat[:, :3, 3], axis=1))), 1e-9)
+    best = int(np.argmin(np.minimum(distance.min(axis=1), _AGREE).sum(axis=1)))
+    return flat[best], [int(s) for s in distance[best].argmin(axis=0)]

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.arrays import Bools, Floats, Ints, frozen
-from urdfcal.cameras.board.bundle import Adjusted, Bundle, adjust
-from urdfcal.cameras.board.start import board_poses, first_guesses, place
+from urdfcal.cameras.board.bundle import Adjusted, Bundle, adjust, board_poses, first_guesses, place
 from urdfcal.cameras.board.views import Rejection
 from urdfcal.cameras.rig import CameraSigma, Rig
 from urdfcal.errors import CameraError
@@ -117,8 +116,7 @@ def calibrate_cameras(views: BoardViews, board: Board, model: str = "radtan") ->
         CameraError: too few or too parallel views, or corners that fit no camera; says what images to add.
     """
     uv, rejected = _usable(views, board)
-    alone: list[Camera] = []
-    noise: list[float] = []
+    alone: list[Adjusted] = []
     for c, name in enumerate(views.cameras):
         _check_views(views, c, uv, rejected)
         camera = _alone(name, views.resolutions[c], model, board, uv[c])
@@ -128,18 +126,18 @@ def calibrate_cameras(views: BoardViews, board: Board, model: str = "radtan") ->
             uv[c, views.views.index(rejection.view)] = np.nan
         _check_views(views, c, uv, rejected)
         _check_focal(fitted, name)
-        alone.append(fitted.bundle.cameras[0])
-        noise.append(float(fitted.sigma[0]))
+        alone.append(fitted)
 
-    placed, _, _ = place(alone, board, uv)
-    together = tuple(c for c, T in enumerate(placed) if T is not None)
-    groups = [together, *((c,) for c in range(len(alone)) if c not in together)]
+    cameras = [fitted.bundle.cameras[0] for fitted in alone]
+    placed, _, _ = place(cameras, board, uv)
+    together = [c for c, T in enumerate(placed) if T is not None]
     fits: dict[int, tuple[Adjusted, int]] = {}
-    for group in groups:
-        dropped, fitted = _without_bad_views(board, [alone[c] for c in group], uv[list(group)], views, group)
+    for group in [together, *([c] for c, T in enumerate(placed) if T is None)]:
+        dropped, fitted = _without_bad_views(board, [cameras[c] for c in group], uv[group], views, group)
         rejected += dropped
-        _check_together(fitted, [noise[c] for c in group])
-        fits.update({c: (fitted, i) for i, c in enumerate(group)})
+        for i, c in enumerate(group):
+            fits[c] = fitted, i
+            _check_together(cameras[c].name, float(alone[c].sigma[0]), float(fitted.sigma[i]))
     return _result(views, board, fits, rejected)
 
 
@@ -168,11 +166,9 @@ def _check_views(views: BoardViews, c: int, uv: Floats, rejected: Sequence[Rejec
         return
     mine = [f"{r.view}: {r.reason}" for r in rejected if r.camera == views.cameras[c]]
     because = f" ({'; '.join(mine[:3])}{'; ...' if len(mine) > 3 else ''})" if mine else ""
-    raise CameraError(
-        f"only {count} of its images can be used{because}, at least {_FEWEST_VIEWS} are needed and 15 to 30 are good",
-        where=f"camera '{views.cameras[c]}'",
-        remedy="Add sharp images of the board in all parts of the image, and check the board's kind and its counts.",
-    )
+    what = f"only {count} of its images can be used{because}, at least {_FEWEST_VIEWS} are needed and 15 to 30 are good"
+    remedy = "Add sharp images of the board in all parts of the image, and check the board's kind and its counts."
+    raise CameraError(what, where=f"camera '{views.cameras[c]}'", remedy=remedy)
 
 
 def _check_focal(fitted: Adjusted, name: str) -> None:
@@ -189,22 +185,16 @@ def _check_focal(fitted: Adjusted, name: str) -> None:
         )
     relative = float((np.sqrt(np.diag(fitted.covariance)[:2]) / camera.intrinsics[:2]).max())
     if not relative < _WORST_FOCAL:
-        raise CameraError(
-            f"these images tell the focal length only to {100 * relative:.2g} % (standard deviation)",
-            where=f"camera '{name}'",
-            remedy=f"{100 * _WORST_FOCAL:g} % is needed. {_TILT_THE_BOARD}",
-        )
+        what = f"these images tell the focal length only to {100 * relative:.2g} % (standard deviation)"
+        remedy = f"{100 * _WORST_FOCAL:g} % is needed. {_TILT_THE_BOARD}"
+        raise CameraError(what, where=f"camera '{name}'", remedy=remedy)
 
 
-def _check_together(fitted: Adjusted, noise: Sequence[float]) -> None:
-    """Refuse cameras that each agree with themselves but not with each other."""
-    for camera, sigma, before in zip(fitted.bundle.cameras, fitted.sigma, noise, strict=True):
-        if sigma > _FAR_ABOVE * max(before, _LEAST_NOISE):
-            raise CameraError(
-                f"its corners fit to {before:.2g} px alone, but to {sigma:.2g} px together with the other cameras",
-                where=f"camera '{camera.name}'",
-                remedy=_AT_THE_SAME_TIME,
-            )
+def _check_together(name: str, alone: float, together: float) -> None:
+    """Refuse a camera that agrees with itself but not with the others."""
+    if together > _FAR_ABOVE * max(alone, _LEAST_NOISE):
+        what = f"its corners fit to {alone:.2g} px alone, but to {together:.2g} px together with the other cameras"
+        raise CameraError(what, where=f"camera '{name}'", remedy=_AT_THE_SAME_TIME)
 
 
 def _alone(name: str, resolution: tuple[int, int], model: str, board: Board, uv: Floats) -> Camera:
@@ -220,7 +210,8 @@ def _alone(name: str, resolution: tuple[int, int], model: str, board: Board, uv:
             continue
         if best is None or _merit(fitted) < _merit(best):
             best = fitted
-        if best.sigma[0] < _GOOD_SIGMA and _left_out(best) < _GOOD_SHARE:
+        left_out = best.outliers.sum() / np.isfinite(best.residuals[..., 0]).sum()
+        if best.sigma[0] < _GOOD_SIGMA and left_out < _GOOD_SHARE:
             break
     if best is None:
         raise CameraError(failure.what if failure else "", where=f"camera '{name}'", remedy=_TILT_THE_BOARD)
@@ -236,10 +227,6 @@ def _alone(name: str, resolution: tuple[int, int], model: str, board: Board, uv:
     return fitted.bundle.cameras[0] if abs(k3) > _SIGNIFICANT * np.sqrt(fitted.covariance[-1, -1]) else camera
 
 
-def _left_out(fitted: Adjusted) -> float:
-    return float(fitted.outliers.sum() / np.isfinite(fitted.residuals[..., 0]).sum())
-
-
 def _merit(fitted: Adjusted) -> float:
     """Median residual, which no left-out corner flatters."""
     return float(np.nanmedian(np.linalg.norm(fitted.residuals, axis=-1)))
@@ -253,36 +240,26 @@ def _without_bad_views(
     rejected: list[Rejection] = []
     while True:
         T_cam_world, T_world_board, uv = place(cameras, board, uv)
-        unseen = ~np.isfinite(T_world_board[:, 0, 0])
-        T_world_board[unseen] = np.eye(4)
+        T_world_board[np.isnan(T_world_board[:, 0, 0])] = np.eye(4)
         placed = [T for T in T_cam_world if T is not None]
         if len(placed) < len(cameras):
             lost = next(camera for camera, T in zip(cameras, T_cam_world, strict=True) if T is None)
-            raise CameraError(
-                "no image it shares with another camera agrees with the rest",
-                where=f"camera '{lost.name}'",
-                remedy=_AT_THE_SAME_TIME,
-            )
+            what = "no image it shares with another camera agrees with the rest"
+            raise CameraError(what, where=f"camera '{lost.name}'", remedy=_AT_THE_SAME_TIME)
         fitted = adjust(Bundle(board, tuple(cameras), np.stack(placed), T_world_board), uv)
         kept = np.where(fitted.outliers[..., None], np.nan, fitted.residuals)
         # A few corners left out are a reflection or a finger; many are a bad view, judged by all its corners.
         few = fitted.outliers.sum(axis=2) <= _MOST_LEFT_OUT * np.isfinite(uv[..., 0]).sum(axis=2)
         rms = _rms(np.where(few[..., None, None], kept, fitted.residuals))
-        usual = np.nanmedian(rms, axis=1)
-        ratio = np.nan_to_num(rms / np.maximum(usual, 1e-3)[:, None])
+        ratio = np.nan_to_num(rms / np.maximum(np.nanmedian(rms, axis=1), 1e-3)[:, None])
         c, v = (int(i) for i in np.unravel_index(ratio.argmax(), ratio.shape))
         if ratio[c, v] < _FAR_ABOVE:
             return rejected, fitted
         uv[c, v] = np.nan
         # Between several cameras the odd view is one where the board or the exposure moved.
         cause = "was the board bent or read wrongly?" if len(group) == 1 else "did the board move between the cameras?"
-        rejected.append(
-            Rejection(
-                views.cameras[group[c]],
-                views.views[v],
-                f"its residual {rms[c, v]:.2f} px is {ratio[c, v]:.0f} x that of the others: {cause}",
-            )
-        )
+        reason = f"its residual {rms[c, v]:.2f} px is {ratio[c, v]:.0f} x that of the others: {cause}"
+        rejected.append(Rejection(views.cameras[group[c]], views.views[v], reason))
 
 
 def _rms(residuals: Floats) -> Floats:
@@ -290,23 +267,20 @@ def _rms(residuals: Floats) -> Floats:
     seen = np.isfinite(residuals[..., 0])
     squared = np.where(seen[..., None], residuals, 0.0) ** 2
     with np.errstate(invalid="ignore"):
-        rms: Floats = np.sqrt(squared.sum(axis=(2, 3)) / (2.0 * seen.sum(axis=2)))
-    return rms
+        return np.asarray(np.sqrt(squared.sum(axis=(2, 3)) / (2.0 * seen.sum(axis=2))))
 
 
 def _tilts(bundle: Bundle, c: int) -> Floats:
     """(V,) angle between board and image plane, degrees."""
     z = (bundle.T_cam_world[c] @ bundle.T_world_board)[:, 2, 2]
-    tilts: Floats = np.degrees(np.arccos(np.clip(np.abs(z), 0.0, 1.0)))
-    return tilts
+    return np.asarray(np.degrees(np.arccos(np.clip(np.abs(z), 0.0, 1.0))))
 
 
 def _quality(views: BoardViews, c: int, fitted: Adjusted, i: int) -> CameraQuality:
     residuals = fitted.residuals[i]
     used = np.isfinite(residuals[..., 0]).any(axis=1)
-    kept = np.isfinite(residuals[..., 0]) & ~np.asarray(fitted.outliers[i], dtype=bool)
-    uv = views.uv[c][kept]
-    cells = np.floor((uv + 0.5) / np.array(views.resolutions[c]) * _GRID).astype(int)
+    kept = np.isfinite(residuals[..., 0]) & ~fitted.outliers[i]
+    cells = np.floor((views.uv[c][kept] + 0.5) / np.array(views.resolutions[c]) * _GRID).astype(int)
     covered = np.zeros(_GRID[::-1], dtype=bool)
     covered[tuple(np.clip(cells, 0, np.array(_GRID) - 1).T[::-1])] = True
     return CameraQuality(
@@ -324,15 +298,13 @@ def _quality(views: BoardViews, c: int, fitted: Adjusted, i: int) -> CameraQuali
 def _result(
     views: BoardViews, board: Board, fits: dict[int, tuple[Adjusted, int]], rejected: Sequence[Rejection]
 ) -> BoardCalibration:
-    first = fits[0][0]
     names: list[str] = []
     blocks: list[tuple[Adjusted, Ints]] = []
     for c in range(len(views.cameras)):
         fitted, i = fits[c]
-        camera, lens, pose = fitted.bundle.cameras[i], fitted.bundle.lens_slices[i], fitted.bundle.pose_slices[i]
-        own = [*range(lens.start, lens.stop), *(range(pose.start, pose.stop) if pose else ())]
-        blocks.append((fitted, np.array(own, dtype=np.intp)))
-        names += [f"{camera.name}.{name}" for name in (*camera.parameter_names, *(_POSE_AXES if pose else ()))]
+        camera, columns = fitted.bundle.cameras[i], fitted.bundle.columns[i]
+        blocks.append((fitted, columns))
+        names += [f"{camera.name}.{name}" for name in (*camera.parameter_names, *_POSE_AXES)[: len(columns)]]
     # Cameras that were not fitted together know nothing of each other.
     covariance = np.block(
         [
@@ -345,55 +317,40 @@ def _result(
     correlation = 0.5 * (correlation + correlation.T)
 
     cameras, places, sigmas, qualities, warnings, end = [], [], [], [], [], 0
-    for c in range(len(views.cameras)):
-        fitted, i = fits[c]
-        camera = fitted.bundle.cameras[i]
-        start, lens_end, end = end, end + len(camera.parameters), end + len(blocks[c][1])
-        pose_sigma = sigma[lens_end:end] if end > lens_end else None
+    for c, (fitted, columns) in enumerate(blocks):
+        i = fits[c][1]
+        camera, T = fitted.bundle.cameras[i], fitted.bundle.T_cam_world[i]
+        # The nearest rigid transform: many small steps leave some 1e-15.
+        U, _, Vt = np.linalg.svd(T[:3, :3])
+        start, end = end, end + len(columns)
+        lens, pose = np.split(sigma[start:end], [len(camera.parameters)])
         cameras.append(camera)
-        places.append(_orthonormal(fitted.bundle.T_cam_world[i]) if fitted is first else None)
-        sigmas.append(CameraSigma(sigma[start:lens_end], pose_sigma, correlation[start:end, :end]))
+        places.append(np.block([[U @ Vt, T[:3, 3:]], [T[3]]]) if fitted is blocks[0][0] else None)
+        sigmas.append(CameraSigma(lens, pose if len(pose) else None, correlation[start:end, :end]))
         qualities.append(_quality(views, c, fitted, i))
-        warnings += _remarks(camera, qualities[-1], placed=fitted is first)
+        warnings += _remarks(qualities[-1], placed=places[-1] is not None)
+    rig = Rig(tuple(cameras), tuple(places), tuple(sigmas))
     return BoardCalibration(
-        board=board,
-        rig=Rig(tuple(cameras), tuple(places), tuple(sigmas)),
-        covariance=frozen(covariance),
-        names=tuple(names),
-        qualities=tuple(qualities),
-        rejected=tuple(rejected),
-        warnings=tuple(warnings),
+        board, rig, frozen(covariance), tuple(names), tuple(qualities), tuple(rejected), tuple(warnings)
     )
 
 
-def _remarks(camera: Camera, quality: CameraQuality, *, placed: bool) -> list[str]:
+def _remarks(quality: CameraQuality, *, placed: bool) -> list[str]:
     remarks = []
     if quality.coverage < _LEAST_COVERAGE:
+        covered = quality.covered
+        thirds = {
+            "at the left": covered[:, : _GRID[0] // 3], "at the right": covered[:, -(_GRID[0] // 3) :],
+            "at the top": covered[: _GRID[1] // 3], "at the bottom": covered[-(_GRID[1] // 3) :],
+        }  # fmt: skip
+        empty = min(thirds, key=lambda side: float(thirds[side].mean()))
         remarks.append(
-            f"camera '{camera.name}': corners lie in {100 * quality.coverage:.0f} % of the image only; the distortion "
-            f"of the rest is a guess. Add images with the board {_empty_side(quality.covered)}"
+            f"camera '{quality.name}': corners lie in {100 * quality.coverage:.0f} % of the image only; the distortion "
+            f"of the rest is a guess. Add images with the board {empty}"
         )
     if not placed:
         remarks.append(
-            f"camera '{camera.name}' has no view in common with the cameras before it: its place is not known. "
+            f"camera '{quality.name}' has no view in common with the cameras before it: its place is not known. "
             "Images of the same name must be taken at the same time"
         )
     return remarks
-
-
-def _empty_side(covered: Bools) -> str:
-    """Where most is missing, in words."""
-    rows, columns = covered.shape
-    thirds = {
-        "at the left": covered[:, : columns // 3], "at the right": covered[:, -(columns // 3) :],
-        "at the top": covered[: rows // 3], "at the bottom": covered[-(rows // 3) :],
-    }  # fmt: skip
-    return min(thirds, key=lambda side: float(thirds[side].mean()))
-
-
-def _orthonormal(T: Floats) -> Floats:
-    """The nearest rigid transform: many small steps leave some 1e-15."""
-    U, _, Vt = np.linalg.svd(T[:3, :3])
-    result = np.array(T)
-    result[:3, :3] = U @ Vt
-    return result

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from urdfcal.cameras.io.entries import read_bytes
 from urdfcal.cameras.io.kalibr import read_kalibr, write_kalibr
@@ -17,10 +17,9 @@ if TYPE_CHECKING:
 
     from urdfcal.cameras.rig import Rig
 
-__all__ = ["FORMATS", "Format", "format_of", "read_cameras", "read_kalibr", "write_cameras", "write_kalibr"]
+__all__ = ["Format", "format_of", "read_cameras", "read_kalibr", "write_cameras", "write_kalibr"]
 
 Format: TypeAlias = Literal["kalibr", "ros", "opencv"]
-FORMATS: tuple[Format, ...] = get_args(Format)
 
 
 def format_of(path: Path) -> Format:
@@ -71,6 +70,5 @@ def write_cameras(path: str | Path, rig: Rig, format_: Format) -> tuple[Path, ..
     path = Path(path)
     if format_ == "ros":
         return write_ros(path, rig)
-    write = write_kalibr if format_ == "kalibr" else write_opencv
-    write(path, rig)
+    (write_kalibr if format_ == "kalibr" else write_opencv)(path, rig)
     return (path,)
