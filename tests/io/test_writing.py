@@ -6,14 +6,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+import yaml
 
 from tests.io.making import write_points, write_valid
 from urdfcal.cameras.rig import Rig
 from urdfcal.errors import CameraError, OutputError, SessionError
-from urdfcal.estimation.measurements import Detections, Points
+from urdfcal.estimation.measurements import MEASUREMENTS, Detections, Points
 from urdfcal.io.folder import read_session
+from urdfcal.io.schema import SessionFile
 from urdfcal.io.writing import write_session
-from urdfcal.session.knowledge import Estimate, Led, Noise, Tolerances
+from urdfcal.session.knowledge import Estimate, Led, LedDistance, Noise, Tolerances
 
 if TYPE_CHECKING:
     from urdfcal.session.model import Session
@@ -187,3 +189,21 @@ def test_what_cannot_be_written_is_said(tmp_path: Path, session: Session) -> Non
     with pytest.raises(SessionError, match="' left' begins or ends with a blank"):
         write_session(tmp_path / "out", replace(session, rig=blank))
     assert [path.name for path in tmp_path.iterdir()] == ["valid"]
+
+
+def test_every_key_that_is_read_is_written(tmp_path: Path, session: Session) -> None:
+    # Of the tables there is one of each kind at most in this session, and frames only of an arm that moves.
+    full = replace(
+        session,
+        led_distances=(LedDistance(session.led_names[:2], 0.1, 1e-3),),
+        estimate=Estimate("dh", "fixed"),
+        joint_models={"zero_offset": True},
+        scale_sigma=0.002,
+    )
+    write_session(tmp_path / "out", full)
+    written = yaml.safe_load((tmp_path / "out" / "session.yaml").read_text())
+    other_tables = {kind.kind for kind in MEASUREMENTS} - {table.kind for table in session.measurements}
+    assert set(SessionFile.model_fields) - set(written) == other_tables | {"frames"}
+    found = read_session(tmp_path / "out")
+    for field in ("led_distances", "estimate", "joint_models", "scale_sigma"):
+        assert getattr(found, field) == getattr(full, field), field
