@@ -247,7 +247,7 @@ def triangulate(session: Session) -> TriangulatedPoints | None:
     if not np.any(good):
         return None
     covariance = result.covariances[good]
-    spread = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 3.0)
+    spread = np.sqrt(np.maximum(np.trace(covariance, axis1=1, axis2=2), 0.0) / 3.0)
     return TriangulatedPoints(pose[good], led[good], result.points[good], spread, covariance)
 
 
