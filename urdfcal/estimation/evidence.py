@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from urdfcal.arrays import evenly
 from urdfcal.estimation.diagnosis.doctor import diagnose
 from urdfcal.estimation.diagnosis.residuals import Unexplained
 from urdfcal.estimation.diagnosis.trials import suspect
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
     from urdfcal.session.model import Session
 
 
+# Of thousands of poses an even selection is left out region by region: what they show there is no noise.
+_MOST_POSES = 1000
 # Residuals with a reduced chi-square below this are noise.
 _HOLDS = 2.0
 # Where they are so large, or so many measurements had to be left out, something about the session may be wrong: it is
@@ -133,13 +136,17 @@ def _tip(problem: Problem, fit: Solution, regions: Regions, *, holds: bool) -> T
 
 
 def _regions(problem: Problem, comparison: Comparison) -> Regions:
+    even = [evenly(np.arange(len(of.pose)), _MOST_POSES) for of in problem.observations]
+    problem = problem.with_observations([of.at(some) for of, some in zip(problem.observations, even, strict=True)])
+    fits = [
+        replace(trial.fit, kept=tuple(kept[some] for kept, some in zip(trial.fit.kept, even, strict=True)))
+        for trial in (comparison.chosen, comparison.nominal_arm)
+    ]
     found = []
     for divide in (joint_regions, tip_regions):
         region = divide(problem)
-        chosen, nominal = (
-            hold_out(problem, trial.fit, region) for trial in (comparison.chosen, comparison.nominal_arm)
-        )
-        kept = comparison.chosen.fit.kept
+        chosen, nominal = (hold_out(problem, fit, region) for fit in fits)
+        kept = fits[0].kept
         rms, rms_nominal = (_rms(of.distance, kept) for of in (chosen, nominal))
         interval = region_interval(problem.observations, kept, chosen.distance, region)
         found.append(Regions(chosen.folds, rms, interval, rms_nominal))
