@@ -106,12 +106,7 @@ def apply_to_urdf(urdf: Urdf, chain: Mechanism, calibrated: Floats) -> bytes:
         chain.joints, other.joints, chain.placements, calibrated, other.placements, strict=True
     ):
         _check_same(found, nominal_k, calibrated_k, mine.name, where)
-        if (mine.prismatic, mine.mimic) != (theirs.prismatic, theirs.mimic) or not _close(mine.axis, theirs.axis):
-            raise RobotError(
-                f"joint {mine.name!r} does not move as the one that was calibrated",
-                where=where,
-                remedy="Its type, axis or mimic differs: calibrate this robot.",
-            )
+        _check_motion(mine, theirs, where)
     for tip, same in zip(chain.tips, other.tips, strict=True):
         if tip.joint != same.joint or not _close(tip.T_joint_link, same.T_joint_link):
             carrier = f"link {chain.base_link!r}" if tip.joint == BASE else f"joint {chain.names[tip.joint]!r}"
@@ -121,6 +116,37 @@ def apply_to_urdf(urdf: Urdf, chain: Mechanism, calibrated: Floats) -> bytes:
                 remedy="Apply the calibration to a description of the same robot.",
             )
     return rewrite_origins(urdf, origins_of(urdf, other, calibrated))
+
+
+def apply_to_mechanism(other: Mechanism, chain: Mechanism, calibrated: Floats, where: str) -> Mechanism:
+    """Give another reading of a robot's joints the calibrated placements; those that have them already keep them.
+
+    Args:
+        other: joints of the same robot, to the same links or others, nominal or already corrected.
+        chain: the nominal joints that were calibrated.
+        calibrated: (n, 4, 4) each joint's placement in the frame of the one it hangs on. [m]
+        where: ``other`` is from, for messages.
+
+    Raises:
+        RobotError: a joint was not calibrated, or does not hang where it did, or moves otherwise.
+    """
+    placements = np.array(other.placements)
+    for i, (joint, parent) in enumerate(zip(other.joints, other.parents, strict=True)):
+        if joint.name not in chain.names:
+            raise RobotError(
+                f"joint {joint.name!r} was not calibrated",
+                where=where,
+                remedy=f"Calibrated are {', '.join(chain.names)}: name the result of this robot.",
+            )
+        k = chain.names.index(joint.name)
+        above = BASE if chain.parents[k] == BASE else chain.names[chain.parents[k]]
+        if above != (BASE if parent == BASE else other.names[parent]):
+            raise _other_robot(joint.name, where)
+        _check_motion(chain.joints[k], joint, where)
+        if not _close(placements[i], calibrated[k]):
+            _check_same(placements[i], chain.placements[k], calibrated[k], joint.name, where)
+        placements[i] = calibrated[k]
+    return other.with_placements(placements)
 
 
 def _base(model: pin.Model, chain: Mechanism) -> tuple[int, Floats, Floats]:
@@ -165,6 +191,16 @@ def _is_motion_of(joint: Joint, T: Floats) -> bool:
 
 def _close(found: Floats, expected: Floats) -> bool:
     return np.allclose(found, expected, rtol=0.0, atol=_SAME)
+
+
+def _check_motion(calibrated: Joint, found: Joint, where: str) -> None:
+    same = (calibrated.prismatic, calibrated.mimic) == (found.prismatic, found.mimic)
+    if not same or not _close(calibrated.axis, found.axis):
+        raise RobotError(
+            f"joint {calibrated.name!r} does not move as the one that was calibrated",
+            where=where,
+            remedy="Its type, axis or mimic differs: calibrate this robot.",
+        )
 
 
 def _check_same(found: Floats, nominal: Floats, calibrated: Floats, joint: str, where: str) -> None:
