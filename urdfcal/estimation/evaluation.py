@@ -120,10 +120,12 @@ class Explanation:
         residuals: for each kind of measurement (S, D) predicted minus measured, in the order of the session's
             table, without frames that have no joint readings. [unit of the kind]
         fit: base pose, LED positions and camera poses.
+        problem: of those measurements.
     """
 
     residuals: tuple[Floats, ...]
     fit: Solution
+    problem: Problem
 
 
 def explain(chain: Mechanism, session: Session, progress: Progress | None = None) -> Explanation:
@@ -147,7 +149,7 @@ def explain(chain: Mechanism, session: Session, progress: Progress | None = None
     spec = replace(spec, extrinsics=(free,) * len(spec.extrinsics))
     fit = solve(problem, start, choose_parameters(session, problem, start, spec), progress)
     residuals = [observed.by_row(problem.residual(observed, fit.state)) for observed in problem.observations]
-    return Explanation(tuple(residuals), fit)
+    return Explanation(tuple(residuals), fit, problem)
 
 
 def _markers(tips: Floats) -> Floats:
