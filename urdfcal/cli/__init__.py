@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from urdfcal.cli import calibrate, cameras, import_, results, robots, simulate
+from urdfcal.cli import calibrate, cameras, import_, judging, results, robots, simulate
 from urdfcal.errors import UrdfcalError
 
 if TYPE_CHECKING:
@@ -27,15 +27,20 @@ def cli() -> None:
 
 _TO_A_RESULT = (simulate.demo, simulate.simulate, import_.command, cameras.command, calibrate.detect, calibrate.command)
 _FROM_A_RESULT = (robots.evaluate, robots.dh, results.view, results.compensate, results.apply, results.export)
-for _command in (*_TO_A_RESULT, *_FROM_A_RESULT):
+_JUDGING_RESULTS = (judging.verify, judging.compare)
+for _command in (*_TO_A_RESULT, *_FROM_A_RESULT, *_JUDGING_RESULTS):
     cli.add_command(_command)
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run one command line and say how it ended: 0 well, 1 a calibration failed its checks, 2 bad input."""
+    """Run one command line and say how it ended: 0 well, 1 a calibration failed its checks, 2 bad input.
+
+    Of ``verify`` 1 is not shown to be within the limit, of ``compare`` that the arm changed.
+    """
     debug = "--debug" in arguments
     try:
-        cli.main([a for a in arguments if a != "--debug"], prog_name="urdfcal", standalone_mode=False)
+        # What a command ends with by ``ctx.exit`` comes back as a number.
+        ended = cli.main([a for a in arguments if a != "--debug"], prog_name="urdfcal", standalone_mode=False)
     except click.ClickException as error:
         error.show()
         return error.exit_code
@@ -47,7 +52,7 @@ def run(arguments: Sequence[str]) -> int:
             raise
         click.echo(f"urdfcal: {error}", err=True)
         return error.exit_code
-    return 0
+    return ended if isinstance(ended, int) else 0
 
 
 def main() -> None:
