@@ -142,9 +142,11 @@ def test_the_measurements_of_the_calibration_are_no_new_ones(
         assert verified(capsys, result, session, "--limit", "5mm", code=code)["new"] is is_new
         assert run(["verify", str(result), str(session), "--limit", "5mm"]) == code
         assert (said in capsys.readouterr().out.splitlines()) is not is_new
-    # The same path, measured anew, is new.
+    # What is said of them does not make them new; the same path, measured anew, is.
     again = tmp_path / "again"
     shutil.copytree(own, again)
+    (again / "session.yaml").write_text((again / "session.yaml").read_text() + "# a remark\n")
+    assert verified(capsys, result, again, "--limit", "5mm")["new"] is False
     rows = (again / "detections.csv").read_text().splitlines()
     (again / "detections.csv").write_text("\n".join(rows[:-1]) + "\n")
     assert verified(capsys, result, again, "--limit", "5mm")["new"] is True

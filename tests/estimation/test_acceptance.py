@@ -9,8 +9,10 @@ import pytest
 from tests.worlds import repeated, with_detections
 from urdfcal.errors import RobotError, SessionError
 from urdfcal.estimation.acceptance import Acceptance, _numbers, _taken_away, accept, outside
+from urdfcal.estimation.evaluation import explain
 from urdfcal.estimation.measurements import Detections, Points
 from urdfcal.estimation.problem import Problem
+from urdfcal.estimation.validation import rms_interval
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.robot.tree_dh import rows_of
 
@@ -81,6 +83,23 @@ def test_points_are_judged_by_their_distance(simulated: Callable) -> None:
         assert judged.rms == pytest.approx(noise, rel=0.4)
         assert judged.within
     assert accept(session.chain, session, 1e-3).rms > 5.0 * noise
+
+
+def test_the_interval_is_the_bootstraps_widened(simulated: Callable) -> None:
+    session = simulated("ur5", poses=30).session
+    explained = explain(session.chain, session)
+    problem, fit = explained.problem, explained.fit
+    (observed,) = problem.observations
+    distance = np.linalg.norm(problem.residual(observed, fit.state), axis=-1)
+    distance = distance * problem.metres_per_unit(observed, fit.state)
+    unit = session.motion.independent(session.q)
+    ends = np.array(rms_interval(problem.observations, fit.kept, [distance], unit, 0))
+    rms = np.sqrt(np.mean(distance[fit.kept[0]] ** 2))
+    scale, width = _taken_away(90, 15)
+    judged = accept(session.chain, session, 1e-3)
+    assert judged.outliers == 0
+    assert judged.rms == pytest.approx(scale * rms)
+    np.testing.assert_allclose(np.log(np.array(judged.interval) / judged.rms), width * np.log(ends / rms))
 
 
 def test_in_pixels_a_common_factor_of_all_lengths_is_not_seen(simulated: Callable) -> None:

@@ -228,6 +228,12 @@ def test_what_differs_between_robots_is_said(edit: Callable, told: str, elbow3r:
     assert "from the same nominal URDF" in refused.value.remedy
 
 
+def test_a_link_on_the_base_is_no_tip_that_moves(elbow3r: Calibration) -> None:
+    data = data_of(elbow3r)
+    data["robot"]["tips"]["board"] = {**data["robot"]["tips"]["tool0"], "joint": None}
+    assert list(find_changes(loaded(data), loaded(data)).tips) == ["tool0"]
+
+
 def test_each_tip_of_a_tree_is_compared(simulated: Callable) -> None:
     one = loaded(calibrate(simulated("tiago_dual").session).to_dict())
     changes = find_changes(one, one)
