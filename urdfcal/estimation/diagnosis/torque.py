@@ -25,7 +25,7 @@ def gravity_torques(session: Session, chain: Mechanism, q: Floats) -> Floats | N
     """
     if session.urdf is None:
         return None
-    model = pin.buildModelFromXML(session.urdf.data.decode())
+    model = pin.buildModelFromXML(session.urdf.text)
     if not all(model.existJointName(name) for name in chain.names):
         return None
     joints = [model.joints[model.getJointId(name)] for name in chain.names]
