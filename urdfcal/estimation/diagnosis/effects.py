@@ -101,6 +101,21 @@ def effects(session: Session, problem: Problem, state: State) -> Iterator[Effect
     for c, name in enumerate(session.rig.names if has_cameras(state) else ()):
         what = f"the detections of camera {name!r} err with their place in the image: its intrinsics are not as given"
         yield Effect(f"{name}: lens", partial(Part.by, key=lens_key(name), camera=c), partial(_say, what))
+        yield from _focal_effects(c, name, state)
+
+
+def _focal_effects(c: int, name: str, state: State) -> Iterator[Effect]:
+    """A focal length alone is found where all of a lens would need more evidence."""
+    focal = state[lens_key(name)].intrinsics[:2, None]
+
+    def longer(part: Part) -> Floats:
+        columns: Floats = part.by(lens_key(name), slice(0, 2), c) @ focal
+        return columns
+
+    def sentence(p: Floats) -> str:
+        return f"the focal length of camera {name!r} is {1e2 * p[0]:+.2g} % off: its intrinsics are not as given"
+
+    yield Effect(f"{name}: focal length", longer, sentence)
 
 
 def drifts(session: Session, problem: Problem, state: State) -> Iterator[Effect]:
