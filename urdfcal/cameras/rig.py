@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from itertools import combinations
 from typing import TYPE_CHECKING
@@ -157,6 +157,24 @@ class Rig:
         if name not in self.names:
             raise CameraError(f"there is no camera '{name}'", remedy=f"There are: {', '.join(self.names)}.")
         return self.names.index(name)
+
+    def at(self, cameras: Ints) -> Rig:
+        """Return some of the cameras, (K,) indices in ascending order.
+
+        The first one stays, or none of the others' places is known: they are counted from it.
+        """
+        first = len(cameras) and cameras[0] == 0
+        places = [self.T_cam_world[c] if first or k else np.eye(4) for k, c in enumerate(cameras)]
+        counts = [0 if sigma is None else len(sigma.values) for sigma in self.sigmas]
+        ends, sigmas = np.cumsum([0, *counts]), []
+        for k, c in enumerate(cameras):
+            sigma = self.sigmas[c]
+            if sigma is not None:
+                before = np.concatenate([np.arange(ends[i], ends[i + 1]) for i in cameras[: k + 1]])
+                correlations = None if sigma.correlations is None else sigma.correlations[:, before]
+                sigma = replace(sigma, correlations=correlations)
+            sigmas.append(sigma)
+        return Rig(tuple(self.cameras[c] for c in cameras), tuple(places), tuple(sigmas))
 
     @property
     def correlation(self) -> Floats:

@@ -81,11 +81,18 @@ def find_leds(session: Path, colour: Colour = "any", debug_images: Path | None =
     "--starts", type=click.IntRange(min=0), default=0, show_default=False, metavar="N",
     help="Start from N other arms, too, and screen the minima.",
 )  # fmt: skip
+@click.option(
+    "--exclude-poses", metavar="POSES",
+    help="Leave these poses out: labels and ranges, such as 26-31,40.",
+)  # fmt: skip
 @click.option("--force", is_flag=True, help="Write the result even if its assessment has failures.")
 @click.option("--live", is_flag=True, help="Show the solver at work in the rerun viewer.")
 @click.option("--json", "as_json", is_flag=True, help="Print calibration.json and the files instead of a summary.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
-def command(session: Path, output: Path, no_priors: bool, live: bool, as_json: bool, quiet: bool, **how: Any) -> None:
+def command(
+    session: Path, output: Path, no_priors: bool, exclude_poses: str | None, live: bool, as_json: bool, quiet: bool,
+    **how: Any,
+) -> None:  # fmt: skip
     """Calibrate the robot of SESSION and write URDF, calibration.json, report and recording."""
     from urdfcal.io.folder import read_session
 
@@ -96,7 +103,9 @@ def command(session: Path, output: Path, no_priors: bool, live: bool, as_json: b
             click.echo(f"{session}: images and no detections: looking for the LEDs first (urdfcal detect)")
             find_leds(session)
 
-    run(read_session(session, look), output, live=live, report=report, priors=not no_priors, **how)
+    poses = exclude_poses.split(",") if exclude_poses else []
+    measured = read_session(session, look, exclude_poses=[label.strip() for label in poses if label.strip()])
+    run(measured, output, live=live, report=report, priors=not no_priors, **how)
 
 
 def run(
@@ -147,6 +156,7 @@ def _print(overview: Overview, paths: Sequence[Path], remarks: Sequence[str]) ->
     from rich.text import Text
 
     from urdfcal.output.findings import HEADLINE, claims, headline
+    from urdfcal.session.exclusion import summary
 
     console = terminal()
     screen = console.is_terminal
@@ -175,8 +185,10 @@ def _print(overview: Overview, paths: Sequence[Path], remarks: Sequence[str]) ->
     noise = f", {chi2**0.5:.2g} times the declared noise" if chi2 is not None else ""
     line(f"residual {', '.join(parts)} rms{noise}")
     outliers = len(document["outliers"])
+    excluded = summary(calibration.session.excluded.named)
+    excluded = f" ({excluded})" if excluded else ""
     line(
-        f"{fit['poses']} poses, {fit['observations']} measured numbers, {fit['parameters']} parameters "
+        f"{fit['poses']} poses{excluded}, {fit['observations']} measured numbers, {fit['parameters']} parameters "
         f"({calibration.comparison.chosen.spec}), {outliers} outlier{'s' if outliers != 1 else ''}"
     )
     cameras = document["cameras"].items()

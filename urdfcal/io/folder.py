@@ -12,17 +12,19 @@ from urdfcal.cameras.rig import Rig
 from urdfcal.errors import SessionError
 from urdfcal.estimation.measurements import MEASUREMENTS, Detections, Points
 from urdfcal.files import Source
+from urdfcal.io.checks.content import unseen
 from urdfcal.io.checks.plausibility import Inputs, check, check_positions
 from urdfcal.io.tables import read_frames, read_joints, read_log, read_measurements
 from urdfcal.names import check_known, suggest
 from urdfcal.robot.chain import read_mechanism
 from urdfcal.robot.urdf.urdf import Urdf, find_urdf
 from urdfcal.session.attachments import WORLD
-from urdfcal.session.knowledge import Led
+from urdfcal.session.exclusion import labels, leave_out
+from urdfcal.session.knowledge import Excluded, Led
 from urdfcal.session.model import Positions, RigDescription, Session, Stand
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from urdfcal.io.schema import SessionFile, SetupFile
     from urdfcal.io.yaml_document import Document
@@ -33,12 +35,19 @@ IMAGES, DETECTIONS = "images", "detections.csv"
 _SESSION, _RIG = "session.yaml", "rig.yaml"
 
 
-def read_session(path: str | Path, look: Callable[[], object] | None = None) -> Session:
+def read_session(
+    path: str | Path,
+    look: Callable[[], object] | None = None,
+    *,
+    exclude_poses: Sequence[str] = (),
+) -> Session:
     """Read a session and check that it can be trusted.
 
     Args:
         path: the session's folder, or the YAML file in it.
         look: called where a session has images but nobody has looked for LEDs in them yet; it writes the detections.
+        exclude_poses: labels of poses that do not count, or ranges such as ``26-31``, besides those that the session
+            excludes.
 
     Returns:
         The session; its ``warnings`` name what looks odd but may be right.
@@ -67,12 +76,21 @@ def read_session(path: str | Path, look: Callable[[], object] | None = None) -> 
         )
     positions, hashes, tables = inputs.positions, dict(inputs.positions.sha256), {}
     known = {"pose": positions.poses, "camera": positions.rig.names, "led": positions.led_names}
+    excluded = _excluded(document, positions, exclude_poses)
     for kind in (kind for kind in MEASUREMENTS if kind in files):
         tables[kind] = read_measurements(files[kind], kind, known, positions.noise.of(kind), inputs.frames)
         hashes[keys.tables.get(kind, DETECTIONS)] = tables[kind].table.source.sha256
-    warnings = positions.warnings + check(replace(inputs, tables=tables))
+    counting = {
+        kind: table.only(kept)
+        for kind, table in tables.items()
+        if (kept := excluded.kept(positions, table.measurements)).any()
+    }
+    inputs = replace(inputs, tables=tables, excluded=excluded)
+    warnings = (*positions.warnings, *check(replace(inputs, tables=counting)), *unseen(inputs))
     measurements = tuple(table.measurements for table in tables.values())
-    return positions.measured(measurements, sha256=hashes, warnings=warnings)
+    session = positions.measured(measurements, sha256=hashes, warnings=warnings)
+    with document.placing():
+        return leave_out(session, excluded) if excluded else session
 
 
 def read_positions(path: str | Path) -> Positions:
@@ -142,6 +160,22 @@ def read_points(path: str | Path, session: Session) -> tuple[Points, tuple[Led, 
     """
     table = read_measurements(Path(path), Points, {"pose": session.poses}, session.noise.of(Points))
     return table.measurements, tuple(Led(name) for name in table.names["led"])  # type: ignore[return-value]
+
+
+def _excluded(document: Document, positions: Positions, poses: Sequence[str]) -> Excluded:
+    """What session.yaml excludes, and some more poses."""
+
+    def said(key: str) -> list[tuple[str, str]]:
+        return [(text, document.place("exclude", key, i)) for i, text in enumerate(document.texts("exclude", key))]
+
+    by_label = [labels(text, positions.poses, where) for text, where in said("poses")]
+    by_label += [labels(text, positions.poses, "--exclude-poses") for text in poses]
+    for key, known, kind in (("cameras", positions.rig.names, "cameras"), ("leds", positions.led_names, "LEDs")):
+        for name, where in said(key):
+            check_known(name, known, kind, where)
+    by_name = [dict.fromkeys(name for name, _ in said(key)) for key in ("cameras", "leds")]
+    by_pose = dict.fromkeys(label for some in by_label for label in some)
+    return Excluded(tuple(by_pose), tuple(by_name[0]), tuple(by_name[1]))
 
 
 def _read_document(path: Path) -> tuple[Document, SessionFile]:

@@ -172,6 +172,23 @@ def _at_rest(estimate: EstimateKeys) -> EstimateKeys:
     return estimate
 
 
+def _texts(value: Any) -> Any:
+    """A list of one where a name stands alone, and of texts whatever YAML made of them."""
+    listed = [] if value is None else value if isinstance(value, list) else [value]
+    return [item if item is None or isinstance(item, (list, dict)) else str(item) for item in listed]
+
+
+_Names = Annotated[list[Name], BeforeValidator(_texts)]
+
+
+class ExcludeKeys(_Keys):
+    """What does not count; of poses ranges, too."""
+
+    poses: _Names = []
+    cameras: _Names = []
+    leds: _Names = []
+
+
 class SetupFile(_Keys):
     """What rig.yaml and session.yaml share."""
 
@@ -225,6 +242,7 @@ class SessionFile(_Tables):
 
     joints: Name
     frames: Name | None = None
+    exclude: ExcludeKeys = ExcludeKeys()
 
     @property
     def tables(self) -> dict[type[Measurement], str]:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import Floats, Ints, frozen
+from urdfcal.arrays import Bools, Floats, Ints, frozen
 from urdfcal.errors import SessionError
 from urdfcal.io.csv_table import Table, repeats
 from urdfcal.names import listed, suggest
@@ -111,6 +111,10 @@ class MeasurementTable:
     def place(self, measurement: int, column: str) -> str:
         """Where a cell of a measurement is: file:line:column."""
         return self.table.place(int(self.rows[measurement]), column)
+
+    def only(self, kept: Bools) -> MeasurementTable:
+        """Return some of the measurements, by a mask (S,) that is true somewhere."""
+        return self if kept.all() else replace(self, rows=self.rows[kept], measurements=self.measurements.rows(kept))
 
     def first(self, measurements: Ints) -> int:
         """Which of some measurements comes first in the file."""

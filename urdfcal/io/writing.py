@@ -15,6 +15,7 @@ from urdfcal.errors import OutputError
 from urdfcal.files import told
 from urdfcal.names import check_names
 from urdfcal.rotations import matrix_to_rpy
+from urdfcal.session.exclusion import restored
 from urdfcal.session.model import Session
 from urdfcal.session.trajectory import Trajectory
 
@@ -32,7 +33,8 @@ _CAMERAS, _JOINTS, _FRAMES = "cameras.yaml", "joints.csv", "frames.csv"
 def write_session(folder: str | Path, session: Positions) -> None:
     """Write a session so that reading it gives the same one; all of it or nothing.
 
-    One without measurements is for images to be put beside it.
+    One without measurements is for images to be put beside it. What was left out when it was read is written, too, and
+    that it is excluded.
 
     A URDF named as ``package://`` stays in its package; any other is copied beside the tables.
 
@@ -51,6 +53,8 @@ def write_session(folder: str | Path, session: Positions) -> None:
     if (folder / _SESSION).exists():
         raise _already_there(folder / _SESSION)
     check_names("cameras", session.rig.names)
+    if isinstance(session, Session):
+        session = restored(session)
     with put_into(folder) as partial:
         _write_files(partial, session, urdf)
 
@@ -142,9 +146,11 @@ def _write_files(folder: Path, session: Positions, urdf: Urdf) -> None:
         time = {} if session.time is None else {"time": session.time.tolist()}
         columns = [session.poses, *session.readings.T.tolist(), *time.values()]
         write_table(folder / _JOINTS, ["pose", *chain.actuated, *time], columns)
-    for table in session.measurements if isinstance(session, Session) else ():
-        content[table.kind] = f"{table.kind}.csv"
-        write_measurements(folder / f"{table.kind}.csv", session, table)
+    if isinstance(session, Session):
+        for table in session.measurements:
+            content[table.kind] = f"{table.kind}.csv"
+            write_measurements(folder / f"{table.kind}.csv", session, table)
+        content["exclude"] = session.excluded.named
     estimate = _said(**vars(session.estimate))
     content |= {
         "noise": _said(**{**vars(session.noise), "other": None}, **session.noise.other),

@@ -77,6 +77,17 @@ class Document:
         named = f", key {path!r}" if path else ""
         return f"{self.source.path}:{mark.line + 1}:{mark.column + 1}{named}"
 
+    def texts(self, *keys: str) -> list[str]:
+        """The items of a list behind some keys as they are written: 007 is a label, and to YAML the number 7."""
+        node = self.node
+        for key in keys:
+            inner = _child(node, key)
+            if inner is None:
+                return []
+            node, _ = inner
+        items = node.value if isinstance(node, yaml.SequenceNode) else [node]
+        return [str(item.value) for item in items if item.value != ""]
+
     @contextmanager
     def placing(self) -> Iterator[None]:
         """Say of what is refused meanwhile where it stands, if a key is named as its place."""

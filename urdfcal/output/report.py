@@ -16,6 +16,7 @@ from urdfcal.output.findings import HEADLINE, Overview, claims, look_up
 from urdfcal.output.palette import SIGMA_LEGEND
 from urdfcal.output.texts import MOUNTS, fastening_sentences, fixed_parameters, listed
 from urdfcal.robot.tree_dh import MOUNT
+from urdfcal.session.exclusion import summary
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -69,6 +70,7 @@ def write_report(path: Path, calibration: FittedCalibration, overview: Overview 
         is_dh=calibration.geometry is calibration.table,
         tips=listed([tip.link for tip in calibration.chain.tips]),
         fastened=" ".join(fastening_sentences(calibration.session)),
+        excluded=summary(calibration.session.excluded.named),
         mounts=MOUNTS if any(label.endswith(MOUNT) for label in calibration.geometry.labels) else "",
         fixed=fixed_parameters(document),
         largest=largest,

@@ -34,6 +34,8 @@ def build_document(of: FittedCalibration) -> d.ResultDocument:
     """Collect everything that a fitted calibration says."""
     parameters = _parameters(of)
     listed: dict[str, Any] = {"parameters": parameters} if parameters else {}  # absent where there are none
+    named = of.session.excluded.named
+    excluded: dict[str, Any] = {"excluded": named} if named else {}
     return d.ResultDocument(
         format=d.FORMAT,
         robot=_robot(of.chain, of.placements, of.session.urdf_reference),
@@ -76,6 +78,7 @@ def build_document(of: FittedCalibration) -> d.ResultDocument:
             pinocchio=pin.__version__,
             seed=of.seed,
             sha256=dict(of.session.sha256),
+            **excluded,
         ),
     )
 

@@ -248,12 +248,13 @@ class OutlierEntry(Section):
 
 
 class ProvenanceSection(Section):
-    """Versions, random seed and hashes of the input files."""
+    """Versions, random seed, hashes of the input files, and by name what of them was left out, if anything."""
 
     urdfcal: str
     pinocchio: str
     seed: int
     sha256: dict[str, str]
+    excluded: dict[Literal["poses", "cameras", "leds"], list[str]] = Field(default_factory=dict)
 
 
 class ResultDocument(Section):

@@ -6,13 +6,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
 
-from urdfcal.arrays import Floats, ReadOnly, finite_array, finite_number, keep
+import numpy as np
+
+from urdfcal.arrays import Bools, Floats, ReadOnly, finite_array, finite_number, keep
 from urdfcal.errors import SessionError
 from urdfcal.names import check_known
 from urdfcal.robot.dh import PARAMETERS
 
 if TYPE_CHECKING:
-    from urdfcal.session.model import Measurements
+    from urdfcal.session.model import Measurements, Positions, Session
 
 ArmGeometry: TypeAlias = Literal["dh", "offsets", "full", "none"]
 Freedom: TypeAlias = Literal["fixed", "refine", "free"]
@@ -163,6 +165,47 @@ class Tolerances:
                 check_known(parameter, PARAMETERS, "parameters", where)
             exceptions[str(joint)] = _numbers(values, where, zero=True)
         keep(self, joints=ReadOnly(exceptions))
+
+
+@dataclass(frozen=True, eq=False)
+class Excluded:
+    """What is left out of a session, by name.
+
+    Attributes:
+        poses: their labels.
+        cameras: their names.
+        leds: their names.
+        whole: what it was left out of, None where it still is in there.
+    """
+
+    poses: tuple[str, ...] = ()
+    cameras: tuple[str, ...] = ()
+    leds: tuple[str, ...] = ()
+    whole: Session | None = None
+
+    @property
+    def named(self) -> dict[str, list[str]]:
+        """The names by key, as in session.yaml; no key of which nothing is named."""
+        said = {"poses": self.poses, "cameras": self.cameras, "leds": self.leds}
+        return {key: list(names) for key, names in said.items() if names}
+
+    def __bool__(self) -> bool:
+        """Return whether anything is named."""
+        return bool(self.named)
+
+    def kept(self, of: Positions, table: Measurements) -> Bools:
+        """Return which rows (S,) of a table of a session's measurements are of nothing that is named."""
+        known = {
+            "pose": (of.poses, self.poses),
+            "camera": (of.rig.names, self.cameras),
+            "led": (of.led_names, self.leds),
+        }
+        kept = np.ones(len(table), dtype=bool)
+        for key, index in table.index.items():
+            if key in known:
+                names, left_out = known[key]
+                kept &= ~np.isin(names, list(left_out))[index]
+        return kept
 
 
 def _numbers(values: Mapping[str, float], where: str, *, zero: bool = False) -> ReadOnly[str, float]:

@@ -15,7 +15,7 @@ from urdfcal.errors import SessionError
 from urdfcal.names import check_known, check_names
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.session.attachments import Attachments, CameraMount, attach
-from urdfcal.session.knowledge import Estimate, Led, LedDistance, Noise, Tolerances
+from urdfcal.session.knowledge import Estimate, Excluded, Led, LedDistance, Noise, Tolerances
 from urdfcal.session.trajectory import AT_REST, Motion, Trajectory
 
 if TYPE_CHECKING:
@@ -315,9 +315,11 @@ class Session(Positions):
 
     Attributes:
         measurements: one table for each kind of measurement, such as detections in images or points of a tracker.
+        excluded: what was left out of it.
     """
 
     measurements: tuple[Measurements, ...]
+    excluded: Excluded = field(default_factory=Excluded)
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -196,17 +196,23 @@ def check_images(inputs: Inputs, table: MeasurementTable, rays_meet: bool | None
 
 def unseen(inputs: Inputs) -> Iterator[str]:
     """Name poses without measurements, LEDs that were never measured, and cameras that see nothing."""
-    tables, labels = [table.measurements for table in inputs.tables.values()], inputs.positions.poses
-    seen = _named(tables, "pose")
-    blind = [pose for k, pose in enumerate(labels) if k not in seen]
+    tables, excluded = [table.measurements for table in inputs.tables.values()], inputs.excluded
+    seen, labels = _named(tables, "pose"), inputs.positions.poses
+    blind = [pose for k, pose in enumerate(labels) if k not in seen and pose not in excluded.poses]
     if len(blind) > (0 if inputs.frames is None else _MOST * len(labels)):
         path = (inputs.frames or inputs.joints).table.path
         yield f"{path}: {len(blind)} of {len(labels)} poses have no measurement and do not count: {listed(blind)}"
     leds = _named(tables, "led")
-    if dark := [name for i, name in enumerate(inputs.positions.led_names) if i not in leds]:
+    if dark := [
+        name for i, name in enumerate(inputs.positions.led_names) if i not in leds and name not in excluded.leds
+    ]:
         yield f"{inputs.document.place('leds')}: never seen: {listed(dark)}"
     used = _named(tables, "camera")
-    if used and (idle := [name for i, name in enumerate(inputs.positions.rig.names) if i not in used]):
+    if used and (
+        idle := [
+            name for i, name in enumerate(inputs.positions.rig.names) if i not in used and name not in excluded.cameras
+        ]
+    ):
         yield f"{inputs.document.place('cameras')}: these cameras see nothing: {listed(idle)}"
 
 

@@ -12,15 +12,16 @@ import numpy as np
 
 from urdfcal.errors import SessionError
 from urdfcal.estimation.measurements import Detections, Points
-from urdfcal.io.checks.content import check_images, check_names_by_rays, frozen_recording, unseen
+from urdfcal.io.checks.content import check_images, check_names_by_rays, frozen_recording
 from urdfcal.io.csv_table import repeats
 from urdfcal.names import listed
 from urdfcal.session.attachments import WORLD
+from urdfcal.session.knowledge import Excluded
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from urdfcal.arrays import Bools
+    from urdfcal.arrays import Bools, Ints
     from urdfcal.estimation.measurements import Measurement
     from urdfcal.io.tables import FrameTable, JointTable, MeasurementTable
     from urdfcal.io.yaml_document import Document
@@ -54,6 +55,7 @@ class Inputs:
         joints: the joint readings.
         frames: of an arm that moved, when it was looked at.
         tables: the measurements, by kind.
+        excluded: what does not count.
     """
 
     document: Document
@@ -61,6 +63,14 @@ class Inputs:
     joints: JointTable
     frames: FrameTable | None = None
     tables: Mapping[type[Measurement], MeasurementTable] = field(default_factory=dict)
+    excluded: Excluded = field(default_factory=Excluded)
+
+    @property
+    def counting(self) -> Ints:
+        """The rows of the joint readings that count."""
+        if not self.joints.poses:  # an arm that moves: its readings are of no pose
+            return np.arange(len(self.joints.readings))
+        return np.flatnonzero(~np.isin(self.joints.poses, self.excluded.poses))
 
     @property
     def scale(self) -> float:
@@ -96,7 +106,7 @@ def check_positions(inputs: Inputs) -> tuple[str, ...]:
     _check_led_units(inputs)
     _check_mount_units(inputs)
     _check_noise_units(inputs)
-    return (*_still_joints(inputs), *_same_readings(inputs.joints))
+    return (*_still_joints(inputs), *_same_readings(inputs))
 
 
 def check(inputs: Inputs) -> tuple[str, ...]:
@@ -116,14 +126,15 @@ def check(inputs: Inputs) -> tuple[str, ...]:
     if detections is not None:
         rays_meet, odd = check_names_by_rays(inputs.positions.rig, detections)
         warnings += [*odd, *check_images(inputs, detections, rays_meet)]
-    elif inputs.positions.rig.cameras:
+    elif inputs.positions.rig.cameras and not inputs.excluded:
         warnings.append(f"{inputs.document.place('cameras')}: there are no detections: the cameras are not used")
-    return (*warnings, *unseen(inputs))
+    return tuple(warnings)
 
 
 def _check_readings(inputs: Inputs) -> None:
     """Degrees and millimetres: in most poses far outside the limits, and inside once converted."""
-    chain, readings, table = inputs.positions.chain, inputs.joints.readings, inputs.joints.table
+    chain, table, rows = inputs.positions.chain, inputs.joints.table, inputs.counting
+    readings = inputs.joints.readings[rows]
     joints, (lower, upper) = chain.actuated_joints, chain.limits
     prismatic = np.array([j.prismatic for j in joints])
     boundless = np.where(prismatic, _TOO_WIDE * inputs.scale, _WOUND_UP)
@@ -142,12 +153,12 @@ def _check_readings(inputs: Inputs) -> None:
             f"the readings of {listed([joints[i].name for i in suspects])} look like {unit}: "
             f"{joints[column].name} is {readings[row, column]:g}"
         )
-        raise table.wrong(what, row, joints[column].name, f"Write {meant}.")
+        raise table.wrong(what, int(rows[row]), joints[column].name, f"Write {meant}.")
     violations = chain.outside_limits(readings, OVERRUN)
     for first in violations[:1]:
         more = f" (and {len(violations) - 1} more readings)" if len(violations) > 1 else ""
         remedy = "Correct the reading, or the limits in the URDF."
-        raise table.wrong(f"{first}{more}", first.pose, first.joint.name, remedy)
+        raise table.wrong(f"{first}{more}", int(rows[first.pose]), first.joint.name, remedy)
 
 
 def _check_led_units(inputs: Inputs) -> None:
@@ -218,18 +229,19 @@ def _check_point_units(inputs: Inputs) -> None:
 
 def _still_joints(inputs: Inputs) -> Iterator[str]:
     joints = inputs.positions.chain.actuated_joints
-    for joint, moved in zip(joints, np.ptp(inputs.joints.readings, axis=0), strict=True):
+    for joint, moved in zip(joints, np.ptp(inputs.joints.readings[inputs.counting], axis=0), strict=True):
         if moved < _STILL:
             how = f"moves by only {moved:.2g} {joint.unit}" if moved else "never moves"
             yield f"{inputs.joints.table.path}: joint {joint.name!r} {how}: its parameters are unidentifiable"
 
 
-def _same_readings(joints: JointTable) -> Iterator[str]:
+def _same_readings(inputs: Inputs) -> Iterator[str]:
+    joints, rows = inputs.joints, inputs.counting
     if not joints.poses:  # an arm that moves may come back, or wait
         return
     # Adding zero makes -0.0 the same bytes as 0.0.
-    pairs = repeats(reading.tobytes() for reading in joints.readings + 0.0)
-    for first, row in pairs[:1]:
+    pairs = repeats(reading.tobytes() for reading in joints.readings[rows] + 0.0)
+    for first, row in [(int(rows[a]), int(rows[b])) for a, b in pairs[:1]]:
         more = f", as have {len(pairs) - 1} more pairs" if len(pairs) > 1 else ""
         pose, other = joints.poses[row], joints.poses[first]
         yield (
