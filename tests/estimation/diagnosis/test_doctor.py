@@ -25,7 +25,8 @@ from urdfcal.estimation.diagnosis.doctor import diagnose
 from urdfcal.estimation.diagnosis.residuals import Unexplained
 from urdfcal.estimation.noise import find_noise
 from urdfcal.pipeline import calibrate
-from urdfcal.session.knowledge import Estimate
+from urdfcal.session.exclusion import labels, leave_out
+from urdfcal.session.knowledge import Estimate, Excluded
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -86,6 +87,17 @@ def test_an_event_is_named_with_its_pose(what: str, simulated: Callable) -> None
     assert abs(first.pose - EVENT) <= 2
     assert first.sentence.startswith(f"from pose {data.session.poses[first.pose]} on {what} is ")
     assert words in first.sentence
+
+
+@pytest.mark.parametrize(("first", "which"), [(0, "these poses"), (20, "the poses before")])
+def test_an_event_says_how_to_do_without_the_shorter_side(first: int, which: str, simulated: Callable) -> None:
+    session = slipped(simulated("panda", poses=50), 1e-3).at(np.arange(first, 50))
+    finding, *_ = findings(session)
+    said = re.search(rf"it slipped; leave out {which} \(exclude: {{poses: \[(.*)\]}}\)$", finding.sentence)
+    assert said, finding.sentence
+    poses = labels(said[1], session.poses, "")
+    assert poses == (session.poses[finding.pose :] if first == 0 else session.poses[: finding.pose])
+    assert not [left for left in findings(leave_out(session, Excluded(poses))) if left.name == finding.name]
 
 
 def test_what_cannot_be_told_apart_is_said(simulated: Callable) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from urdfcal.estimation.diagnosis.effects import drifts, effects, subjects
 from urdfcal.estimation.diagnosis.residuals import Unexplained, solve_score
+from urdfcal.session.exclusion import in_words
 from urdfcal.session.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -135,10 +136,18 @@ def _changes(left: Unexplained, session: Session, subject: Subject) -> Iterator[
                 "camera": "it was bumped",
                 "base": "the base, or what all cameras stand on, was bumped",
             }[subject.kind]
+            + f"; {_without(session, pose)}"
         )
         yield _Tested(
             f"{subject.called}: change", sentence, gain, k, pose, columns * np.append(left.pose >= pose, later)[:, None]
         )
+
+
+def _without(session: Session, pose: int) -> str:
+    """Say how to do without the change from a pose on: by the poses on its shorter side."""
+    before, later = session.poses[:pose], session.poses[pose:]
+    which, shorter = ("the poses before", before) if len(before) < len(later) else ("these poses", later)
+    return f"leave out {which} ({in_words(shorter)})"
 
 
 def _evidence(test: _Tested, left: Unexplained) -> float:
