@@ -112,10 +112,7 @@ def calibrate(
             comparison = with_fit(comparison, kept, problem, seed)
     evidence = gather(session, problem, comparison, seed, undeclared, progress)
     assessment = assess(session, problem, comparison, evidence)
-    if assessment.failures and not force:
-        remedy = "--force writes it all the same."
-        raise CalibrationError("; ".join(assessment.failures), where="not written", remedy=remedy)
-    return FittedCalibration(
+    calibration = FittedCalibration(
         session=session.with_time_offsets(time_offsets(comparison.chosen.fit.state)),
         table=table,
         problem=problem,
@@ -125,6 +122,22 @@ def calibrate(
         evidence=evidence,
         assessment=assessment,
     )
+    if assessment.failures and not force:
+        raise refusal(calibration)
+    return calibration
+
+
+def refusal(calibration: FittedCalibration, report: Path | None = None) -> CalibrationError:
+    """Return the error that a calibration whose assessment has failures is refused with.
+
+    Args:
+        calibration: the result, which fails.
+        report: where it is reported all the same.
+    """
+    remedy = "--force writes it all the same."
+    if report is not None:
+        remedy = f"{report} shows it; {remedy}"
+    return CalibrationError("; ".join(calibration.failures), where="not written", remedy=remedy)
 
 
 def _held_out(comparison: Comparison) -> float:

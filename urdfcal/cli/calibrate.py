@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 
 from urdfcal.cli.console import PATH, progress_bar, seed_option, sheet, status_line, terminal
-from urdfcal.errors import CalibrationError
+from urdfcal.errors import CalibrationError, OutputError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -109,12 +109,15 @@ def command(
 
 
 def run(
-    session: Session, output: Path, *, live: bool = False, report: Report = "text", **how: Any
+    session: Session, output: Path, *, live: bool = False, report: Report = "text", force: bool = False, **how: Any
 ) -> FittedCalibration:
-    """Calibrate a session as :func:`urdfcal.pipeline.calibrate` does, write its results and print the summary."""
+    """Calibrate a session as :func:`urdfcal.pipeline.calibrate` does, write its results and print the summary.
+
+    Of a result that is refused only the report is written, where it replaces nothing.
+    """
     from urdfcal.output.findings import Overview
     from urdfcal.output.recording import write_results
-    from urdfcal.pipeline import calibrate
+    from urdfcal.pipeline import calibrate, refusal
 
     view = None
     if live:
@@ -132,7 +135,10 @@ def run(
                 view.step(iteration, cost)
 
         try:
-            calibration = calibrate(session, **how, progress=note)
+            calibration = calibrate(session, **how, force=True, progress=note)
+            if calibration.failures and not force:
+                say("writing the report")
+                raise refusal(calibration, _refused(calibration, output))
         except CalibrationError:
             # What looked odd in the session is often why.
             for warning in session.warnings:
@@ -149,6 +155,17 @@ def run(
     elif report == "text":
         _print(overview, paths, remarks)
     return calibration
+
+
+def _refused(calibration: FittedCalibration, output: Path) -> Path | None:
+    """Report a calibration that is refused; None where that is not possible either."""
+    from urdfcal.output.recording import write_refused
+
+    try:
+        return write_refused(calibration, output)
+    except OutputError as error:
+        click.echo(f"- {error}", err=True)
+        return None
 
 
 def _print(overview: Overview, paths: Sequence[Path], remarks: Sequence[str]) -> None:

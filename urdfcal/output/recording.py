@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 ROOT = "base"
 """Entity of the base link; all of a recording is in its frame."""
 REPORT, RECORDING = "report.html", "calibration.rrd"
+REFUSED = "refused"
+"""Folder, in that of the results, of the report on a calibration that failed its checks."""
 
 
 def write_results(
@@ -28,7 +30,7 @@ def write_results(
 
     Args:
         calibration: the result.
-        folder: where to; made if need be. Results of an earlier run are replaced.
+        folder: where to; made if need be. Results of an earlier run are replaced, and a report on a refused one goes.
         overview: ``Overview.of(calibration)``, if it is there already.
 
     Returns:
@@ -47,7 +49,39 @@ def write_results(
         write_report(stage / REPORT, calibration, overview)
         notes = write_recording(stage / RECORDING, calibration, overview)
         names = sorted(path.name for path in stage.iterdir())
+    _forget_refused(folder)
     return tuple(folder / name for name in names), notes
+
+
+def write_refused(calibration: FittedCalibration, folder: Path) -> Path:
+    """Write the report on a calibration that is refused, apart from the results of an earlier one, and nothing else.
+
+    Args:
+        calibration: the result, which fails its assessment.
+        folder: where results would go; made if need be.
+
+    Returns:
+        The report.
+
+    Raises:
+        OutputError: the folder cannot be written.
+    """
+    from urdfcal.output.report import write_report
+
+    refused = folder / REFUSED
+    with files.told(folder):
+        folder.mkdir(exist_ok=True)
+    with files.staged(refused) as stage:
+        write_report(stage / REPORT, calibration, refused=True)
+    return refused / REPORT
+
+
+def _forget_refused(folder: Path) -> None:
+    refused = folder / REFUSED
+    with files.told(refused):
+        (refused / REPORT).unlink(missing_ok=True)
+        if refused.is_dir() and not any(refused.iterdir()):
+            refused.rmdir()
 
 
 def write_recording(path: Path, calibration: FittedCalibration, overview: Overview | None = None) -> tuple[str, ...]:

@@ -32,13 +32,16 @@ _OUTLIERS_SHOWN = 25
 _MINUS = "\N{MINUS SIGN}"
 
 
-def write_report(path: Path, calibration: FittedCalibration, overview: Overview | None = None) -> None:
+def write_report(
+    path: Path, calibration: FittedCalibration, overview: Overview | None = None, *, refused: bool = False
+) -> None:
     """Write a calibration as one HTML page: verdict first, figures inside, no scripts, nothing fetched.
 
     Args:
         path: the file; replaced in one step.
         calibration: what to report.
         overview: ``Overview.of(calibration)``, if it is there already.
+        refused: whether nothing else is written of it.
 
     Raises:
         OutputError: the file cannot be written.
@@ -75,6 +78,7 @@ def write_report(path: Path, calibration: FittedCalibration, overview: Overview 
         fixed=fixed_parameters(document),
         largest=largest,
         shown=_OUTLIERS_SHOWN,
+        refused=refused,
         urdf_name=calibration.urdf_name,
         date=f"{datetime.now(timezone.utc):%Y-%m-%d}",
     )
