@@ -10,8 +10,10 @@ import pytest
 
 import urdfcal
 from tests.io.broken import swap
+from tests.worlds import images
 from urdfcal.cli import run
 from urdfcal.errors import CalibrationError
+from urdfcal.io.writing import write_session
 from urdfcal.output.blueprint import _banner
 from urdfcal.output.findings import Overview
 from urdfcal.output.texts import _about
@@ -90,6 +92,21 @@ def test_what_is_refused_where_nothing_can_be_written_is_still_refused(
     assert "cannot write here" in said
     assert "times the declared noise" in said
     assert "shows it" not in said
+
+
+@pytest.mark.parametrize("options", [[], ["--force"]])
+def test_what_is_so_wrong_that_there_are_no_numbers_is_refused_as_well(
+    options: list[str], tmp_path: Path, simulated: Callable, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Images upside down and mirrored, of an arm behind the cameras."""
+    upside_down = images(simulated("ur5"), 0.0, change=lambda uv, size: size - uv)
+    write_session(tmp_path / "session", upside_down)
+    assert run(["calibrate", str(tmp_path / "session"), "-o", str(tmp_path / "out"), *options]) == 1
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert "not written: " in said.err
+    assert ("is no finite number" in said.err) == bool(options)
+    assert not (tmp_path / "out" / "calibration.json").exists()
 
 
 def test_all_outputs_show_one_assessment_and_each_reason_once(

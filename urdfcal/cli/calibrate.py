@@ -165,7 +165,9 @@ def _refused(calibration: FittedCalibration, output: Path) -> Path | None:
         return write_refused(calibration, output)
     except OutputError as error:
         click.echo(f"- {error}", err=True)
-        return None
+    except CalibrationError:  # not even its errors are numbers
+        pass
+    return None
 
 
 def _print(overview: Overview, paths: Sequence[Path], remarks: Sequence[str]) -> None:

@@ -57,7 +57,7 @@ def build_document(of: FittedCalibration) -> d.ResultDocument:
                 model=str(attempt.spec),
                 parameters=attempt.fit.parameters.count,
                 seen_loss=attempt.seen_loss,
-                held_out_loss=attempt.loss if isinstance(attempt, Trial) else None,
+                held_out_loss=attempt.loss if isinstance(attempt, Trial) and np.isfinite(attempt.loss) else None,
                 chosen=attempt is of.comparison.chosen,
             )
             for attempt in of.comparison.attempts

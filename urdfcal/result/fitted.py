@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from urdfcal.arrays import Floats, frozen
-from urdfcal.errors import OutputError
+from urdfcal.errors import CalibrationError, OutputError
 from urdfcal.estimation.blocks.arm import ArmBlock, zero_rows
 from urdfcal.estimation.joint_models.zero_offset import ZERO_OFFSETS
 from urdfcal.estimation.snapshot import Snapshot
@@ -113,10 +113,21 @@ class FittedCalibration(Calibration):
 
     @cached_property
     def document(self) -> ResultDocument:
-        """Everything the calibration says: what ``calibration.json`` holds."""
+        """Everything the calibration says: what ``calibration.json`` holds.
+
+        Raises:
+            CalibrationError: it is so far off that not even its errors are numbers.
+        """
+        from pydantic import ValidationError
+
         from urdfcal.result.builder import build_document
 
-        return build_document(self)
+        try:
+            return build_document(self)
+        except ValidationError as error:
+            key = ".".join(map(str, error.errors()[0]["loc"]))
+            what = f"{'; '.join(self.failures)}; there is no result to write: {key} is no finite number"
+            raise CalibrationError(what, where="not written") from error
 
     def tip_sigma(self, q: Floats) -> Floats:
         """Predict the standard deviation of the calibrated tip's position, after base alignment.
