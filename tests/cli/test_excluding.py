@@ -99,3 +99,20 @@ def test_an_led_that_only_a_distance_keeps(tmp_path: Path) -> None:
     result = json.loads((out / "calibration.json").read_text())
     assert set(result["leds"]) == {"led", "other"}
     assert result["provenance"]["excluded"] == {"leds": ["other"]}
+
+
+def test_limits_are_ignored_on_demand(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """An URDF whose limits are too narrow for what the arm did."""
+    urdf = session / "elbow3r.urdf"
+    joint = read_session(session).chain.joints[1]
+    widest = read_session(session).readings[:, 1].max()
+    text = urdf.read_text()
+    start = text.index("<joint", text.index(f'name="{joint.name}"') - 10)
+    narrow, count = re.subn(r'upper="[^"]*"', f'upper="{widest - 0.1:.4f}"', text[start:], count=1)
+    assert count == 1
+    urdf.write_text(text[:start] + narrow)
+    call = ["calibrate", str(session), "-o", str(tmp_path / "out")]
+    assert run(call) == 2
+    assert "`urdfcal calibrate --ignore-limits`" in capsys.readouterr().err
+    assert run([*call, "--ignore-limits"]) == 0
+    assert f"{joint.name} is 0.1 rad beyond its limits" in capsys.readouterr().out

@@ -85,13 +85,14 @@ def find_leds(session: Path, colour: Colour = "any", debug_images: Path | None =
     "--exclude-poses", metavar="POSES",
     help="Leave these poses out: labels and ranges, such as 26-31,40.",
 )  # fmt: skip
+@click.option("--ignore-limits", is_flag=True, help="Take joint readings beyond the URDF's limits as they are.")
 @click.option("--force", is_flag=True, help="Write the result even if its assessment has failures.")
 @click.option("--live", is_flag=True, help="Show the solver at work in the rerun viewer.")
 @click.option("--json", "as_json", is_flag=True, help="Print calibration.json and the files instead of a summary.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def command(
-    session: Path, output: Path, no_priors: bool, exclude_poses: str | None, live: bool, as_json: bool, quiet: bool,
-    **how: Any,
+    session: Path, output: Path, no_priors: bool, exclude_poses: str | None, ignore_limits: bool, live: bool,
+    as_json: bool, quiet: bool, **how: Any,
 ) -> None:  # fmt: skip
     """Calibrate the robot of SESSION and write URDF, calibration.json, report and recording."""
     from urdfcal.io.folder import read_session
@@ -104,7 +105,8 @@ def command(
             find_leds(session)
 
     poses = exclude_poses.split(",") if exclude_poses else []
-    measured = read_session(session, look, exclude_poses=[label.strip() for label in poses if label.strip()])
+    labels = [label.strip() for label in poses if label.strip()]
+    measured = read_session(session, look, exclude_poses=labels, ignore_limits=ignore_limits)
     run(measured, output, live=live, report=report, priors=not no_priors, **how)
 
 

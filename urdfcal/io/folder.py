@@ -40,6 +40,7 @@ def read_session(
     look: Callable[[], object] | None = None,
     *,
     exclude_poses: Sequence[str] = (),
+    ignore_limits: bool = False,
 ) -> Session:
     """Read a session and check that it can be trusted.
 
@@ -48,6 +49,7 @@ def read_session(
         look: called where a session has images but nobody has looked for LEDs in them yet; it writes the detections.
         exclude_poses: labels of poses that do not count, or ranges such as ``26-31``, besides those that the session
             excludes.
+        ignore_limits: readings beyond a joint's limits are a warning, however far.
 
     Returns:
         The session; its ``warnings`` name what looks odd but may be right.
@@ -85,7 +87,7 @@ def read_session(
         for kind, table in tables.items()
         if (kept := excluded.kept(positions, table.measurements)).any()
     }
-    inputs = replace(inputs, tables=tables, excluded=excluded)
+    inputs = replace(inputs, tables=tables, excluded=excluded, ignore_limits=ignore_limits)
     warnings = (*positions.warnings, *check(replace(inputs, tables=counting)), *unseen(inputs))
     measurements = tuple(table.measurements for table in tables.values())
     session = positions.measured(measurements, sha256=hashes, warnings=warnings)
@@ -108,7 +110,10 @@ def read_positions(path: str | Path) -> Positions:
     if keys.cameras is None:
         raise SessionError("no cameras are named", where=document.place(), remedy="Images need a camera file.")
     inputs = _read_positions(document, keys)
-    return replace(inputs.positions, warnings=inputs.positions.warnings + check_positions(inputs))
+    positions = inputs.positions
+    # Where LEDs are in images does not depend on limits, and calibration may be told to ignore them.
+    inputs = replace(inputs, excluded=_excluded(document, positions, ()), ignore_limits=True)
+    return replace(positions, warnings=positions.warnings + check_positions(inputs))
 
 
 def detections_path(path: str | Path) -> Path:

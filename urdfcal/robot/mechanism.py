@@ -71,6 +71,11 @@ class LimitViolation(NamedTuple):
     joint: Joint
     value: float
 
+    @property
+    def beyond(self) -> float:
+        """How far it is outside. [rad or m]."""
+        return max(self.joint.lower - self.value, self.value - self.joint.upper)
+
     def __str__(self) -> str:
         joint = self.joint
         limits = f"[{joint.lower:g}, {joint.upper:g}]"

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.errors import SessionError
+from urdfcal.estimation.blocks.arm import parameter_tolerance
 from urdfcal.estimation.measurements import Detections, Points
 from urdfcal.io.checks.content import check_images, check_names_by_rays, frozen_recording
 from urdfcal.io.csv_table import repeats
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from urdfcal.estimation.measurements import Measurement
     from urdfcal.io.tables import FrameTable, JointTable, MeasurementTable
     from urdfcal.io.yaml_document import Document
+    from urdfcal.robot.mechanism import Joint
     from urdfcal.session.model import Positions
 
 # Encoders are read to 1e-4 rad or m, and controllers let joints overrun their limits by less than this.
@@ -56,6 +58,7 @@ class Inputs:
         frames: of an arm that moved, when it was looked at.
         tables: the measurements, by kind.
         excluded: what does not count.
+        ignore_limits: whether readings may be beyond the joints' limits.
     """
 
     document: Document
@@ -64,6 +67,7 @@ class Inputs:
     frames: FrameTable | None = None
     tables: Mapping[type[Measurement], MeasurementTable] = field(default_factory=dict)
     excluded: Excluded = field(default_factory=Excluded)
+    ignore_limits: bool = False
 
     @property
     def counting(self) -> Ints:
@@ -102,11 +106,12 @@ def check_positions(inputs: Inputs) -> tuple[str, ...]:
     Raises:
         SessionError: what cannot be right, with file, line and column.
     """
-    _check_readings(inputs)
+    _check_reading_units(inputs)
+    beyond = _check_limits(inputs)
     _check_led_units(inputs)
     _check_mount_units(inputs)
     _check_noise_units(inputs)
-    return (*_still_joints(inputs), *_same_readings(inputs))
+    return (*beyond, *_still_joints(inputs), *_same_readings(inputs))
 
 
 def check(inputs: Inputs) -> tuple[str, ...]:
@@ -131,7 +136,7 @@ def check(inputs: Inputs) -> tuple[str, ...]:
     return tuple(warnings)
 
 
-def _check_readings(inputs: Inputs) -> None:
+def _check_reading_units(inputs: Inputs) -> None:
     """Degrees and millimetres: in most poses far outside the limits, and inside once converted."""
     chain, table, rows = inputs.positions.chain, inputs.joints.table, inputs.counting
     readings = inputs.joints.readings[rows]
@@ -154,11 +159,34 @@ def _check_readings(inputs: Inputs) -> None:
             f"{joints[column].name} is {readings[row, column]:g}"
         )
         raise table.wrong(what, int(rows[row]), joints[column].name, f"Write {meant}.")
-    violations = chain.outside_limits(readings, OVERRUN)
-    for first in violations[:1]:
-        more = f" (and {len(violations) - 1} more readings)" if len(violations) > 1 else ""
-        remedy = "Correct the reading, or the limits in the URDF."
+
+
+def _check_limits(inputs: Inputs) -> tuple[str, ...]:
+    """Readings beyond a limit: by no more than a joint's zero may be off they are told, and refused beyond that."""
+    chain, table, rows = inputs.positions.chain, inputs.joints.table, inputs.counting
+    violations = chain.outside_limits(inputs.joints.readings[rows], OVERRUN)
+    refused = [of for of in violations if of.beyond > _zero_tolerance(inputs, of.joint)]
+    for first in [] if inputs.ignore_limits else refused[:1]:
+        more = f" (and {len(refused) - 1} more readings)" if len(refused) > 1 else ""
+        remedy = (
+            "Correct the reading, or the limits in the URDF; `urdfcal calibrate --ignore-limits` takes it as it is."
+        )
         raise table.wrong(f"{first}{more}", int(rows[first.pose]), first.joint.name, remedy)
+    warnings = []
+    for joint in dict.fromkeys(of.joint for of in violations):
+        own = [of for of in violations if of.joint is joint]
+        worst = max(own, key=lambda of: of.beyond)
+        row = int(rows[worst.pose])
+        pose = f"pose {inputs.joints.poses[row]!r}: " if inputs.joints.poses else ""
+        more = f", and {len(own) - 1} more readings by less" if len(own) > 1 else ""
+        what = f"{joint.name} is {worst.beyond:.2g} {joint.unit} beyond its limits"
+        warnings.append(f"{table.place(row, joint.name)}: {pose}{what}{more}")
+    return tuple(warnings)
+
+
+def _zero_tolerance(inputs: Inputs, joint: Joint) -> float:
+    """How far the zero of a joint may be off. [rad or m]."""
+    return parameter_tolerance(inputs.positions.tolerances, joint.name, "d" if joint.prismatic else "theta", zero=True)
 
 
 def _check_led_units(inputs: Inputs) -> None:
