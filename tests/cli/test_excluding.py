@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from tests.io.broken import put
 from urdfcal.cli import run
+from urdfcal.estimation.measurements import Detections
 from urdfcal.io.folder import read_session
 from urdfcal.io.shipped_rigs import find_rig
 
@@ -116,3 +118,16 @@ def test_limits_are_ignored_on_demand(session: Path, tmp_path: Path, capsys: pyt
     assert "`urdfcal calibrate --ignore-limits`" in capsys.readouterr().err
     assert run([*call, "--ignore-limits"]) == 0
     assert f"{joint.name} is 0.1 rad beyond its limits" in capsys.readouterr().out
+
+
+def test_a_detection_outside_the_image_costs_no_session(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = len(read_session(session).find(Detections))
+    put("detections.csv", 20, u="-40.5")(session)
+    assert run(["calibrate", str(session), "-o", str(tmp_path / "out"), "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["fit"]["observations"] == 2 * (before - 1)
+    (warning,) = result["warnings"]
+    assert re.search(r"detections.csv:22:\d+: \(-40.5, .*\) lies outside the .* left out$", warning)
+    assert result["verdict"]["level"] == "doubtful"

@@ -88,7 +88,11 @@ def read_session(
         if (kept := excluded.kept(positions, table.measurements)).any()
     }
     inputs = replace(inputs, tables=tables, excluded=excluded, ignore_limits=ignore_limits)
-    warnings = (*positions.warnings, *check(replace(inputs, tables=counting)), *unseen(inputs))
+    right, odd = check(replace(inputs, tables=counting))
+    warnings = (*positions.warnings, *odd, *unseen(inputs))
+    for kind, table in right.items():
+        wrong = np.setdiff1d(counting[kind].rows, table.rows)
+        tables[kind] = tables[kind].only(~np.isin(tables[kind].rows, wrong))
     measurements = tuple(table.measurements for table in tables.values())
     session = positions.measured(measurements, sha256=hashes, warnings=warnings)
     with document.placing():

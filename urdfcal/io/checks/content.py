@@ -21,8 +21,10 @@ if TYPE_CHECKING:
     from urdfcal.io.tables import MeasurementTable
     from urdfcal.session.model import Measurements
 
-# One bad pixel in twenty is a typing error; more have a cause.
+# One bad pixel in twenty is an error of its own, and the others are worth having; more have a cause.
 _FEW = 0.05
+# A grabber that hands out a picture twice now and then; one that does more often is not to be trusted.
+_FROZEN = 0.01
 # Encoders repeat what hardly changes: one frame in a hundred of a slow arm at 2 kB a frame.
 _REPEATED = 0.05
 # An arm whose joints move by less between two frames may look the same in both. [rad or m]
@@ -108,22 +110,27 @@ def _score(rig: Rig, uv: Floats, sigma: Floats) -> _Score:
     return _Score(found, float(np.median(result.rms[result.ok])) if found else np.inf)
 
 
-def frozen_recording(inputs: Inputs, table: MeasurementTable) -> Iterator[str]:
+def frozen_recording(inputs: Inputs, table: MeasurementTable) -> tuple[MeasurementTable, list[str]]:
     """Find poses that differ although nothing that was measured does: the recording has frozen.
 
     A video may repeat an image, which is a warning; in a session of poses each is meant to be another.
 
+    Returns:
+        The table without what of a session of poses is repeated, and warnings.
+
     Raises:
-        SessionError: two poses show exactly the same.
+        SessionError: too many poses show exactly what another one shows.
     """
-    measured, repeated = table.measurements, 0
+    measured = table.measurements
     if not measured.columns:
-        return
+        return table, []
     readings, still = inputs.positions.readings, 0.0 if inputs.frames is None else _STILL
     pose, values = measured.pose, measured.values
     what = np.column_stack([*(column for key, column in measured.index.items() if key != "pose"), values + 0.0])
     starts: list[int] = np.flatnonzero(np.diff(pose, prepend=-1)).tolist()
     first: dict[bytes, int] = {}
+    repeated: list[tuple[int, int]] = []
+    anew = np.ones(len(pose), dtype=bool)
     for start, stop in zip(starts, [*starts[1:], len(pose)], strict=True):
         # A single pixel pair may repeat by chance if it is not found to a fraction of a pixel.
         if values[start:stop].size < 3 and not np.any(values[start:stop] % 0.5):
@@ -131,38 +138,55 @@ def frozen_recording(inputs: Inputs, table: MeasurementTable) -> Iterator[str]:
         other = first.setdefault(what[start:stop].tobytes(), start)
         if np.abs(readings[pose[start]] - readings[pose[other]]).max() <= still:
             continue
-        repeated += 1
-        if inputs.frames is None:
-            names = [inputs.positions.poses[pose[i]] for i in (other, start)]
-            raise SessionError(
-                f"pose {names[1]!r} shows exactly what pose {names[0]!r} shows (line {table.rows[other] + 2}), "
-                "but the joints have moved: the recording has frozen",
-                where=table.place(start, "pose"),
-                remedy="Leave out the poses whose measurements were not taken anew.",
-            )
-    if repeated > _REPEATED * len(starts):
-        yield (
-            f"{table.table.path}: {repeated} of {len(starts)} frames show exactly what another one shows, but the "
-            "joints have moved: did the recording freeze?"
+        repeated.append((other, start))
+        anew[start:stop] = False
+    if inputs.frames is not None:
+        if len(repeated) <= _REPEATED * len(starts):
+            return table, []
+        warning = (
+            f"{table.table.path}: {len(repeated)} of {len(starts)} frames show exactly what another one shows, but "
+            "the joints have moved: did the recording freeze?"
         )
+        return table, [warning]
+    if not repeated:
+        return table, []
+    other, start = repeated[0]
+    names = [inputs.positions.poses[pose[i]] for i in (other, start)]
+    found = (
+        f"pose {names[1]!r} shows exactly what pose {names[0]!r} shows (line {table.rows[other] + 2}), "
+        "but the joints have moved: the recording has frozen"
+    )
+    where = table.place(start, "pose")
+    left_out = np.count_nonzero(~anew)
+    if left_out > _FROZEN * len(pose):
+        remedy = "Leave out the poses whose measurements were not taken anew."
+        raise SessionError(found, where=where, remedy=remedy)
+    more = f", and {len(repeated) - 1} more times" if len(repeated) > 1 else ""
+    return table.only(anew), [f"{where}: {found}{more}: {left_out} of {len(pose)} {measured.kind} were left out"]
 
 
-def check_images(inputs: Inputs, table: MeasurementTable, rays_meet: bool | None) -> Iterator[str]:
+def check_images(inputs: Inputs, table: MeasurementTable, rays_meet: bool | None) -> tuple[MeasurementTable, list[str]]:
     """Find pixels outside their image, and say why, where it shows.
 
+    Returns:
+        The table without such pixels where there are but a few, and warnings.
+
     Raises:
-        SessionError: a pixel is outside, and it is not open why.
+        SessionError: more pixels are outside, and it is not open why.
     """
     camera_of, cameras = table.measurements.index["camera"], inputs.positions.rig.cameras
     values = table.measurements.values
     inside, turned = np.empty(len(camera_of), bool), np.empty(len(camera_of), bool)
+    few = True
     for i, camera in enumerate(cameras):
         seen = camera_of == i
         inside[seen] = camera.in_image(values[seen])
         turned[seen] = camera.in_image(values[seen][:, ::-1])
+        count = np.count_nonzero(~inside[seen])
+        few = few and bool(count == 0 or count < _FEW * np.count_nonzero(seen))
     outside = np.flatnonzero(~inside)
     if not outside.size:
-        return
+        return table, []
     first = table.first(outside)
     camera = cameras[camera_of[first]]
     (u, v), (width, height) = values[first], camera.resolution
@@ -170,13 +194,15 @@ def check_images(inputs: Inputs, table: MeasurementTable, rays_meet: bool | None
     if len(outside) > 1:
         what += f", as do {len(outside) - 1} more of {len(camera_of)} measurements"
     where = table.place(first, "u")
+    if few:
+        return table.only(inside), [f"{where}: {what}: left out"]
     if turned.all() and rays_meet is None:
         # Nothing here depends on the resolution, and without the cameras' places both explanations stand.
-        yield (
+        warning = (
             f"{where}: {what}. With u and v exchanged all would fit: either they are exchanged, or in "
             f"{inputs.cameras_file} width and height are, and with them perhaps the intrinsics"
         )
-        return
+        return table, [warning]
     if turned.all() and rays_meet:
         where = f"{inputs.document.source.path.parent / inputs.cameras_file}, camera {camera.name!r}"
         what += "; the rays meet, so the pixels are right"

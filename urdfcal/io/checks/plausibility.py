@@ -114,26 +114,28 @@ def check_positions(inputs: Inputs) -> tuple[str, ...]:
     return (*beyond, *_still_joints(inputs), *_same_readings(inputs))
 
 
-def check(inputs: Inputs) -> tuple[str, ...]:
+def check(inputs: Inputs) -> tuple[dict[type[Measurement], MeasurementTable], tuple[str, ...]]:
     """Look for what can go wrong between the robot and the files.
 
     Returns:
-        What looks odd but may be right.
+        The measurements without the few that cannot be right, and what looks odd but may be right.
 
     Raises:
         SessionError: what cannot be right, with file, line and column.
     """
     warnings = list(check_positions(inputs))
     _check_point_units(inputs)
-    for table in inputs.tables.values():
-        warnings += frozen_recording(inputs, table)
-    detections = inputs.tables.get(Detections)
-    if detections is not None:
-        rays_meet, odd = check_names_by_rays(inputs.positions.rig, detections)
-        warnings += [*odd, *check_images(inputs, detections, rays_meet)]
+    tables = dict(inputs.tables)
+    for kind, table in inputs.tables.items():
+        tables[kind], odd = frozen_recording(inputs, table)
+        warnings += odd
+    if Detections in tables:
+        rays_meet, odd = check_names_by_rays(inputs.positions.rig, tables[Detections])
+        tables[Detections], outside = check_images(inputs, tables[Detections], rays_meet)
+        warnings += [*odd, *outside]
     elif inputs.positions.rig.cameras and not inputs.excluded:
         warnings.append(f"{inputs.document.place('cameras')}: there are no detections: the cameras are not used")
-    return tuple(warnings)
+    return tables, tuple(warnings)
 
 
 def _check_reading_units(inputs: Inputs) -> None:
