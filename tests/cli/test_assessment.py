@@ -10,7 +10,7 @@ import pytest
 
 import urdfcal
 from tests.io.broken import swap
-from tests.worlds import images
+from tests.worlds import images, slipped
 from urdfcal.cli import run
 from urdfcal.errors import CalibrationError
 from urdfcal.io.writing import write_session
@@ -92,6 +92,19 @@ def test_what_is_refused_where_nothing_can_be_written_is_still_refused(
     assert "cannot write here" in said
     assert "times the declared noise" in said
     assert "shows it" not in said
+
+
+def test_what_is_refused_says_which_poses_to_leave_out(
+    tmp_path: Path, simulated: Callable, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_session(tmp_path / "session", slipped(simulated("ur5", poses=50), 2e-3))
+    call = ["calibrate", str(tmp_path / "session"), "-o", str(tmp_path / "out")]
+    assert run(call) == 1
+    said = re.search(r"it slipped; leave out these poses \(exclude: \{poses: \[(.*)\]\}\)", capsys.readouterr().err)
+    assert said
+    assert said[0] in (tmp_path / "out" / "refused" / "report.html").read_text()
+    assert run([*call, "-q", "--exclude-poses", said[1]]) == 0
+    assert not (tmp_path / "out" / "refused").exists()
 
 
 @pytest.mark.parametrize("options", [[], ["--force"]])

@@ -138,14 +138,18 @@ def run(
 
         try:
             calibration = calibrate(session, **how, force=True, progress=note)
-            if calibration.failures and not force:
-                say("writing the report")
-                raise refusal(calibration, _refused(calibration, output))
         except CalibrationError:
             # What looked odd in the session is often why.
             for warning in session.warnings:
                 click.echo(f"- {warning}", err=True)
             raise
+        if calibration.failures and not force:
+            say("writing the report")
+            report_path = _refused(calibration, output)
+            # So is what was found in the residuals, which may say what to do.
+            for warning in calibration.warnings:
+                click.echo(f"- {warning}", err=True)
+            raise refusal(calibration, report_path)
         say("writing URDF, report and recording")
         overview = Overview.of(calibration)
         paths, remarks = write_results(calibration, output, overview)
