@@ -106,6 +106,11 @@ def evenly(values: Ints, most: int) -> Ints:
     return values[np.unique(np.linspace(0, len(values) - 1, min(most, len(values))).astype(np.intp))]
 
 
+def rms(values: Floats) -> float:
+    """Return the root mean square of values; NaN of none."""
+    return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")
+
+
 def numbered(columns: Iterable[Ints]) -> Ints:
     """Number the combinations of indices that stand at the same place of some columns: equal where all are equal."""
     number: Ints = np.zeros((), dtype=np.intp)

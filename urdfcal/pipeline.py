@@ -6,8 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-import numpy as np
-
 from urdfcal.errors import CalibrationError, SessionError
 from urdfcal.estimation.assessment import assess
 from urdfcal.estimation.blocks.arm import no_offsets
@@ -29,7 +27,6 @@ from urdfcal.session.trajectory import Trajectory
 if TYPE_CHECKING:
     from urdfcal.estimation.blocks.arm import ArmParameterization
     from urdfcal.estimation.measurements import Measurement
-    from urdfcal.estimation.model_selection import Comparison
     from urdfcal.estimation.solver import Progress
     from urdfcal.estimation.state import State
     from urdfcal.session.model import Session
@@ -101,7 +98,7 @@ def calibrate(
         noisy = session.with_noise(found)
         weighed = Problem.of(noisy, arm)
         again = compare_models(noisy, weighed, start, priors=priors, seed=seed, progress=progress)
-        if _held_out(again) <= _NO_WORSE * _held_out(comparison):
+        if again.chosen.rms("distance") <= _NO_WORSE * comparison.chosen.rms("distance"):
             # The nominal arm is far off: noise that the calibrated one has would only place it worse.
             session, problem, comparison = noisy, weighed, replace(again, nominal=comparison.nominal)
     solutions: tuple[Minimum, ...] = ()
@@ -138,11 +135,6 @@ def refusal(calibration: FittedCalibration, report: Path | None = None) -> Calib
     if report is not None:
         remedy = f"{report} shows it; {remedy}"
     return CalibrationError("; ".join(calibration.failures), where="not written", remedy=remedy)
-
-
-def _held_out(comparison: Comparison) -> float:
-    """Rms error on held-out poses. [m]."""
-    return float(np.sqrt(np.mean(comparison.chosen.residuals("distance") ** 2)))
 
 
 def _start(session: Session, arm: ArmParameterization, progress: Progress | None) -> State:

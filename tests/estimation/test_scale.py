@@ -10,8 +10,9 @@ from tests.estimation.derivatives import assert_derivatives
 from tests.estimation.problems import Example, at_rest
 from tests.worlds import scaled
 from urdfcal.estimation.blocks.scale import SCALE
-from urdfcal.estimation.diagnosis.residuals import Unexplained
+from urdfcal.estimation.diagnosis.residuals import Unexplained, _everything
 from urdfcal.estimation.evaluation import compare
+from urdfcal.estimation.linearize import Tangent
 from urdfcal.estimation.measurements import Points
 from urdfcal.estimation.measurements.pixels import triangulate
 from urdfcal.estimation.noise import find_noise
@@ -87,7 +88,9 @@ def test_its_derivative_is_that_of_the_residuals(kind: str, simulated: Callable)
     session = at_rest(simulated) if kind == "pixels" else as_points(at_rest(simulated))
     example = Example.of(session, "none")
     (observed,), state = example.problem.observations, example.state
-    derivative = observed.table.by_scale(observed, example.problem.links(observed.readings, state), state)
+    parameters = _everything(session, state)
+    at = Tangent.at(example.problem, observed, state, parameters).linearise()
+    derivative = at.J[..., parameters.columns(SCALE).start]
     assert derivative.any()
     step = 1e-6
     if kind == "points":  # too long a metre is too small a number, to first order of all residuals

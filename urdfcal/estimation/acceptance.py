@@ -7,9 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from urdfcal.arrays import rms
 from urdfcal.errors import RobotError, SessionError
+from urdfcal.estimation.assessment import MANY_OUTLIERS
 from urdfcal.estimation.evaluation import explain
 from urdfcal.estimation.validation import rms_interval
+from urdfcal.session.trajectory import REPEAT
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -19,12 +22,6 @@ if TYPE_CHECKING:
     from urdfcal.estimation.solver import Progress
     from urdfcal.robot.mechanism import Mechanism
     from urdfcal.session.model import Session
-
-# Of more outliers than this the rest says nothing of the arm: so a calibration is judged, too (METHOD 14).
-_MANY_OUTLIERS = 0.25
-# Joint values this near to a measured range are in it: configurations that are no farther apart repeat each other.
-# [rad or m]
-_NEAR = 0.05
 
 
 @dataclass(frozen=True)
@@ -50,7 +47,7 @@ class Acceptance:
     @property
     def too_many_outliers(self) -> bool:
         """Whether so many measurements were left out that the rest does not speak for all."""
-        return self.outliers > _MANY_OUTLIERS * (self.outliers + self.measurements)
+        return self.outliers > MANY_OUTLIERS * (self.outliers + self.measurements)
 
     @property
     def within(self) -> bool | None:
@@ -85,12 +82,12 @@ def accept(
         )
     explained = explain(chain, session, progress)
     problem, fit = explained.problem, explained.fit
-    observations, readings = problem.observations, problem.readings
+    observations = problem.observations
     distance = [
         np.linalg.norm(problem.residual(of, fit.state), axis=-1) * problem.metres_per_unit(of, fit.state)
         for of in observations
     ]
-    unit = readings.motion.independent(readings.q)
+    unit = problem.readings.unit
     numbers, taken = _numbers(observations, fit.kept, unit), fit.parameters.count
     if numbers <= taken:
         raise SessionError(
@@ -99,16 +96,17 @@ def accept(
             remedy="Measure more poses: a dozen, well apart.",
         )
     kept = [values[used] for values, used in zip(distance, fit.kept, strict=True)]
-    rms = float(np.sqrt(np.mean(np.concatenate(kept) ** 2)))
+    found = rms(np.concatenate(kept))
     low, high = rms_interval(observations, fit.kept, distance, unit, seed)
     scale, width = _taken_away(numbers, taken)
+    outliers, measurements = fit.counts
     judged = [unit[of.pose][used.any(axis=1)] for of, used in zip(observations, fit.kept, strict=True)]
     return Acceptance(
-        rms=scale * rms,
-        interval=(scale * rms * (low / rms) ** width, scale * rms * (high / rms) ** width) if rms else (0.0, 0.0),
+        rms=scale * found,
+        interval=tuple(scale * found * (end / found) ** width for end in (low, high)) if found else (0.0, 0.0),
         configurations=len(np.unique(np.concatenate(judged))),
-        measurements=sum(int(np.sum(used)) for used in fit.kept),
-        outliers=sum(int(np.sum(cut)) for cut in fit.outlier),
+        measurements=measurements,
+        outliers=outliers,
         limit=limit,
     )
 
@@ -180,7 +178,7 @@ def outside(session: Session, domain: Mapping[str, Sequence[float]]) -> tuple[Ou
         if joint.name in domain:
             low, high = domain[joint.name]
             beyond = _beyond(q, low, high, turns=not joint.prismatic)
-            far = beyond > _NEAR
+            far = beyond > REPEAT  # what is nearer repeats what was measured
             if far.any():
                 size, count = float(beyond.max()), int(np.count_nonzero(far))
                 found.append(OutsideDomain(joint.name, joint.unit, low, high, size, count))

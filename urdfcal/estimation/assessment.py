@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 import pinocchio as pin
 
-from urdfcal.errors import CalibrationError
 from urdfcal.estimation.blocks.arm import ARM, ArmBlock
 from urdfcal.estimation.blocks.cameras import camera_poses, camera_values, has_cameras
 from urdfcal.estimation.blocks.leds import LEDS, led_sigma
@@ -16,7 +15,6 @@ from urdfcal.estimation.blocks.leds import LEDS, led_sigma
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from urdfcal.arrays import Floats
     from urdfcal.estimation.blocks.base import Block
     from urdfcal.estimation.diagnosis.doctor import Finding
     from urdfcal.estimation.evidence import Evidence, Regions
@@ -36,10 +34,10 @@ Level: TypeAlias = Literal["good", "doubtful", "bad"]
 _ABSURD_NOISE = 20.0
 # Noise declared three times too small is a mistake in the session or an effect that the model does not have; either
 # way the standard deviations mean nothing.
-_MISFIT_CHI2 = 9.0
+MISFIT_CHI2 = 9.0
 # A reduced chi-square above this is no accident with a few dozen measurements: something is unmodelled.
-_DOUBTFUL_CHI2 = 2.0
-_MANY_OUTLIERS = 0.25
+DOUBTFUL_CHI2 = 2.0
+MANY_OUTLIERS = 0.25
 # Corrections of this many tolerances are either a wrong session or a very unusual arm; a misfit beside them means
 # that the arm is bent to explain what it is not to blame for.
 _FAR = 5.0
@@ -199,9 +197,9 @@ def _misfit(chi2: float, moved: Sequence[Correction]) -> Iterator[str]:
             f"the residuals are {noise:.0f} times the declared noise: this is not a robot like the nominal one; check "
             "the tip link, the order and the signs of the joint columns, their units, and the cameras"
         )
-    elif chi2 > _MISFIT_CHI2:
+    elif chi2 > MISFIT_CHI2:
         yield f"the residuals are {noise:.1f} times the declared noise: the model does not explain them"
-    elif chi2 > _DOUBTFUL_CHI2 and far:
+    elif chi2 > DOUBTFUL_CHI2 and far:
         counted = "a correction is" if far == 1 else f"{far} corrections are"
         yield (
             f"{counted} more than {_FAR:g} tolerances long, and still the residuals are {noise:.1f} times the "
@@ -235,7 +233,7 @@ def _declared_noise(noise: Sequence[FoundNoise]) -> Iterator[str]:
 
 def _repeats(problem: Problem) -> Iterator[str]:
     """Many poses that are few configurations."""
-    unit = problem.readings.motion.independent(problem.readings.q)[problem.poses]
+    unit = problem.readings.unit[problem.poses]
     distinct = len(np.unique(unit))
     if distinct < _FEW and distinct <= _REPEATED * len(unit):
         yield (
@@ -272,7 +270,7 @@ def _other_lenses(session: Session, fit: Solution) -> Iterator[str]:
 
 def _elsewhere(comparison: Comparison, regions: Regions) -> Iterator[str]:
     """Regions that were left out are predicted far worse than poses among the others."""
-    inside = _rms(comparison.chosen.residuals("distance"))
+    inside = comparison.chosen.rms("distance")
     if regions.rms > _WORSE_ELSEWHERE * inside:
         yield (
             f"it does not hold elsewhere: {1e3 * regions.rms:.2g} mm rms in regions left out, {1e3 * inside:.2g} mm "
@@ -289,7 +287,7 @@ def _unimproved(session: Session, improvement: tuple[float, float]) -> Iterator[
 
 
 def _noise(chi2: float) -> Iterator[str]:
-    if chi2 > _DOUBTFUL_CHI2:
+    if chi2 > DOUBTFUL_CHI2:
         yield (
             f"the residuals are {np.sqrt(chi2):.1f} times the declared noise: the noise is larger than declared, or "
             "camera intrinsics, units or the robot's stiffness are not what the model assumes"
@@ -297,8 +295,8 @@ def _noise(chi2: float) -> Iterator[str]:
 
 
 def _outliers(fit: Solution) -> Iterator[str]:
-    cut, kept = (sum(int(np.sum(part)) for part in parts) for parts in (fit.outlier, fit.kept))
-    if cut > _MANY_OUTLIERS * (cut + kept):
+    cut, kept = fit.counts
+    if cut > MANY_OUTLIERS * (cut + kept):
         yield (
             f"{cut} of {cut + kept} measurements had to be taken out as outliers: look at how LEDs were detected or "
             "points measured"
@@ -327,7 +325,7 @@ def _unproven(session: Session, comparison: Comparison) -> Iterator[str]:
     if session.estimate.geometry == "none":
         return
     chosen, nominal = comparison.chosen, comparison.nominal_arm
-    before, after = (1e3 * _rms(trial.residuals("distance")) for trial in (nominal, chosen))
+    before, after = (1e3 * trial.rms("distance") for trial in (nominal, chosen))
     if chosen.loss >= nominal.loss:
         yield (
             "the calibrated arm does not predict held-out poses better than the nominal one: more poses or less noise "
@@ -343,7 +341,7 @@ def _unproven(session: Session, comparison: Comparison) -> Iterator[str]:
 def _refuted_lenses(comparison: Comparison) -> Iterator[str]:
     if not comparison.chosen.spec.intrinsics:
         return
-    given, free = (_rms(trial.residuals("residual")) for trial in (comparison.chosen, comparison.best))
+    given, free = (trial.rms("residual") for trial in (comparison.chosen, comparison.best))
     if given > _REFUTED * free:
         yield (
             f"the cameras' intrinsics as given are refuted by the detections: held-out poses are predicted to "
@@ -366,9 +364,3 @@ def _displaced_mounts(session: Session, fit: Solution) -> Iterator[str]:
                 f"{1e3 * np.linalg.norm(motion[3:]):.0f} mrad from where the session puts it on {mount.link!r}, "
                 f"{sigmas:.0f} times its sigma: check position, rpy (rad) and link"
             )
-
-
-def _rms(values: Floats) -> float:
-    if values.size == 0:
-        raise CalibrationError("no measurement is left: all are outliers", remedy="Check how LEDs were detected.")
-    return float(np.sqrt(np.mean(values**2)))

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import evenly
+from urdfcal.arrays import rms
+from urdfcal.estimation.assessment import DOUBTFUL_CHI2, MANY_OUTLIERS, MISFIT_CHI2
 from urdfcal.estimation.diagnosis.doctor import diagnose
 from urdfcal.estimation.diagnosis.residuals import Unexplained
 from urdfcal.estimation.diagnosis.trials import suspect
@@ -33,11 +34,6 @@ if TYPE_CHECKING:
 
 # Of thousands of poses an even selection is left out region by region: what they show there is no noise.
 _MOST_POSES = 1000
-# Residuals with a reduced chi-square below this are noise.
-_HOLDS = 2.0
-# Where they are so large, or so many measurements had to be left out, something about the session may be wrong: it is
-# looked for by trial, which takes seconds.
-_ABSURD, _MANY_OUTLIERS = 9.0, 0.25
 
 
 @dataclass(frozen=True)
@@ -115,28 +111,29 @@ def gather(
     noise = find_noise(problem, fit, undeclared)
     unexplained = Unexplained.of(session, problem, fit, noise)
     findings, regions = diagnose(session, unexplained), _regions(problem, comparison)
-    cut, kept = (sum(int(np.sum(part)) for part in parts) for parts in (fit.outlier, fit.kept))
-    absurd = fit.reduced_chi2 > _ABSURD or cut > _MANY_OUTLIERS * (cut + kept)
+    cut, kept = fit.counts
+    # Then something about the session may be wrong: it is looked for by trial, which takes seconds.
+    absurd = fit.reduced_chi2 > MISFIT_CHI2 or cut > MANY_OUTLIERS * (cut + kept)
     return Evidence(
         noise=noise,
         scale=find_scale(problem, fit, unexplained),
         findings=findings,
         regions=regions,
-        tip=_tip(problem, fit, regions, holds=not findings and fit.reduced_chi2 < _HOLDS),
+        tip=_tip(problem, fit, regions, holds=not findings and fit.reduced_chi2 < DOUBTFUL_CHI2),
         improvement=_improvement(problem, comparison, seed),
         suspicion=suspect(session, progress) if absurd else None,
     )
 
 
 def _tip(problem: Problem, fit: Solution, regions: Regions, *, holds: bool) -> TipError:
-    rms, (low, high) = tip_error(problem, fit)
+    expected, (low, high) = tip_error(problem, fit)
     if holds:
-        return TipError(rms, (low, high))
-    return TipError(max(rms, regions.rms), (low, max(high, regions.interval[1])))
+        return TipError(expected, (low, high))
+    return TipError(max(expected, regions.rms), (low, max(high, regions.interval[1])))
 
 
 def _regions(problem: Problem, comparison: Comparison) -> Regions:
-    even = [evenly(np.arange(len(of.pose)), _MOST_POSES) for of in problem.observations]
+    even = [observed.even(_MOST_POSES) for observed in problem.observations]
     problem = problem.with_observations([of.at(some) for of, some in zip(problem.observations, even, strict=True)])
     fits = [
         replace(trial.fit, kept=tuple(kept[some] for kept, some in zip(trial.fit.kept, even, strict=True)))
@@ -147,15 +144,13 @@ def _regions(problem: Problem, comparison: Comparison) -> Regions:
         region = divide(problem)
         chosen, nominal = (hold_out(problem, fit, region) for fit in fits)
         kept = fits[0].kept
-        rms, rms_nominal = (_rms(of.distance, kept) for of in (chosen, nominal))
         interval = region_interval(problem.observations, kept, chosen.distance, region)
-        found.append(Regions(chosen.folds, rms, interval, rms_nominal))
+        found.append(Regions(chosen.folds, _rms(chosen.distance, kept), interval, _rms(nominal.distance, kept)))
     return max(found, key=lambda of: of.interval[1])
 
 
 def _improvement(problem: Problem, comparison: Comparison, seed: int) -> tuple[float, float]:
-    unit = problem.readings.motion.independent(problem.readings.q)
-    kept = comparison.chosen.fit.kept
+    unit, kept = problem.readings.unit, comparison.chosen.fit.kept
     trials = [trial.held_out.distance for trial in (comparison.nominal_arm, comparison.chosen)]
     samples = [rms_samples(problem.observations, kept, of, unit, seed) for of in trials]
     low, high = np.percentile(samples[0] - samples[1], [2.5, 97.5])
@@ -163,5 +158,4 @@ def _improvement(problem: Problem, comparison: Comparison, seed: int) -> tuple[f
 
 
 def _rms(distance: tuple[Floats, ...], kept: tuple[Bools, ...]) -> float:
-    values = np.concatenate([of[used] for of, used in zip(distance, kept, strict=True)])
-    return float(np.sqrt(np.mean(values**2)))
+    return rms(np.concatenate([of[used] for of, used in zip(distance, kept, strict=True)]))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from urdfcal.arrays import rms
 from urdfcal.errors import CalibrationError
 from urdfcal.estimation.identifiability import identify
 from urdfcal.estimation.model_spec import allowed, candidates, nominal
@@ -61,6 +62,17 @@ class Trial(Attempt):
         """Return the held-out residuals or distances of all measurements that are no outliers, (S,), in px or m."""
         parts: tuple[Floats, ...] = getattr(self.held_out, what)
         return np.concatenate([part[keep] for part, keep in zip(parts, self.fit.kept, strict=True)])
+
+    def rms(self, what: Literal["residual", "distance"]) -> float:
+        """Return the rms of :meth:`residuals`, in px or m.
+
+        Raises:
+            CalibrationError: all measurements are outliers.
+        """
+        values = self.residuals(what)
+        if values.size == 0:
+            raise CalibrationError("no measurement is left: all are outliers", remedy="Check how LEDs were detected.")
+        return rms(values)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import evenly, one_blas_thread
+from urdfcal.arrays import one_blas_thread, rms
 from urdfcal.estimation.linearize import Tangent
-from urdfcal.estimation.whitening import joint_covariance
+from urdfcal.estimation.whitening import block_diagonal, joint_covariance
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -90,14 +90,13 @@ def find_noise(problem: Problem, fit: Solution, undeclared: Collection[str] = ()
         likelihood = _Likelihood(tuple(parts), *fit.parameters.prior_residuals(fit.state))
         declared = np.array([*np.ones(len(parts)), max(problem.joint_sigma, _LEAST_JOINT) ** 2])
         start = np.array([*np.ones(len(parts)), max(problem.joint_sigma, _USUAL_JOINT) ** 2])
-        found, information = likelihood.maximise(start)
-        sigma = 0.5 / np.sqrt(np.maximum(1.0 / np.maximum(np.diag(np.linalg.pinv(information)), 1e-300), 1e-300))
-        best = likelihood.at(found).value
+        found, best = likelihood.maximise(start)
+        sigma = 0.5 * np.sqrt(np.maximum(np.diag(np.linalg.pinv(best.information)), 0.0))
         falls = []
         for k in range(len(found)):
-            held, _ = likelihood.maximise(np.where(np.arange(len(found)) == k, declared, found), hold=k)
-            falls.append(max(0.0, 2.0 * (best - likelihood.at(held).value)))
-    names = [(of.table.noise, of.table.unit, _rms(of.table.sigma)) for of in problem.observations]
+            _, held = likelihood.maximise(np.where(np.arange(len(found)) == k, declared, found), hold=k)
+            falls.append(max(0.0, 2.0 * (best.value - held.value)))
+    names = [(of.table.noise, of.table.unit, rms(of.table.sigma)) for of in problem.observations]
     names.append(("joint", "rad", 1.0))
     return tuple(
         FoundNoise(
@@ -124,18 +123,15 @@ class _Part:
 
     @classmethod
     def of(cls, problem: Problem, fit: Solution, observed: Observations, kept: Bools) -> _Part:
-        count = len(observed.pose)
-        some = evenly(np.arange(count), _MOST_POSES)
+        some = observed.even(_MOST_POSES)
         at = Tangent.at(problem, observed.at(some), fit.state, fit.parameters).linearise()
         N, m, D = at.residual.shape
         used = np.repeat(kept[some], D, axis=1)
         both = used[:, :, None] * used[:, None, :]
-        C = np.zeros((N, m, D, m, D))
-        C[:, np.arange(m), :, np.arange(m), :] = np.moveaxis(observed.covariance[some], 1, 0)
         return cls(
             at.residual.reshape(N, m * D) * used,
             at.J.reshape(N, m * D, -1) * used[..., None],
-            C.reshape(N, m * D, m * D) * both,
+            block_diagonal(observed.covariance[some]) * both,
             joint_covariance(at, problem.arm.chain.reading_jacobian, 1.0) * both,
             np.eye(m * D) * ~used[:, :, None],
         )
@@ -156,8 +152,8 @@ class _Likelihood:
     r_prior: Floats
     J_prior: Floats
 
-    def maximise(self, variances: Floats, hold: int | None = None) -> tuple[Floats, Floats]:
-        """Return the likeliest variances, one of them held, and the information there."""
+    def maximise(self, variances: Floats, hold: int | None = None) -> tuple[Floats, _LikelihoodValue]:
+        """Return the likeliest variances, one of them held, and the likelihood there."""
         free = np.arange(len(variances)) != hold
         least = np.append(np.full(len(self.parts), _LEAST_SHARE**2), _LEAST_JOINT**2)
         for _ in range(_ROUNDS):
@@ -171,7 +167,7 @@ class _Likelihood:
             variances = moved
             if change < _SETTLED:
                 break
-        return variances, self.at(variances).information
+        return variances, self.at(variances)
 
     def at(self, variances: Floats) -> _LikelihoodValue:
         """Evaluate."""
@@ -202,7 +198,3 @@ class _Likelihood:
                 for j, U in shares.items():
                     information[i, j] += 0.5 * np.einsum("nij,nji->", V, U)
         return _LikelihoodValue(value, score, information)
-
-
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values**2)))

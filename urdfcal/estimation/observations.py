@@ -70,6 +70,10 @@ class Observations:
             self.covariance[poses],
         )
 
+    def even(self, most: int) -> Ints:
+        """Return indices of poses, at most so many, spread evenly over all."""
+        return evenly(np.arange(len(self.pose)), most)
+
     def spread(self, most: int) -> Ints:
         """Return indices of poses, at most so many for each combination of keys (LED, camera), spread evenly."""
         views = np.where(self.valid, numbered(self.index.values()), -1)

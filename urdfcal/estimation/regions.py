@@ -31,7 +31,7 @@ def tip_regions(problem: Problem) -> Ints:
 
 def _clusters(problem: Problem, points: Floats) -> Ints:
     """Cluster points (N, k) by k-means from centres that are far from each other; no repeat is torn from another."""
-    unit = problem.readings.motion.independent(problem.readings.q)
+    unit = problem.readings.unit
     used = np.unique(unit[problem.poses])
     means = np.array([points[unit == one].mean(axis=0) for one in used])
     count = min(_REGIONS, len(used))

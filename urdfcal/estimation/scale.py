@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from urdfcal.estimation.blocks.scale import SCALE
+from urdfcal.estimation.diagnosis.residuals import Part
 from urdfcal.estimation.uncertainty import tip_change
 
 if TYPE_CHECKING:
     from urdfcal.estimation.diagnosis.residuals import Unexplained
     from urdfcal.estimation.problem import Problem
     from urdfcal.estimation.solver import Solution
-
-# Lengths that the instrument does not give move the tip by less than rounding. [m]
-_NOTHING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -50,7 +49,7 @@ def find_scale(problem: Problem, fit: Solution, unexplained: Unexplained) -> Len
         fit: the estimate.
         unexplained: its residuals.
     """
-    columns = unexplained.columns(lambda part: part.by_scale(unexplained.problem, fit.state))
+    columns = unexplained.columns(partial(Part.by, key=SCALE))
     where, active = fit.parameters.active_columns(SCALE)
     tip = tip_change(problem, fit, unexplained.response(columns, where)) if np.any(columns) else 0.0
     if active.any():

@@ -114,6 +114,12 @@ class Solution:
         return self.observations + self.parameters.prior_count - self.parameters.count
 
     @property
+    def counts(self) -> tuple[int, int]:
+        """Numbers of outliers, and of measurements that the fit rests on."""
+        outliers, kept = (sum(int(np.sum(part)) for part in parts) for parts in (self.outlier, self.kept))
+        return outliers, kept
+
+    @property
     def covariance(self) -> Floats:
         """(count, count) of the active parameters, widened where the misfit exceeds the declared noise for certain."""
         scale = 1.0 / np.sqrt(np.diag(self.information))
@@ -149,7 +155,7 @@ def solve(problem: Problem, start: State, parameters: Parameters, progress: Prog
         history, at = list(descent.history), descent.at
         # Where the derivatives are no longer those of the start, the joint readings' noise may not be, either.
         if robust is not whole or at.J is not first.J:
-            at = whole.linearise(descent.state)
+            at = whole.linearise(descent.at.state)
         for _ in range(_MAX_CUTS):
             outlier = find_outliers(observations, at.norms)
             kept = [np.where(cut, REJECTED, 1.0) for cut in outlier]
@@ -162,7 +168,7 @@ def solve(problem: Problem, start: State, parameters: Parameters, progress: Prog
                 break
     used = tuple(observed.valid & ~cut for observed, cut in zip(observations, outlier, strict=True))
     return Solution(
-        state=descent.state,
+        state=descent.at.state,
         parameters=parameters,
         information=descent.normal.H,
         norms=descent.normal.norms,
@@ -188,7 +194,7 @@ def refit(problem: Problem, kept: Sequence[Bools], start: State, parameters: Par
     with one_blas_thread():
         least_squares = _LeastSquares(problem, parameters)
         at = least_squares.linearise(start)
-        return _descend(least_squares, at, weights, keep_weights, _FIRST_DAMPING, _CONVERGED_COARSE, None).state
+        return _descend(least_squares, at, weights, keep_weights, _FIRST_DAMPING, _CONVERGED_COARSE, None).at.state
 
 
 def residual_norms(problem: Problem, state: State, parameters: Parameters) -> tuple[Floats, ...]:
@@ -317,10 +323,6 @@ class _Descent:
     damping: float
     history: tuple[Iteration, ...]
     converged: bool
-
-    @property
-    def state(self) -> State:
-        return self.at.state
 
 
 def _descend(

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
 FOLDS = 5
 _RESAMPLES = 1000
-# 97.5 % quantiles of Student's t for 1, 2, 3, 4 degrees of freedom.
-_STUDENT = (12.706, 4.303, 3.182, 2.776)
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +46,9 @@ def loss(norms: Sequence[Floats], observations: Sequence[Observations]) -> float
 
 def random_folds(problem: Problem, seed: int) -> Ints:
     """Divide the session's poses (N,) into folds at random; what repeats a configuration stays with it."""
-    unit = problem.readings.motion.independent(problem.readings.q)
-    return problem.readings.motion.folds(problem.readings.q, min(FOLDS, len(np.unique(unit[problem.poses]))), seed)
+    readings = problem.readings
+    distinct = len(np.unique(readings.unit[problem.poses]))
+    return readings.motion.folds(readings.q, min(FOLDS, distinct), seed)
 
 
 def hold_out(problem: Problem, fit: Solution, fold_of_pose: Ints) -> HeldOut:
@@ -128,13 +127,14 @@ def region_interval(
     Returns:
         Its ends, 0 and infinity where there is but one region. [m]
     """
+    from scipy.special import stdtrit
+
     squares, counts = _sums(observations, kept, distance, region)
     logs = 0.5 * np.log(np.maximum(squares[counts > 0] / counts[counts > 0], 1e-30))
     if len(logs) < 2:
         return 0.0, float("inf")
-    half = (
-        _STUDENT[min(len(logs), len(_STUDENT) + 1) - 2] * float(np.std(logs, ddof=1)) * np.sqrt(1.0 + 1.0 / len(logs))
-    )
+    student = float(stdtrit(len(logs) - 1, 0.975))
+    half = student * float(np.std(logs, ddof=1)) * np.sqrt(1.0 + 1.0 / len(logs))
     low, high = np.exp(np.mean(logs) + np.array([-half, half]))
     return float(low), float(high)
 

@@ -234,7 +234,7 @@ def _validation(of: FittedCalibration) -> d.ValidationSection:
     """
     chosen, nominal = of.comparison.chosen, of.comparison.nominal_arm
     distance = 1e3 * chosen.residuals("distance")
-    unit = of.session.motion.independent(of.session.q)
+    unit = of.problem.readings.unit
     low, high = rms_interval(of.observations, chosen.fit.kept, chosen.held_out.distance, unit, of.seed)
     pixels = {}
     if of.estimate.cameras:

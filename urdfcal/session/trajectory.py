@@ -27,7 +27,7 @@ MARGIN = 0.1
 
 # Configurations that differ by less in every joint repeat each other: the errors of geometry, sag and joint readings,
 # which change over radians, are the same there, and only the measurement's own noise is drawn anew. [rad or m]
-_REPEAT = 0.05
+REPEAT = 0.05
 
 
 class Motion(ABC):
@@ -111,7 +111,7 @@ def _neighbours(q: Floats) -> Sequence[Sequence[int]]:
     """For each of the joint values (N, n) those that repeat it."""
     from scipy.spatial import KDTree
 
-    return KDTree(q).query_ball_point(q, _REPEAT, p=np.inf, return_sorted=True)  # type: ignore[no-any-return]
+    return KDTree(q).query_ball_point(q, REPEAT, p=np.inf, return_sorted=True)  # type: ignore[no-any-return]
 
 
 AT_REST = AtRest()

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from urdfcal.estimation.diagnosis.effects import drifts, effects, subjects
-from urdfcal.estimation.diagnosis.residuals import Unexplained, solve_score
+from urdfcal.estimation.diagnosis.residuals import Unexplained, column_scale, solve_score
 from urdfcal.session.exclusion import in_words
 from urdfcal.session.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from urdfcal.arrays import Floats
-    from urdfcal.estimation.diagnosis.effects import Subject
+    from urdfcal.estimation.diagnosis.effects import Effect, Subject
     from urdfcal.session.model import Session
 
 # Chance that any of the tests made on a clean session names something.
@@ -50,66 +51,69 @@ class Finding:
     alike: tuple[str, ...]
 
 
+_CHANGES = {
+    "joint": "the encoder jumped",
+    "led": "it slipped",
+    "camera": "it was bumped",
+    "base": "the base, or what all cameras stand on, was bumped",
+}
+
+
 @dataclass(frozen=True, eq=False)
-class _Tested:
+class _Test:
+    """What an effect of ``count`` sizes explains; its words and its columns (R + P, k) are made where it is named."""
+
     name: str
-    sentence: str
     gain: float
     count: int
     pose: int | None
-    columns: Floats
+    sentence: Callable[[], str]
+    columns: Callable[[], Floats]
 
 
 def diagnose(session: Session, unexplained: Unexplained) -> tuple[Finding, ...]:
     """Name what explains the residuals of an estimate beyond chance, the largest share first."""
-    left, findings = unexplained, []
-    total = left.total
+    left, total, findings = unexplained, unexplained.total, []
+    problem, state = left.problem, left.state
+    steady = [
+        (effect, left.columns(effect.columns))
+        for effect in (*effects(session, problem, state), *drifts(session, problem, state))
+    ]
+    sudden = [
+        (subject, left.columns(subject.columns))
+        for subject in (subjects(session, problem, state) if not isinstance(session.motion, Trajectory) else ())
+    ]
     for _ in range(_CAUSES):
-        tested = list(_tests(left, session))
-        if not tested:
-            break
-        chances = [_chance(test, left, len(tested)) for test in tested]
-        best = max(range(len(tested)), key=lambda k: _evidence(tested[k], left))
-        if chances[best] > _CHANCE:
-            break
-        found = tested[best]
-        alike = [
-            test.name
-            for test in tested
-            if test is not found
-            and test.gain > _ALIKE * found.gain
-            and test.name.partition(":")[0] != found.name.partition(":")[0]
+        tests = [
+            *(_explained(left, effect, columns) for effect, columns in steady),
+            *(test for subject, columns in sudden for test in _changes(left, session, subject, columns)),
         ]
-        findings.append(
-            Finding(
-                found.name, found.sentence, found.gain / total, chances[best], found.pose, tuple(dict.fromkeys(alike))
-            )
-        )
-        left = left.less(found.columns)
+        if not tests:
+            break
+        best = max(tests, key=lambda test: _evidence(test, left))
+        chance = _chance(best, left, len(tests))
+        if chance > _CHANCE:
+            break
+        what = best.name.partition(":")[0]
+        near = (test.name for test in tests if test.gain > _ALIKE * best.gain)
+        alike = tuple(dict.fromkeys(name for name in near if name.partition(":")[0] != what))
+        findings.append(Finding(best.name, best.sentence(), best.gain / total, chance, best.pose, alike))
+        left = left.less(best.columns())
     return tuple(findings)
 
 
-def _tests(left: Unexplained, session: Session) -> Iterator[_Tested]:
-    problem, state = left.problem, left.state
-    for effect in (*effects(session, problem, state), *drifts(session, problem, state)):
-        columns = left.columns(effect.columns)
-        gain, size, _ = left.explained(columns)
-        yield _Tested(effect.name, effect.sentence(size), gain, columns.shape[1], None, columns)
-    if not isinstance(session.motion, Trajectory):
-        for subject in subjects(session, problem, state):
-            yield from _changes(left, session, subject)
+def _explained(left: Unexplained, effect: Effect, columns: Floats) -> _Test:
+    """Test an effect in all poses."""
+    gain, size, _ = left.explained(columns)
+    return _Test(effect.name, gain, columns.shape[1], None, partial(effect.sentence, size), lambda: columns)
 
 
-def _changes(left: Unexplained, session: Session, subject: Subject) -> Iterator[_Tested]:
+def _changes(left: Unexplained, session: Session, subject: Subject, columns: Floats) -> Iterator[_Test]:
     """Test a jump of something before each pose, by sums over the poses from there on."""
-    columns = left.columns(subject.columns)
-    scale = np.linalg.norm(columns, axis=0)
-    scale = np.where(scale > 0.0, scale, 1.0)
-    measured = len(left.pose)
+    measured, scale = len(left.pose), column_scale(columns)
     B, Q, r = columns[:measured] / scale, left.Q[:measured], left.r[:measured]
     poses = np.unique(left.pose)
     rows = np.searchsorted(poses, left.pose)
-    k = B.shape[1]
 
     def from_pose(values: Floats) -> Floats:
         """Sum (R, ...) over the rows of each pose and all later ones, (poses, ...)."""
@@ -117,30 +121,25 @@ def _changes(left: Unexplained, session: Session, subject: Subject) -> Iterator[
         np.add.at(by_pose, rows, values)
         return np.cumsum(by_pose[::-1], axis=0)[::-1]
 
+    def sentence(size: Floats, pose: int) -> str:
+        moved = f"{subject.called} is {subject.size(size)} from where it was before"
+        return f"from pose {session.label(pose)} on {moved}: {_CHANGES[subject.kind]}; {_without(session, pose)}"
+
+    def changed(pose: int) -> Floats:
+        later = np.array(columns)
+        later[:measured][left.pose < pose] = 0.0
+        return later
+
     grams = from_pose(B[:, :, None] * B[:, None, :])
     inside = from_pose(Q[:, :, None] * B[:, None, :])
     scores = from_pose(B * r[:, None])
-    later = np.ones(len(left.r) - measured, dtype=bool)
     seen = np.unique(rows[np.abs(B).max(axis=1) > 0.0])
-    for first in range(len(poses)):
-        if min(np.sum(seen < first), np.sum(seen >= first)) < _SIDE:
-            continue
-        gram = grams[first] - inside[first].T @ inside[first]
-        gain, size, _ = solve_score(gram, scores[first], scale)
-        pose = int(poses[first])
-        sentence = (
-            f"from pose {session.label(pose)} on {subject.called} is {subject.size(size)} from where it was before: "
-            + {
-                "joint": "the encoder jumped",
-                "led": "it slipped",
-                "camera": "it was bumped",
-                "base": "the base, or what all cameras stand on, was bumped",
-            }[subject.kind]
-            + f"; {_without(session, pose)}"
-        )
-        yield _Tested(
-            f"{subject.called}: change", sentence, gain, k, pose, columns * np.append(left.pose >= pose, later)[:, None]
-        )
+    for first, pose in enumerate(poses.tolist()):
+        if min(np.sum(seen < first), np.sum(seen >= first)) >= _SIDE:
+            gram = grams[first] - inside[first].T @ inside[first]
+            gain, size, _ = solve_score(gram, scores[first], scale)
+            name, count = f"{subject.called}: change", columns.shape[1]
+            yield _Test(name, gain, count, pose, partial(sentence, size, pose), partial(changed, pose))
 
 
 def _without(session: Session, pose: int) -> str:
@@ -150,13 +149,13 @@ def _without(session: Session, pose: int) -> str:
     return f"leave out {which} ({in_words(shorter)})"
 
 
-def _evidence(test: _Tested, left: Unexplained) -> float:
+def _evidence(test: _Test, left: Unexplained) -> float:
     """Fall of the sum of squares, in units of what is left per degree of freedom, less what chance gives k sizes."""
     noise = max((left.total - test.gain) / max(left.freedom - test.count, 1.0), 1e-300)
     return test.gain / noise - test.count * float(np.log(max(left.freedom, 2.0)))
 
 
-def _chance(test: _Tested, left: Unexplained, tests: int) -> float:
+def _chance(test: _Test, left: Unexplained, tests: int) -> float:
     """Chance that one of so many tests of noise alone explains as much (F test, Bonferroni)."""
     from scipy.special import fdtrc
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +12,7 @@ from urdfcal.arrays import one_blas_thread
 from urdfcal.estimation.blocks.base_pose import BaseBlock
 from urdfcal.estimation.blocks.cameras import CameraPoseBlock, LensBlock, camera_poses, camera_values
 from urdfcal.estimation.blocks.leds import LEDS, LedDistances, LedsBlock
+from urdfcal.estimation.blocks.scale import ScaleBlock
 from urdfcal.estimation.linearize import Tangent
 from urdfcal.estimation.parameters import Parameters
 from urdfcal.estimation.robust import norm_quantile
@@ -47,7 +48,7 @@ class Part:
     Attributes:
         observed: N poses of m slots of D numbers.
         at: residuals, and derivatives by ``parameters`` and the joint values.
-        parameters: base, LEDs, and the pose and lens of every camera, all active.
+        parameters: base, LEDs, scale, and the pose and lens of every camera, all active.
         W: (N, m D, m D) whitens whole poses.
     """
 
@@ -82,13 +83,6 @@ class Part:
     def by_joint(self, joint: int) -> Floats:
         """Return the derivative (N, m D, 1) by a joint's value."""
         columns: Floats = self.at.J_q[..., joint, None]
-        return columns
-
-    def by_scale(self, problem: Problem, state: State) -> Floats:
-        """Return the derivative (N, m D, 1) by the share that the instrument's lengths are too long by."""
-        N, m, D = self.at.residual.shape
-        links = problem.links(self.observed.readings, state)
-        columns: Floats = self.observed.table.by_scale(self.observed, links, state).reshape(N, m * D, 1)
         return columns
 
     def whitened(self, columns: Floats) -> Floats:
@@ -131,17 +125,17 @@ class Unexplained:
             noise: of each kind of measurement and of the joint readings; what is declared larger than it is found
                 counts as found: it would drown what is looked for.
         """
-        less = [1.0 / max(of.ratio, 1.0) for of in noise]
-        even = [_even(observed, _MOST_POSES) for observed in problem.observations]
+        *less, less_joint = (1.0 / max(of.ratio, 1.0) for of in noise)
+        even = [observed.even(_MOST_POSES) for observed in problem.observations]
         thinned = problem.with_observations([of.at(some) for of, some in zip(problem.observations, even, strict=True)])
         everything = _everything(session, fit.state)
         parts, rs, Js, poses = [], [], [], []
         with one_blas_thread():
-            parts_of = zip(thinned.observations, even, fit.norms, fit.outlier, less, strict=False)
+            parts_of = zip(thinned.observations, even, fit.norms, fit.outlier, less, strict=True)
             for observed, some, norm, outlier, factor in parts_of:
                 at = Tangent.at(thinned, observed, fit.state, everything).linearise()
                 J = Tangent.at(thinned, observed, fit.state, fit.parameters).linearise().J
-                sigma, chain = less[-1] * thinned.joint_sigma, thinned.arm.chain
+                sigma, chain = less_joint * thinned.joint_sigma, thinned.arm.chain
                 covariance = factor**2 * observed.covariance
                 joint = joint_covariance(at, chain.reading_jacobian, sigma)
                 limit = norm_quantile(observed.dimension, _BOUNDED)
@@ -155,7 +149,7 @@ class Unexplained:
                 parts.append(part)
             r_prior, J_prior = fit.parameters.prior_residuals(fit.state)
             J = np.vstack([*Js, J_prior])
-            scale = np.maximum(np.linalg.norm(J, axis=0), 1e-300)
+            scale = column_scale(J)
             r = np.concatenate([*rs, r_prior])
             Q, upper = np.linalg.qr(J / scale)
             r -= Q @ (Q.T @ r)
@@ -180,9 +174,8 @@ class Unexplained:
         """
         measured = sum(part.observed.count * part.observed.dimension for part in self.parts)
         freedom = max(1, measured + len(self.r) - len(self.pose) - self.Q.shape[1])
-        readings, poses = self.problem.readings, np.unique(self.pose)
-        distinct = len(np.unique(readings.motion.independent(readings.q)[poses]))
-        return float(freedom * distinct / len(poses))
+        poses = np.unique(self.pose)
+        return float(freedom * len(np.unique(self.problem.readings.unit[poses])) / len(poses))
 
     def explained(self, columns: Floats) -> tuple[float, Floats, Floats]:
         """Test an effect of columns (R + P, k).
@@ -191,8 +184,7 @@ class Unexplained:
             By how much the sum of squares would fall, the effect's size (k,) and its covariance (k, k) for noise as
             declared.
         """
-        scale = np.linalg.norm(columns, axis=0)
-        scale = np.where(scale > 0.0, scale, 1.0)
+        scale = column_scale(columns)
         B = columns / scale
         gram = B.T @ B - (self.Q.T @ B).T @ (self.Q.T @ B)
         return solve_score(gram, B.T @ self.r, scale)
@@ -211,20 +203,17 @@ class Unexplained:
 
     def less(self, columns: Floats) -> Unexplained:
         """Return what is left once an effect of columns (R + P, k) is explained."""
-        scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-        B = columns / scale
+        B = columns / column_scale(columns)
         B = B - self.Q @ (self.Q.T @ B)
         U, s, _ = np.linalg.svd(B, full_matrices=False)
         U = U[:, s > _EXPLAINED]
-        return Unexplained(
-            self.problem,
-            self.state,
-            self.parts,
-            self.r - U @ (U.T @ self.r),
-            self.pose,
-            np.hstack([self.Q, U]),
-            self.upper,
-        )
+        return replace(self, r=self.r - U @ (U.T @ self.r), Q=np.hstack([self.Q, U]))
+
+
+def column_scale(columns: Floats) -> Floats:
+    """Return the lengths of columns (R, k), 1 for those that are zero."""
+    length = np.linalg.norm(columns, axis=0)
+    return np.where(length > 0.0, length, 1.0)
 
 
 def solve_score(gram: Floats, score: Floats, scale: Floats) -> tuple[float, Floats, Floats]:
@@ -237,15 +226,11 @@ def solve_score(gram: Floats, score: Floats, scale: Floats) -> tuple[float, Floa
     return gain, size, (along / values[good]) @ along.T / np.outer(scale, scale)
 
 
-def _even(observed: Observations, most: int) -> Ints:
-    count = len(observed.pose)
-    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.intp))
-
-
 def _everything(session: Session, state: State) -> Parameters:
-    """Base, LEDs, and the pose and the lens of every camera, all of them free."""
+    """Base, LEDs, scale, and the pose and the lens of every camera, all of them free."""
     led_names = [Led(name) for name in session.led_names]
     blocks: list[Block[Any]] = [BaseBlock.of(fixed=None), LedsBlock.of(led_names, state[LEDS], priors=False)]
+    blocks.append(ScaleBlock.of(np.inf))
     attachments, free = session.attachments, np.full(6, np.inf)
     lenses, poses = camera_values(attachments, state), camera_poses(attachments, state)
     blocks += [CameraPoseBlock.of(lens.name, T, free) for lens, T in zip(lenses, poses, strict=True)]

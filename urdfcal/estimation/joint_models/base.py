@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -33,6 +34,11 @@ class Readings:
     q: Floats
     pose: Ints
     motion: Motion
+
+    @cached_property
+    def unit(self) -> Ints:
+        """The configuration, or second of a moving arm, (N,) that each pose belongs to: errors within one are alike."""
+        return self.motion.independent(self.q)
 
     def at(self, poses: slice | Bools | Ints) -> Readings:
         """Return the readings of some of the poses."""

@@ -91,15 +91,6 @@ class Measurement(Measurements):
         del links, state
         return np.ones(observed.row.shape)
 
-    def by_scale(self, observed: Observations, links: Links, state: State) -> Floats:
-        """Return how the residuals (N, m, D) change per unit by which the instrument's lengths are too long.
-
-        By default not at all: it measures no length of its own. A rig of cameras has the length of the board that
-        calibrated it, a tracker its own.
-        """
-        del links, state
-        return np.zeros(observed.value.shape)
-
     def points(self, observed: Observations, links: Links, state: State) -> tuple[Ints, Floats] | None:
         """Return what is measured as points in frames: the frame (N, m), and the point in it (N, m, 3), m."""
         del observed, links, state

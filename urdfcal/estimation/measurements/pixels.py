@@ -123,7 +123,7 @@ class Detections(Measurement):
         scale = scale_of(state) if has_scale(attachments, c) else 1.0
         if J.wants(pose_key(name)):
             J.put(pose_key(name), np.concatenate([d_point / scale, by_rotation(d_point, p_cam)], axis=-1), seen)
-        if has_scale(attachments, c):
+        if has_scale(attachments, c) and J.wants(SCALE):
             J.put(SCALE, -(d_point @ own_pose(attachments, state, c)[:3, 3, None]) / scale, seen)
         of_reference = pose_key(attachments.cameras[reference])
         if reference != c and J.wants(of_reference):
@@ -141,19 +141,6 @@ class Detections(Measurement):
             seen = camera == c
             depth = p_view[seen] @ T_cam_view[2, :3] + T_cam_view[2, 3]
             result[seen] = depth / np.sqrt(lens.intrinsics[0] * lens.intrinsics[1])
-        return result
-
-    def by_scale(self, observed: Observations, links: Links, state: State) -> Floats:
-        """Return the change by the baselines: a camera's place relative to its reference camera, as it is given."""
-        attachments = links.attachments
-        _, p_view = self.points(observed, links, state)
-        result, camera = np.zeros(observed.value.shape), _camera(observed)
-        for c, (lens, T_cam_view) in enumerate(_cameras(attachments, state)):
-            if not has_scale(attachments, c):
-                continue
-            seen = camera == c
-            _, d_point = lens.project_with_jacobian(p_view[seen] @ T_cam_view[:3, :3].T + T_cam_view[:3, 3])
-            result[seen] = -d_point @ own_pose(attachments, state, c)[:3, 3] / scale_of(state)
         return result
 
     def points(self, observed: Observations, links: Links, state: State) -> tuple[Ints, Floats]:

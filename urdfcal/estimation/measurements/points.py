@@ -59,19 +59,16 @@ class Points(Measurement):
         E[~observed.valid.ravel()] = 0.0
         put_leds(J, observed, links, E)
         led_frame = links.attachments.led[observed.index["led"]]
-        J.put(SCALE, self.by_scale(observed, links, state).reshape(-1, 3, 1))
-        predicted = scale_of(state) * seen_from(links, p_base, world)
-        return ByFrame(predicted, by_frames(links, E, lever, p_base, led_frame, world))
+        p_world = seen_from(links, p_base, world)
+        if J.wants(SCALE):
+            J.put(SCALE, np.where(observed.valid[..., None], p_world, 0.0).reshape(-1, 3, 1))
+        return ByFrame(scale_of(state) * p_world, by_frames(links, E, lever, p_base, led_frame, world))
 
     def points(self, observed: Observations, links: Links, state: State) -> tuple[Ints, Floats]:
         """Return the world as the frame, and the LEDs' positions in it."""
         _, p_base = led_points(observed, links, state)
         world = np.zeros_like(observed.row)
         return world, seen_from(links, p_base, world)
-
-    def by_scale(self, observed: Observations, links: Links, state: State) -> Floats:
-        """Return the points: a tracker whose metre is too long measures all of them too near, or too far."""
-        return np.where(observed.valid[..., None], self.points(observed, links, state)[1], 0.0)
 
     @classmethod
     def defines_world(cls, attachments: Attachments) -> bool:
