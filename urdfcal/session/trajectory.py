@@ -13,7 +13,7 @@ from urdfcal.arrays import Bools, Floats, Ints, frozen, keep
 from urdfcal.errors import SessionError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from scipy.interpolate import CubicSpline
 
@@ -51,6 +51,14 @@ class Motion(ABC):
         """
 
     @abstractmethod
+    def read_otherwise(self, change: Callable[[Floats], Floats]) -> Motion:
+        """Return the motion with other joint readings.
+
+        Args:
+            change: returns other joint values for those (K, n) that the arm's log has.
+        """
+
+    @abstractmethod
     def covered(self, count: int, time_offsets: Floats) -> Bools:
         """Return for which of ``count`` poses there are joint readings with the cameras' time offsets (C,) in s."""
 
@@ -82,6 +90,10 @@ class AtRest(Motion):
     def joint_values(self, q: Floats, time_offsets: Floats) -> Floats:
         """Return the readings: clocks do not matter to an arm at rest."""
         return q
+
+    def read_otherwise(self, change: Callable[[Floats], Floats]) -> AtRest:
+        """Return the same: an arm at rest has no log."""
+        return self
 
     def covered(self, count: int, time_offsets: Floats) -> Bools:
         """Return that all poses have readings."""
@@ -219,6 +231,10 @@ class Trajectory(Motion):
     def joint_values(self, q: Floats, time_offsets: Floats) -> Floats:
         """Return what the log says: ``q`` is what it said with other offsets."""
         return self.values(time_offsets)
+
+    def read_otherwise(self, change: Callable[[Floats], Floats]) -> Trajectory:
+        """Return the same frames of a log with other joint values."""
+        return replace(self, log=replace(self.log, values=change(self.log.values)))
 
     def covered(self, count: int, time_offsets: Floats) -> Bools:
         """Return which frames are well within the log."""
