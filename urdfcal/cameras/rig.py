@@ -112,10 +112,14 @@ class CameraSigma:
 class Rig:
     """Cameras and where they stand; the world frame is the first camera's.
 
+    Cameras put up several times are several groups: the world of each is its first camera's.
+
     Attributes:
         cameras: with different names; none where something else measures.
-        T_cam_world: for every camera (4, 4), or None where its place is not known; the first is the identity.
+        T_cam_world: for every camera (4, 4), or None where its place is not known; a group's first is the identity.
         sigmas: for every camera how well it is known, or None; left out: all None.
+        group: for every camera the first one of its group; left out: all are one.
+        lens: for every camera the one whose lens it has, as before it was moved; left out: each its own.
 
     Raises:
         CameraError: a name twice, a transform that is not rigid, or standard deviations of something else.
@@ -124,10 +128,14 @@ class Rig:
     cameras: tuple[Camera, ...] = ()
     T_cam_world: tuple[Floats | None, ...] = ()
     sigmas: tuple[CameraSigma | None, ...] = ()
+    group: tuple[int, ...] = ()
+    lens: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "cameras", tuple(self.cameras))
         object.__setattr__(self, "sigmas", tuple(self.sigmas) or (None,) * len(self.cameras))
+        object.__setattr__(self, "group", tuple(self.group) or (0,) * len(self.cameras))
+        object.__setattr__(self, "lens", tuple(self.lens) or tuple(range(len(self.cameras))))
         twice = sorted({name for name in self.names if self.names.count(name) > 1})
         if twice:
             raise CameraError(f"two cameras are named '{twice[0]}'", remedy="Give every camera its own name.")
@@ -137,9 +145,11 @@ class Rig:
         for name, T in zip(self.names, placed, strict=True):
             if T is not None and not _is_rigid(T):
                 raise CameraError("T_cam_world is not a rigid 4 x 4 transform", where=f"camera '{name}'")
-        if placed and (placed[0] is None or not np.array_equal(placed[0], np.eye(4))):
-            what = "T_cam_world of the first camera is not the identity"
-            raise CameraError(what, where=f"camera '{self.names[0]}'", remedy="The world frame is the first camera's.")
+        for first in sorted(set(self.group)):
+            T = placed[first]
+            if T is None or not np.array_equal(T, np.eye(4)):
+                what, where = "T_cam_world of the first camera is not the identity", f"camera '{self.names[first]}'"
+                raise CameraError(what, where=where, remedy="The world frame is the first camera's.")
         object.__setattr__(self, "T_cam_world", placed)
         self._check_sigmas()
 
@@ -163,8 +173,12 @@ class Rig:
 
         The first one stays, or none of the others' places is known: they are counted from it.
         """
-        first = len(cameras) and cameras[0] == 0
-        places = [self.T_cam_world[c] if first or k else np.eye(4) for k, c in enumerate(cameras)]
+        group, lens = (_renumbered([of[c] for c in cameras]) for of in (self.group, self.lens))
+        firsts = [self.group[c] == c for c in cameras]
+        places = [
+            np.eye(4) if first == k and not firsts[k] else self.T_cam_world[c]
+            for k, (c, first) in enumerate(zip(cameras, group, strict=True))
+        ]
         counts = [0 if sigma is None else len(sigma.values) for sigma in self.sigmas]
         ends, sigmas = np.cumsum([0, *counts]), []
         for k, c in enumerate(cameras):
@@ -174,7 +188,7 @@ class Rig:
                 correlations = None if sigma.correlations is None else sigma.correlations[:, before]
                 sigma = replace(sigma, correlations=correlations)
             sigmas.append(sigma)
-        return Rig(tuple(self.cameras[c] for c in cameras), tuple(places), tuple(sigmas))
+        return Rig(tuple(self.cameras[c] for c in cameras), tuple(places), tuple(sigmas), group, lens)
 
     @property
     def correlation(self) -> Floats:
@@ -214,6 +228,7 @@ class Rig:
         if len(self.sigmas) != len(self.cameras):
             raise CameraError(f"{len(self.cameras)} cameras have {len(self.sigmas)} sets of standard deviations")
         before = 0
+        firsts = {self.cameras[c] for c in self.group}
         for camera, T, sigma in zip(self.cameras, self.T_cam_world, self.sigmas, strict=True):
             if sigma is None:
                 continue
@@ -221,8 +236,8 @@ class Rig:
             if sigma.parameters.shape != camera.parameters.shape:
                 expected, given = len(camera.parameters), len(sigma.parameters)
                 raise CameraError(f"{expected} parameters have {given} standard deviations", where=where)
-            if sigma.pose is not None and (T is None or camera is self.cameras[0]):
-                place = "the world" if camera is self.cameras[0] else "not known"
+            if sigma.pose is not None and (T is None or camera in firsts):
+                place = "the world" if camera in firsts else "not known"
                 raise CameraError(f"its place is {place}, and has no standard deviations", where=where)
             before += len(sigma.values)
             table, count = sigma.correlations, len(sigma.values)
@@ -255,6 +270,11 @@ class Rig:
             what = f"sigma {sigma[point, camera]:g} px of detection {point} must be positive"
             raise CameraError(what, where=f"camera '{self.names[camera]}'")
         return uv, np.where(seen, sigma, np.nan)
+
+
+def _renumbered(kept: Sequence[int]) -> tuple[int, ...]:
+    """For each of some that are kept the first one with the same number."""
+    return tuple(kept.index(of) for of in kept)
 
 
 @dataclass(frozen=True, eq=False)

@@ -243,6 +243,7 @@ class SessionFile(_Tables):
     joints: Name
     frames: Name | None = None
     exclude: ExcludeKeys = ExcludeKeys()
+    moved: dict[Name, _Names] = Field(default_factory=dict)
 
     @property
     def tables(self) -> dict[type[Measurement], str]:

@@ -43,13 +43,15 @@ def write_session(folder: str | Path, session: Positions) -> None:
         session: what to write.
 
     Raises:
-        OutputError: one of the files is already there, the folder cannot be written, or the session has no URDF, or
-            a camera's pose is known differently well in different directions.
+        OutputError: one of the files is already there, the folder cannot be written, or the session has no URDF, is
+            several in one, or a camera's pose is known differently well in different directions.
     """
     folder = Path(folder)
     urdf = session.urdf
     if urdf is None:
         raise OutputError("the session has no URDF to write", where=str(folder), remedy="Build its chain from a URDF.")
+    if len(session.parts) > 1:
+        raise OutputError("it is several sessions in one", where=str(folder), remedy="Write each of them.")
     if (folder / _SESSION).exists():
         raise _already_there(folder / _SESSION)
     check_names("cameras", session.rig.names)
@@ -151,6 +153,7 @@ def _write_files(folder: Path, session: Positions, urdf: Urdf) -> None:
             content[table.kind] = f"{table.kind}.csv"
             write_measurements(folder / f"{table.kind}.csv", session, table)
         content["exclude"] = session.excluded.named
+        content["moved"] = {what: list(labels) for what, labels in session.moved.items()}
     estimate = _said(**vars(session.estimate))
     content |= {
         "noise": _said(**{**vars(session.noise), "other": None}, **session.noise.other),

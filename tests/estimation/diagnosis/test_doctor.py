@@ -93,7 +93,7 @@ def test_an_event_is_named_with_its_pose(what: str, simulated: Callable) -> None
 def test_an_event_says_how_to_do_without_the_shorter_side(first: int, which: str, simulated: Callable) -> None:
     session = slipped(simulated("panda", poses=50), 1e-3).at(np.arange(first, 50))
     finding, *_ = findings(session)
-    said = re.search(rf"it slipped; leave out {which} \(exclude: {{poses: \[(.*)\]}}\)$", finding.sentence)
+    said = re.search(rf", or leave out {which} \(exclude: {{poses: \[(.*)\]}}\)$", finding.sentence)
     assert said, finding.sentence
     poses = labels(said[1], session.poses, "")
     assert poses == (session.poses[finding.pose :] if first == 0 else session.poses[: finding.pose])

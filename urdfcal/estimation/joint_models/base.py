@@ -29,11 +29,13 @@ class Readings:
         q: (N, n) readings of all joints of the mechanism, mimic joints included. [rad or m]
         pose: (N,) index of each pose in the session.
         motion: of the arm at these poses: at rest, or moving while it is filmed.
+        part: (N,) of the session that each pose belongs to.
     """
 
     q: Floats
     pose: Ints
     motion: Motion
+    part: Ints
 
     @cached_property
     def unit(self) -> Ints:
@@ -42,7 +44,8 @@ class Readings:
 
     def at(self, poses: slice | Bools | Ints) -> Readings:
         """Return the readings of some of the poses."""
-        return Readings(self.q[poses], self.pose[poses], self.motion.at(np.arange(len(self.q))[poses]))
+        motion = self.motion.at(np.arange(len(self.q))[poses])
+        return Readings(self.q[poses], self.pose[poses], motion, self.part[poses])
 
 
 class JointModel(VectorBlock):
