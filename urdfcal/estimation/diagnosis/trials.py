@@ -20,6 +20,7 @@ from urdfcal.estimation.solver import solve
 from urdfcal.estimation.start import first_state
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.tree_dh import rows_of
+from urdfcal.session.model import MIN_POSES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -81,6 +82,8 @@ def suspect(session: Session, progress: Progress | None = None) -> Suspicion | N
         progress: called after every solver step.
     """
     poses = evenly(np.unique(np.concatenate([table.pose for table in session.measurements])), _POSES)
+    if len(poses) < MIN_POSES:
+        return None
     unit, factor = session.measurements[0].report
     before = _miss(session.at(poses), progress)
     trials = list(_trials(session))
