@@ -220,12 +220,18 @@ def _print(overview: Overview, paths: Sequence[Path], remarks: Sequence[str]) ->
         f"{fit['poses']} poses{excluded}, {fit['observations']} measured numbers, {fit['parameters']} parameters "
         f"({calibration.comparison.chosen.spec}), {outliers} outlier{'s' if outliers != 1 else ''}"
     )
+    sessions = []
+    for name, session in document.get("sessions", {}).items():
+        found = ", ".join(f"{each['rms']:.3f} {each['unit']}" for each in session["residuals"])
+        sessions.append(f"{name}: {session['poses']} poses, {found} rms")
+    if sessions:
+        line("; ".join(sessions))
     cameras = document["cameras"].items()
     clocks = [f"{name} {_clock(**camera['time_offset'])}" for name, camera in cameras if "time_offset" in camera]
     if clocks:
         line(f"time offsets, robot less camera: {', '.join(clocks)}")
     rows = len(calibration.geometry.labels)
-    printed = 6 + bool(clocks) + 3  # the files below
+    printed = 6 + bool(sessions) + bool(clocks) + 3  # the files below
     if rows <= _MOST_ROWS:
         console.print(_corrections(calibration))
         printed += rows + 5  # title, head, rule, and a blank line above and below
