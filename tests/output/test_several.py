@@ -9,12 +9,15 @@ import numpy as np
 import pytest
 
 from tests.worlds import EVENT, bumped
+from urdfcal.output.photographs import find_photographs
 from urdfcal.output.scene import build_scene
 from urdfcal.pipeline import calibrate
 from urdfcal.session.combine import combine
+from urdfcal.session.moves import resolve_moves
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
 
 @pytest.mark.parametrize("own_cameras", [False, True])
@@ -33,3 +36,18 @@ def test_what_was_measured_is_where_the_arm_was_in_each_session(own_cameras: boo
     assert len(jumps) == (4 if own_cameras else 2)
     for camera in jumps:  # a camera of one session stays in its world
         assert np.flatnonzero(camera).tolist() == ([] if own_cameras else [EVENT - 1])
+
+
+def test_images_are_those_of_what_moved_under_its_first_name(simulated: Callable, tmp_path: Path) -> None:
+    session = replace(simulated("ur5", poses=8).session, folder=tmp_path)
+    left, right = session.rig.names
+    for camera in (left, right):
+        (tmp_path / "images" / camera).mkdir(parents=True)
+        for pose in session.poses:
+            (tmp_path / "images" / camera / f"{pose}.png").touch()
+    moved = replace(session, moved={right: session.poses[5:6], "led": session.poses[3:4]})
+    found = find_photographs(resolve_moves(moved))
+    whole = find_photographs(session)
+    assert [sorted(of) for of in found] == [list(range(8)), list(range(5)), [5, 6, 7]]
+    assert found[0] == whole[0]
+    assert found[1] | found[2] == whole[1]

@@ -11,6 +11,7 @@ from urdfcal.arrays import Floats, Ints, inverse
 from urdfcal.robot.dh import row_transform
 from urdfcal.robot.kinematics import link_poses
 from urdfcal.robot.mechanism import BASE, Tip
+from urdfcal.session.moves import poses_of_camera
 
 if TYPE_CHECKING:
     from urdfcal.output.fitted import ArmEstimate
@@ -55,9 +56,7 @@ class RobotPoses:
 
 def _parts_of(session: Session, camera: int, part: Ints) -> Ints:
     """In whose world (N,) a standing camera is at each pose: of a part in which it saw nothing, in another's."""
-    tables = [table for table in session.measurements if "camera" in table.keys]
-    seen = [session.part[table.pose[table.index["camera"] == camera]] for table in tables]
-    used = np.unique(np.concatenate([*seen, np.zeros(0, np.intp)]))
+    used = np.unique(session.part[poses_of_camera(session, camera)])
     return np.where(np.isin(part, used), part, used[0]) if len(used) else part
 
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from urdfcal.arrays import Ints
-    from urdfcal.session.model import Session
+    from urdfcal.session.model import Positions, Session
 
 BASE_LINK = "base"
 """What ``moved`` calls the robot's base, or what all standing cameras are on: one moved against the other."""
@@ -45,9 +45,25 @@ def resolve_moves(session: Session) -> Session:
     return replace(session, moved={}) if session.moved else session
 
 
+def unmoved(session: Session) -> Positions:
+    """Return the positions of a session in which LEDs and cameras go by their first names, as their images do."""
+    cameras = np.flatnonzero(np.array(session.rig.lens) == np.arange(len(session.rig.lens)))
+    leds = tuple(led for led in session.leds if led.name.rpartition("@")[0] not in session.led_names)
+    mounts = tuple(mount for mount in session.mounts if session.rig.index(mount.camera) in cameras)
+    rig = session.rig.at(cameras)
+    return replace(session.unmeasured(), rig=rig, leds=leds, mounts=mounts, estimate=Estimate())
+
+
 def session_name(part: str) -> str:
     """Return the name of the session that a part is of, among several; none of a session alone."""
     return re.sub(rf"(^|/){BASE_LINK}@.*", "", part)
+
+
+def poses_of_camera(session: Session, camera: int) -> Ints:
+    """Return the poses (K,) in which a camera saw something."""
+    tables = (table for table in session.measurements if "camera" in table.keys)
+    seen = (table.pose[table.index["camera"] == camera] for table in tables)
+    return np.unique(np.concatenate([*seen, np.zeros(0, np.intp)]))
 
 
 def check_moves(session: Session) -> None:
