@@ -167,7 +167,7 @@ def test_sessions_that_contradict_each_other_are_refused(two: tuple[Session, Ses
         (replace(b, chain=moved), "joint 'shoulder_pan_joint' differs: these are two robots"),
         (moving, "a, b: the arm moved in some and rested in others. Calibrate each alone; `urdfcal compare`"),
         (replace(b, noise=Noise(joint=b.noise.joint)), "a, b: noise: pixel is said in others, not in 'b'. Say it in"),
-        (replace(b, scale_sigma=0.01), "b: scale: sigma is 0.01, in 'a' not said. Say the same .* and one unit"),
+        (replace(b, scale_sigma=0.01), "b: scale: sigma is 0.01, in 'a' not said. Say the same .*, with one unit"),
         (replace(b, tolerances=Tolerances(length=0.1)), "b: tolerances is Tolerances"),
         (replace(b, estimate=Estimate("full")), "b: estimate: geometry is full, in 'a' dh"),
     ]

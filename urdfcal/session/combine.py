@@ -13,7 +13,8 @@ from urdfcal.errors import SessionError
 from urdfcal.names import listed
 from urdfcal.robot.chain import read_mechanism
 from urdfcal.session.exclusion import same
-from urdfcal.session.knowledge import Excluded, Noise
+from urdfcal.session.knowledge import Estimate, Excluded, Noise
+from urdfcal.session.model import Session
 from urdfcal.session.moves import by_camera, resolve_moves
 from urdfcal.session.trajectory import AT_REST, JointLog, Motion, Trajectory
 
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from urdfcal.cameras.camera import Camera
     from urdfcal.cameras.rig import CameraSigma
     from urdfcal.robot.mechanism import Mechanism
-    from urdfcal.session.model import Measurements, Session
+    from urdfcal.session.model import Measurements
 
 # Between the logs of two sessions, in one time: far more than what a curve joins. [s]
 _APART = 10.0
@@ -50,51 +51,63 @@ def combine(sessions: Mapping[str, Session]) -> Session:
     every, first = list(parts.values()), next(iter(parts.values()))
     for (a, of_a), (b, of_b) in combinations(parts.items(), 2):
         if np.array_equal(of_a.q, of_b.q) and same(of_a.measurements, of_b.measurements):
-            raise SessionError(f"{b!r} is {a!r} once more", remedy="Name each session once: measurements count once.")
-    chain, rigs = _arm(parts), _JoinedCameras.of(parts)
-    ends = np.cumsum([0, *(len(of.poses) for of in every)])
-    geometry = _said(parts, "estimate.geometry")
-    intrinsics: dict[str, Any] = {"intrinsics": {}, "extrinsics": {}}
-    for of, names in zip(every, rigs.names, strict=True):
-        for what, words in by_camera(of.estimate, dict(zip(of.rig.names, names, strict=True))).items():
-            intrinsics[what] |= words or {}
-    estimate = replace(first.estimate, geometry=geometry, time_offset=_said(parts, "estimate.time_offset"))
-    return replace(
-        first,
-        chain=chain,
-        leds=tuple(replace(led, name=f"{name}/{led.name}") for name, of in parts.items() for led in of.leds),
-        led_distances=tuple(
+            what = f"{b!r} is {a!r} once more"
+            raise SessionError(what, where=listed(parts), remedy="Name each session once: measurements count once.")
+    cameras = _JoinedCameras.of(parts)
+    own: dict[str, Any] = {
+        "chain": _arm(parts),
+        "leds": tuple(replace(led, name=f"{name}/{led.name}") for name, of in parts.items() for led in of.leds),
+        "led_distances": tuple(
             replace(distance, leds=(f"{name}/{distance.leds[0]}", f"{name}/{distance.leds[1]}"))
             for name, of in parts.items()
             for distance in of.led_distances
         ),
-        rig=rigs.rig,
-        mounts=tuple(
+        "rig": cameras.rig,
+        "mounts": tuple(
             replace(mount, camera=names[of.rig.index(mount.camera)])
-            for of, names in zip(every, rigs.names, strict=True)
+            for of, names in zip(every, cameras.names, strict=True)
             for mount in of.mounts
         ),
-        noise=_noise(parts),
-        estimate=replace(estimate, **{what: words or None for what, words in intrinsics.items()}),
-        tolerances=_agreed(parts, "tolerances"),
-        joint_models=_agreed(parts, "joint_models"),
-        scale_sigma=_agreed(parts, "scale_sigma"),
-        sha256={f"{name}/{file}": sha256 for name, of in parts.items() for file, sha256 in of.sha256.items()},
-        folder=None,
-        parts=tuple(f"{name}/{part}" if part else name for name, of in parts.items() for part in of.parts),
-        poses=tuple(f"{name}/{label}" for name, of in parts.items() for label in of.poses),
-        q=np.concatenate([of.q for of in every]),
-        time=None,
-        motion=_motion(parts, rigs.index),
-        part=np.concatenate([of.part + sum(len(before.parts) for before in every[:k]) for k, of in enumerate(every)]),
-        warnings=tuple(f"{name}: {warning}" for name, of in parts.items() for warning in of.warnings),
-        measurements=_tables(parts, rigs.index, ends),
-        excluded=Excluded(
-            tuple(f"{name}/{label}" for name, of in parts.items() for label in of.excluded.poses),
-            tuple(f"{name}/{camera}" for name, of in parts.items() for camera in of.excluded.cameras),
-            tuple(f"{name}/{led}" for name, of in parts.items() for led in of.excluded.leds),
+        "urdf": first.urdf,
+        "urdf_reference": first.urdf_reference,
+        "noise": _noise(parts),
+        "estimate": _estimate(parts, cameras),
+        "sha256": {f"{name}/{file}": sha256 for name, of in parts.items() for file, sha256 in of.sha256.items()},
+        "folder": None,
+        "parts": tuple(f"{name}/{part}" if part else name for name, of in parts.items() for part in of.parts),
+        "poses": tuple(f"{name}/{label}" for name, of in parts.items() for label in of.poses),
+        "q": np.concatenate([of.q for of in every]),
+        "time": None,
+        "motion": _motion(parts, cameras.index),
+        "part": _numbered([of.part for of in every], [len(of.parts) for of in every]),
+        "warnings": tuple(f"{name}: {warning}" for name, of in parts.items() for warning in of.warnings),
+        "measurements": _tables(parts, cameras.index),
+        "excluded": Excluded(
+            *(
+                tuple(f"{name}/{left_out}" for name, of in parts.items() for left_out in getattr(of.excluded, what))
+                for what in ("poses", "cameras", "leds")
+            )
         ),
-    )
+    }
+    # What is not told apart is of the arm, or of the world, and must be the same.
+    return Session(**own, **{of.name: _agreed(parts, of.name) for of in fields(Session) if of.name not in own})
+
+
+def _numbered(indices: Sequence[Ints], counts: Sequence[int]) -> Ints:
+    """Indices of several lists of things, one after the other, as indices of all of them."""
+    starts = np.cumsum([0, *counts])
+    return np.concatenate([index + start for index, start in zip(indices, starts[:-1], strict=True)])
+
+
+def _estimate(parts: Mapping[str, Session], cameras: _JoinedCameras) -> Estimate:
+    """What is to be estimated: of the arm as all say that say something, of cameras as each says of its own."""
+    said: dict[str, Any] = {"intrinsics": {}, "extrinsics": {}}
+    for of, names in zip(parts.values(), cameras.names, strict=True):
+        for what, words in by_camera(of.estimate, dict(zip(of.rig.names, names, strict=True))).items():
+            said[what] |= words or {}
+    said = {what: words or None for what, words in said.items()}
+    said |= {what: _said(parts, f"estimate.{what}") for what in ("geometry", "time_offset")}
+    return Estimate(**said)
 
 
 def _arm(parts: Mapping[str, Session]) -> Mechanism:
@@ -182,14 +195,17 @@ class _JoinedCameras:
         return cls(Rig(tuple(cameras), tuple(places), tuple(sigmas), tuple(group), tuple(lens)), tuple(indices))
 
 
-def _tables(parts: Mapping[str, Session], cameras: Sequence[Ints], ends: Ints) -> tuple[Measurements, ...]:
+def _tables(parts: Mapping[str, Session], cameras: Sequence[Ints]) -> tuple[Measurements, ...]:
     """All measurements of each kind in one table, things numbered anew."""
     found: dict[type[Measurements], list[Measurements]] = {}
-    leds = np.cumsum([0, *(len(of.leds) for of in parts.values())])
+    poses, leds = (
+        np.cumsum([0, *counts])
+        for counts in zip(*((len(of.poses), len(of.leds)) for of in parts.values()), strict=True)
+    )
     named: dict[tuple[type[Measurements], str], list[str]] = {}
     for k, (name, of) in enumerate(parts.items()):
         for table in of.measurements:
-            columns: dict[str, Any] = {"pose": table.pose + ends[k]}
+            columns: dict[str, Any] = {"pose": table.pose + poses[k]}
             for key in table.keys[1:]:
                 column = table.index[key]
                 if key == "led":
@@ -280,7 +296,7 @@ def _agreed(parts: Mapping[str, Session], what: str) -> Any:
     for b, other in others:
         if not same(said, other):
             key = {"scale_sigma": "scale: sigma"}.get(what, what.replace(".", ": "))
-            remedy = f"Say the same in all session.yaml: it is one arm{', and one unit' * (what == 'scale_sigma')}."
+            remedy = "Say the same in all session.yaml: it is one arm, with one unit of length."
             raise SessionError(f"{key} is {_shown(other)}, in {a!r} {_shown(said)}", where=b, remedy=remedy)
     return said
 
