@@ -54,6 +54,10 @@ def combine(sessions: Mapping[str, Session]) -> Session:
             what = f"{b!r} is {a!r} once more"
             raise SessionError(what, where=listed(parts), remedy="Name each session once: measurements count once.")
     cameras = _JoinedCameras.of(parts)
+    excluded: dict[str, Any] = {
+        what: tuple(f"{name}/{left_out}" for name, of in parts.items() for left_out in getattr(of.excluded, what))
+        for what in ("poses", "cameras", "leds")
+    }
     own: dict[str, Any] = {
         "chain": _arm(parts),
         "leds": tuple(replace(led, name=f"{name}/{led.name}") for name, of in parts.items() for led in of.leds),
@@ -82,12 +86,7 @@ def combine(sessions: Mapping[str, Session]) -> Session:
         "part": _numbered([of.part for of in every], [len(of.parts) for of in every]),
         "warnings": tuple(f"{name}: {warning}" for name, of in parts.items() for warning in of.warnings),
         "measurements": _tables(parts, cameras.index),
-        "excluded": Excluded(
-            *(
-                tuple(f"{name}/{left_out}" for name, of in parts.items() for left_out in getattr(of.excluded, what))
-                for what in ("poses", "cameras", "leds")
-            )
-        ),
+        "excluded": Excluded(**excluded),
     }
     # What is not told apart is of the arm, or of the world, and must be the same.
     return Session(**own, **{of.name: _agreed(parts, of.name) for of in fields(Session) if of.name not in own})
