@@ -13,6 +13,7 @@ from tests.worlds import EVENT, bumped
 from urdfcal.arrays import inverse
 from urdfcal.cli import run
 from urdfcal.errors import SessionError
+from urdfcal.estimation.measurements.pixels import triangulate
 from urdfcal.io.folder import read_session, read_sessions
 from urdfcal.io.writing import write_session
 from urdfcal.result.calibration import Calibration
@@ -95,6 +96,12 @@ def test_what_moved_is_proposed_and_mends_it(folders: Path, tmp_path: Path, caps
     assert run(["verify", str(tmp_path / "out"), str(folders / "whole"), "--limit", "1mm"]) == 0
     assert run(["evaluate", str(tmp_path / "out" / "ur5_robot_calibrated.urdf"), str(folders / "whole"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out.split("\n", 2)[-1])["residual_px"]["rms"] < 0.2
+    points = triangulate(read_session(folders / "whole"))
+    labels = read_session(folders / "whole").poses
+    rows = [f"{labels[k]},led,{x},{y},{z}" for k, (x, y, z) in zip(points.pose[:20], points.xyz[:20], strict=True)]
+    (tmp_path / "points.csv").write_text("\n".join(["pose,led,x,y,z", *rows]))
+    urdf = str(tmp_path / "out" / "ur5_robot_calibrated.urdf")
+    assert run(["evaluate", urdf, str(folders / "whole"), "--points", str(tmp_path / "points.csv")]) == 0
     file.write_text(file.read_text().replace("base: [31]", "base: [99]"))
     with pytest.raises(SessionError, match=r"session\.yaml:\d+:\d+, key 'moved\.base': there is no pose '99'"):
         read_session(folders / "whole")

@@ -99,6 +99,17 @@ def test_moves_of_nothing_are_refused(what: str, label: str, message: str, sessi
         replace(session, moved={what: (label,)})
 
 
+def test_of_base_and_cameras_one_must_stay(session: Session) -> None:
+    left, right = session.rig.names
+    with pytest.raises(SessionError, match=r"moved: the base and all cameras moved before '03'\. Leave one camera out"):
+        moved(session, **{"base": (2, 5), left: (2,), right: (2, 5)})
+    assert moved(session, **{"base": (2,), left: (3,), right: (2,)}).moved
+
+
+def test_a_move_that_is_said_twice_is_one(session: Session) -> None:
+    assert resolve_moves(moved(session, base=(3, 3))).parts == ("", f"base@{session.poses[3]}")
+
+
 def test_moves_are_before_the_next_pose_that_is_left(session: Session) -> None:
     some = moved(session, base=(3, 4, 8, 11), led=(2,)).at(np.array([2, 5, 6, 7, 9]))
     assert some.moved == {"base": (session.poses[5], session.poses[9])}

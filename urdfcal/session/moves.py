@@ -33,7 +33,7 @@ def resolve_moves(session: Session) -> Session:
         session: whose ``moved`` says what moved, and before which poses.
     """
     for what, labels in session.moved.items():
-        firsts = sorted(session.poses.index(label) for label in labels)
+        firsts = sorted({session.poses.index(label) for label in labels})
         moves = np.searchsorted(firsts, np.arange(len(session.poses)), side="right")
         names = [f"{what}@{session.poses[k]}" for k in firsts]
         if what == BASE_LINK:
@@ -67,7 +67,7 @@ def poses_of_camera(session: Session, camera: int) -> Ints:
 
 
 def check_moves(session: Session) -> None:
-    """Refuse moves of what there is not, or before a pose that there is not.
+    """Refuse moves of what there is not, or before a pose that there is not, and of all there is at once.
 
     Raises:
         SessionError: naming the first of them.
@@ -80,6 +80,12 @@ def check_moves(session: Session) -> None:
             if label == session.poses[0]:
                 remedy = "Name the first pose that was measured after it moved."
                 raise SessionError(f"{label!r} is the first pose of all", where=f"moved.{what}", remedy=remedy)
+    on_links = {mount.camera for mount in session.mounts}
+    standing = [session.moved.get(name, ()) for name in session.rig.names if name not in on_links]
+    for label in session.moved.get(BASE_LINK, ()):
+        if standing and all(label in labels for labels in standing):
+            remedy = "Leave one camera out: it is the world that the base and the others moved in."
+            raise SessionError(f"the base and all cameras moved before {label!r}", where="moved", remedy=remedy)
 
 
 def moves_at(session: Session, poses: Ints) -> dict[str, tuple[str, ...]]:
