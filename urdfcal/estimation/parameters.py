@@ -205,9 +205,10 @@ def choose_parameters(session: Session, problem: Problem, state: State, spec: Mo
     if spec.geometry in ("dh", "full"):
         blocks.append(ArmBlock.of(problem.arm, session.tolerances, priors=spec.priors))
     for model in problem.joint_models:
-        if model.estimated(session, spec.geometry):
-            without = model.toleranced and not spec.priors
-            blocks.append(replace(model, sigma=np.full(len(model), np.inf)) if without else model)
+        block = model.block(session, spec.geometry, [term for term in spec.terms if term.model == model.name])
+        if block is not None:
+            without = block.toleranced and not spec.priors
+            blocks.append(replace(block, sigma=np.full(len(block), np.inf)) if without else block)
     if session.scale_sigma is not None:
         blocks.append(ScaleBlock.of(session.scale_sigma))
     tables = [observed.table for observed in problem.observations]

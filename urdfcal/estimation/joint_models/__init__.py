@@ -5,14 +5,27 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from urdfcal.errors import SessionError
-from urdfcal.estimation.joint_models.base import JointModel, Readings
+from urdfcal.estimation.joint_models.backlash import Backlash
+from urdfcal.estimation.joint_models.base import JointModel, Readings, Term
+from urdfcal.estimation.joint_models.compliance import Compliance
+from urdfcal.estimation.joint_models.gain import Gain
+from urdfcal.estimation.joint_models.harmonics import Harmonics
+from urdfcal.estimation.joint_models.lag import Lag
 from urdfcal.estimation.joint_models.time_offset import TimeOffsets
 from urdfcal.estimation.joint_models.zero_offset import ZeroOffsets
 
 if TYPE_CHECKING:
     from urdfcal.session.model import Positions
 
-JOINT_MODELS: tuple[type[JointModel], ...] = (ZeroOffsets, TimeOffsets)
+JOINT_MODELS: tuple[type[JointModel], ...] = (
+    ZeroOffsets,
+    TimeOffsets,
+    Compliance,
+    Lag,
+    Gain,
+    Harmonics,
+    Backlash,
+)
 """Every joint model there is. A new one is a file of its own and a name here."""
 
 
@@ -33,4 +46,4 @@ def joint_models_of(session: Positions) -> tuple[JointModel, ...]:
     return tuple(model for model in models.values() if model is not None)
 
 
-__all__ = ["JOINT_MODELS", "JointModel", "Readings", "joint_models_of"]
+__all__ = ["JOINT_MODELS", "JointModel", "Readings", "Term", "joint_models_of"]
