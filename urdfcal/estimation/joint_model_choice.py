@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import one_blas_thread
+from urdfcal.arrays import one_blas_thread, rms
 from urdfcal.estimation.joint_models import Term
 from urdfcal.estimation.joint_models.linear import LinearJointModel
 from urdfcal.estimation.linearize import Tangent
@@ -64,29 +64,40 @@ class JointModelTrial:
 
 
 @dataclass(frozen=True, eq=False)
+class _Unit:
+    """A joint model of one joint, or of all together, that can be chosen.
+
+    Attributes:
+        term: at the scale that it has.
+        columns: (K,) which of all models' parameters are its own.
+        forced: whether the session switches it on.
+        on: whether it is part of the estimate.
+        local: whether it must predict left-out regions better to be chosen.
+    """
+
+    term: Term
+    columns: Bools
+    forced: bool
+    on: bool
+    local: bool
+
+
+@dataclass(frozen=True, eq=False)
 class Alternatives:
     """An estimate, and what it would be with or without joint models, to first order.
 
     Attributes:
-        units: what can be chosen, at the scale that it has, with its columns among the K of all models.
-        on: which of them are part of the estimate.
-        forced: which of them the session switches on.
-        local: which of them must predict left-out regions better to be chosen.
+        units: what can be chosen: a model of one joint, or of all together.
         sigma: (K,) standard deviations of all models' parameters, at scale 1.
         divisions: of the poses: folds, clusters of joint space, clusters of tips.
         prior: (P + 1, P + 1) products of the prior's rows, of the estimate's own P parameters and the residual.
-        numbers: how many were measured.
         share: of the poses that are independent of each other.
     """
 
-    units: tuple[tuple[Term, Bools], ...]
-    on: tuple[bool, ...]
-    forced: tuple[bool, ...]
-    local: tuple[bool, ...]
+    units: tuple[_Unit, ...]
     sigma: Floats
     divisions: tuple[_Division, ...]
     prior: Floats
-    numbers: int
     share: float
 
     @classmethod
@@ -102,59 +113,34 @@ class Alternatives:
         """
         even = [observed.even(_MOST_POSES) for observed in problem.observations]
         thinned = problem.with_observations([of.at(some) for of, some in zip(problem.observations, even, strict=True)])
-        parameters, models = fit.parameters, [m for m in problem.joint_models if isinstance(m, LinearJointModel)]
-        own = np.ones(parameters.count, dtype=bool)
-        for model in models:
-            own[parameters.active_columns(model.key)[0]] = False
-        units, forced, columns = _units(session, thinned, models, terms)
+        models = [model for model in problem.joint_models if isinstance(model, LinearJointModel)]
+        units, columns = _units(session, thinned, models, terms)
         values = np.concatenate([fit.state[model.key] for model in models])[columns]
-        *found, joint = find_noise(problem, fit)
-        readings = thinned.readings
+        everything = _with_all(fit, models, columns)
+        P, parameters = everything.parameters.count - len(columns), everything.parameters
+        # Noise is what no model explains: that of a rigid arm would hide behind it what is looked for.
+        *found, joint = find_noise(problem, everything)
         labels = (random_folds(thinned, seed), joint_regions(thinned), tip_regions(thinned))
-        [[] for _ in labels]
         with one_blas_thread():
-            kinds = zip(thinned.observations, even, fit.kept, found, strict=True)
-            rows, numbers = [], 0
-            for observed, some, kept, noise in kinds:
+            rows = []
+            for observed, some, kept, noise in zip(thinned.observations, even, fit.kept, found, strict=True):
                 at = Tangent.at(thinned, observed, fit.state, parameters).linearise()
                 N, m, D = at.residual.shape
-                used = kept[some]
-                B = np.concatenate(
-                    [model.jacobian(observed.readings, fit.state[model.key]) for model in models], axis=2
-                )
-                B = at.J_q @ B[..., columns]
-                y = at.residual.reshape(N, m * D, 1) - B @ values[:, None]
-                X = np.concatenate([at.J.reshape(N, m * D, -1)[..., own], B, y], axis=2)
-                declared = float(np.sqrt(np.mean(observed.table.sigma**2)))
-                covariance = (noise.found / declared) ** 2 * observed.covariance
+                used, J = kept[some], at.J.reshape(N, m * D, -1)
+                X = np.concatenate([J, at.residual.reshape(N, m * D, 1) - J[..., P:] @ values[:, None]], axis=2)
+                covariance = (noise.found / rms(observed.table.sigma)) ** 2 * observed.covariance
                 sigma = joint_covariance(at, thinned.arm.chain.reading_jacobian, joint.found)
                 W = JointNoise(sigma, sigma).whitening(covariance, np.where(used, 1.0, _REJECTED))
                 size = np.nan_to_num(thinned.metres_per_unit(observed, fit.state)) * used
                 rows.append((observed.pose, W @ X, np.repeat(size, D, axis=1)[..., None] * X, used.sum(axis=1)))
-                numbers += D * int(used.sum())
             divisions = tuple(_Division.of(label, rows) for label in labels)
-            r, J = parameters.prior_residuals(fit.state)
-        mine = ~np.any(J[:, ~own], axis=1)
-        prior = np.column_stack([J[mine][:, own], r[mine]])
+            r, J_prior = parameters.prior_residuals(fit.state)
+        own = ~np.any(J_prior[:, P:], axis=1)
+        prior = np.column_stack([J_prior[own, :P], r[own]])
         poses = thinned.poses
-        share = len(np.unique(readings.unit[poses])) / len(poses)
-        on = tuple(
-            force or any(t.model == u.model and set(u.joints) <= set(t.joints) for t in terms)
-            for (u, _), force in zip(units, forced, strict=True)
-        )
-        everywhere = {model.name for model in models if model.everywhere}
-        local = tuple(unit.model not in everywhere for unit, _ in units)
-        return cls(
-            units,
-            on,
-            forced,
-            local,
-            np.concatenate([m.sigma for m in models])[columns],
-            divisions,
-            prior.T @ prior,
-            numbers,
-            share,
-        )
+        share = len(np.unique(thinned.readings.unit[poses])) / len(poses)
+        sigma = np.concatenate([model.sigma for model in models])[columns]
+        return cls(units, sigma, divisions, prior.T @ prior, share)
 
     @property
     def count(self) -> int:
@@ -162,19 +148,18 @@ class Alternatives:
         return len(self.prior) - 1
 
     @cached_property
-    def _reduced(self) -> tuple[Floats, Floats, float]:
-        """The normal equations (K, K) and (K,) of the models alone, and the sum of squares without any."""
-        P, total = self.count, self.divisions[0].total
+    def _reduced(self) -> tuple[Floats, Floats]:
+        """The normal equations (K, K) and (K,) of the models alone, whatever the estimate's own parameters are."""
+        P, total = self.count, np.array(self.divisions[0].total)
         keep = [*range(P), len(total) - 1]
-        total = np.array(total)
         total[np.ix_(keep, keep)] += self.prior
-        S = total[P:, P:] - total[P:, :P] @ _solve(total[:P, :P], total[:P, P:])
-        return S[:-1, :-1], S[:-1, -1], float(S[-1, -1])
+        S = self.share * (total[P:, P:] - total[P:, :P] @ _solve(total[:P, :P], total[:P, P:]))
+        return S[:-1, :-1], S[:-1, -1]
 
     @property
     def included(self) -> tuple[Term, ...]:
         """The terms that are part of the estimate."""
-        return tuple(term for (term, _), on in zip(self.units, self.on, strict=True) if on)
+        return tuple(unit.term for unit in self.units if unit.on)
 
     def better(self) -> tuple[Term, ...]:
         """Return terms that the measurements speak for more than for those of the estimate, or the same.
@@ -190,41 +175,49 @@ class Alternatives:
         return chosen
 
     def _step(self, chosen: tuple[Term, ...]) -> tuple[Term, ...] | None:
-        noise = self.noise(chosen)
-        now, before = self.log_evidence(chosen, noise), self.errors(chosen)
+        now, before = self._score(chosen), self.errors(chosen)
         options: list[tuple[float, tuple[Term, ...]]] = []
-        for (unit, _), forced, local in zip(self.units, self.forced, self.local, strict=True):
-            others = tuple(term for term in chosen if not _same(term, unit))
-            on = len(others) < len(chosen)
-            least = _RESCALED if on else _EVIDENCE + np.log(len(_SCALES) * len(self.alike(unit)))
-            if on and not forced:
-                options.append((self.log_evidence(others, noise) - now, others))
+        for unit in self.units:
+            mine = [term for term in chosen if self._covers(unit.term, term)]
+            if not mine and any(self._covers(term, unit.term) for term in chosen):
+                continue
+            others, on = (
+                tuple(term for term in chosen if term not in mine),
+                [t.joints for t in mine] == [unit.term.joints],
+            )
+            least = _RESCALED if on else _EVIDENCE
+            if on and not unit.forced:
+                options.append((self._score(others) - now, others))
             for scale in _SCALES:
-                term = replace(unit, scale=scale)
-                gain = -np.inf if term in chosen else self.log_evidence((*others, term), noise) - now
-                if gain > least and (on or not local or _transfers(before, self.errors((*others, term)))):
+                term = replace(unit.term, scale=scale)
+                gain = -np.inf if term in chosen else self._score((*others, term)) - now
+                if gain > least and (on or not unit.local or _transfers(before, self.errors((*others, term)))):
                     options.append((gain, (*others, term)))
         gain, better = max(options, key=lambda option: option[0], default=(0.0, chosen))
         return better if gain > 0.0 else None
 
-    def alike(self, unit: Term) -> list[Term]:
-        """List the terms of a unit's model."""
-        return [term for term, _ in self.units if term.model == unit.model]
+    def alike(self, model: str) -> list[Term]:
+        """List the units of a model, all joints together the last."""
+        return [unit.term for unit in self.units if unit.term.model == model]
+
+    @staticmethod
+    def _covers(a: Term, b: Term) -> bool:
+        return a.model == b.model and set(b.joints) <= set(a.joints)
 
     def trials(self) -> tuple[JointModelTrial, ...]:
         """Return what each joint model brings, or would bring."""
         included = self.included
-        found, noise, errors = [], self.noise(included), self.errors(included)
-        now = self.log_evidence(included, noise)
-        for model in dict.fromkeys(unit.model for unit, _ in self.units):
+        found, now, errors = [], self.log_evidence(included), self.errors(included)
+        for model in dict.fromkeys(unit.term.model for unit in self.units):
             mine = [term for term in included if term.model == model]
             other = tuple(term for term in included if term.model != model)
-            term = Term(model, tuple(joint for unit in mine or self.alike(Term(model, ())) for joint in unit.joints))
+            whole = self.alike(model)[-1]
+            term = Term(model, tuple(joint for one in mine for joint in one.joints)) if mine else whole
             if not mine:
-                other = (*other, *self.alike(term))
+                other = (*other, whole)
             sign = 1.0 if mine else -1.0
             inside, joints, tips = (sign * (_rms(b) - _rms(a)) for a, b in zip(errors, self.errors(other), strict=True))
-            evidence = sign * (now - self.log_evidence(other, noise))
+            evidence = sign * (now - self.log_evidence(other))
             found.append(JointModelTrial(term, bool(mine), evidence, inside, min(joints, tips)))
         return tuple(found)
 
@@ -232,33 +225,27 @@ class Alternatives:
         """The standard deviations (K,) of all models' parameters with some terms: 0 for what is in none of them."""
         sigma = np.zeros(len(self.sigma))
         for term in chosen:
-            columns = next(columns for unit, columns in self.units if _same(unit, term))
+            columns = next(
+                unit.columns for unit in self.units if self._covers(unit.term, term) and self._covers(term, unit.term)
+            )
             sigma[columns] = term.scale * self.sigma[columns]
         return sigma
 
-    def log_evidence(self, chosen: Sequence[Term], noise: float) -> float:
-        """Return the logarithm of the evidence of the estimate with some terms, but for a constant.
-
-        Args:
-            chosen: the terms.
-            noise: variance of whitened residuals, see :meth:`noise`.
-        """
-        G, g = self._scaled(chosen)
-        G, g = self.share / noise * G + np.eye(len(G)), self.share / noise * g
+    def log_evidence(self, chosen: Sequence[Term]) -> float:
+        """Return the logarithm of the evidence of the estimate with some terms, but for a constant."""
+        (G, g), sigma = self._reduced, self.scales(chosen)
+        on = sigma > 0.0
+        G, g = G[np.ix_(on, on)] * np.outer(sigma[on], sigma[on]) + np.eye(int(on.sum())), g[on] * sigma[on]
         return float(0.5 * g @ np.linalg.solve(G, g) - 0.5 * np.linalg.slogdet(G)[1])
 
-    def noise(self, chosen: Sequence[Term]) -> float:
-        """Return the variance of the whitened residuals of an estimate with some terms."""
-        G, g = self._scaled(chosen)
-        squares = self._reduced[2] - float(g @ np.linalg.solve(G + np.eye(len(G)), g))
-        return max(squares, _RIDGE) / max(self.numbers - self.count, 1)
-
-    def _scaled(self, chosen: Sequence[Term]) -> tuple[Floats, Floats]:
-        """The normal equations of some terms, in standard deviations of their priors."""
-        G, g, _ = self._reduced
-        sigma = self.scales(chosen)
-        on = sigma > 0.0
-        return G[np.ix_(on, on)] * np.outer(sigma[on], sigma[on]), g[on] * sigma[on]
+    def _score(self, chosen: Sequence[Term]) -> float:
+        """The evidence, less the logarithm of how many terms there are to choose from: one of n joints, or all."""
+        choices = [
+            len(_SCALES) * (len(of) if len(term.joints) < len(of[-1].joints) else min(len(of), 2))
+            for term in chosen
+            for of in [self.alike(term.model)]
+        ]
+        return self.log_evidence(chosen) - float(np.sum(np.log(choices)))
 
     def errors(self, chosen: Sequence[Term]) -> tuple[Floats, ...]:
         """Return the mean squared distance in each part of each division, predicted from the others. [m^2]."""
@@ -336,39 +323,44 @@ def _rms(squares: Floats) -> float:
     return float(np.sqrt(np.mean(squares)))
 
 
-def _same(a: Term, b: Term) -> bool:
-    return (a.model, a.joints) == (b.model, b.joints)
+def _with_all(fit: Solution, models: Sequence[LinearJointModel], columns: Ints) -> Solution:
+    """The estimate as one whose parameters are those of all models, too, of the middle scale."""
+    blocks, first = [], 0
+    for model in models:
+        off = np.setdiff1d(np.arange(len(model)), columns - first)
+        blocks.append(
+            replace(model, sigma=_SCALES[1] * model.sigma, fixed=dict.fromkeys(off.tolist(), "not looked for"))
+        )
+        first += len(model)
+    return replace(fit, parameters=fit.parameters.including(blocks))
 
 
 def _units(
     session: Session, problem: Problem, models: Sequence[LinearJointModel], terms: Sequence[Term]
-) -> tuple[tuple[tuple[Term, Bools], ...], tuple[bool, ...], Ints]:
-    """List what can be chosen, whether it is forced, and which of all models' parameters take part."""
-    names: list[tuple[int, str]] = []
-    kept: list[bool] = []
-    units: list[tuple[Term, bool, set[tuple[int, str]]]] = []
-    for k, model in enumerate(models):
+) -> tuple[tuple[_Unit, ...], Ints]:
+    """List what can be chosen, and which of all models' parameters take part."""
+    kept: list[Bools] = []
+    groups: list[tuple[LinearJointModel, tuple[str, ...], bool]] = []
+    for model in models:
         features, said = model.known_features(problem.readings), model.said(session)
         present = np.ptp(features, axis=0) > _NOTHING * max(float(np.abs(features).max(initial=0.0)), 1e-300)
+        allowed = [said.get(joint, True) for joint in model.names_of_joints]
+        kept.append(present & allowed)
         joints = [
-            j
-            for j in dict.fromkeys(model.names_of_joints)
-            if np.any(present & model.of_joints([j])) and said.get(j, True)
+            joint for joint in dict.fromkeys(model.names_of_joints) if np.any(kept[-1] & model.of_joints([joint]))
         ]
-        names += [(k, j) for j in model.names_of_joints]
-        kept += list(present & model.of_joints(joints))
         for force in (True, False):
-            some = [j for j in joints if said.get(j, False) == force]
-            for group in [some] if model.together and some else [[j] for j in some]:
-                scale = next((t.scale for t in terms if t.model == model.name and set(group) <= set(t.joints)), 1.0)
-                units.append((Term(model.name, tuple(group), scale), force, {(k, j) for j in group}))
-    columns = np.flatnonzero(kept)
-    owner = [names[c] for c in columns]
-    return (
-        tuple((term, np.array([o in of for o in owner], dtype=bool)) for term, _, of in units),
-        tuple(force for _, force, _ in units),
-        columns,
-    )
+            some = tuple(joint for joint in joints if said.get(joint, False) == force)
+            alone = [] if force or model.together or len(some) == 1 else [(joint,) for joint in some]
+            groups += [(model, group, force) for group in (*alone, some) if group]
+    columns = np.flatnonzero(np.concatenate(kept))
+    units = []
+    for model, group, force in groups:
+        mine = np.concatenate([m.of_joints(group if m is model else ()) for m in models])[columns]
+        scale = next((t.scale for t in terms if (t.model, t.joints) == (model.name, group)), None)
+        term = Term(model.name, group, scale or 1.0)
+        units.append(_Unit(term, mine, force, force or scale is not None, not model.everywhere))
+    return tuple(units), columns
 
 
 def without(state: State, problem: Problem, terms: Sequence[Term]) -> State:
