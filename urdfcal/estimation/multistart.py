@@ -137,7 +137,7 @@ def _same_arm(problem: Problem, a: Solution, b: Solution) -> bool:
     for observed in problem.observations:
         q = chain.random_values(len(observed.pose), np.random.default_rng(0))
         # Where an arm that moved happened to go must not decide.
-        elsewhere = replace(observed, readings=Readings(q, observed.pose, AT_REST))
+        elsewhere = replace(observed, readings=Readings(q, observed.pose, AT_REST, observed.readings.torques))
         of_a, of_b = (
             elsewhere.table.points(elsewhere, problem.links(elsewhere.readings, of.state), of.state) for of in (a, b)
         )

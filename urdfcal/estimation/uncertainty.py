@@ -98,8 +98,11 @@ def _motion(problem: Problem, fit: Solution, q: Floats) -> tuple[Floats, Floats]
     A = np.zeros((len(q), 3, parameters.count))
     A[..., parameters.active_columns(ARM)[0]] = (motion.regressor @ arm.twists(offsets, parameters.arm_rows))[:, :3]
     J_q = (motion.regressor @ joint_axes(arm.chain))[:, :3]
-    # Where an arm comes from is as good as anywhere.
-    readings = Readings(q, np.arange(len(q)), AT_REST, previous=np.roll(q, 1, axis=0))
+    # Where an arm comes from, and torques that only a measurement tells, are as good as any.
+    torques = problem.readings.torques
+    if torques is not None:
+        torques = torques[np.arange(len(q)) % len(torques)]
+    readings = Readings(q, np.arange(len(q)), AT_REST, torques, np.roll(q, 1, axis=0))
     for model in problem.joint_models:
         where, active = parameters.active_columns(model.key)
         if where.stop > where.start:

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 
     from urdfcal.robot.urdf.urdf import Urdf
     from urdfcal.session.attachments import CameraMount
-    from urdfcal.session.model import Measurements, Positions
+    from urdfcal.session.measurements import Measurements
+    from urdfcal.session.model import Positions
 
 _SESSION = "session.yaml"
 _CAMERAS, _JOINTS, _FRAMES = "cameras.yaml", "joints.csv", "frames.csv"

@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-from abc import ABC
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from urdfcal.arrays import Floats, Ints, ReadOnly, Rebuilt, finite_array, frozen, keep
+from urdfcal.arrays import Floats, Ints, ReadOnly, Rebuilt, finite_array, keep
 from urdfcal.cameras.rig import Rig
 from urdfcal.errors import SessionError
 from urdfcal.names import check_known, check_names
+from urdfcal.robot.gravity import STANDARD_GRAVITY
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.session.attachments import Attachments, CameraMount, attach
-from urdfcal.session.knowledge import Estimate, Excluded, Led, LedDistance, Noise, Tolerances
+from urdfcal.session.knowledge import Estimate, Excluded, Led, LedDistance, Noise, Payload, Tolerances
+from urdfcal.session.measurements import Measurements
 from urdfcal.session.trajectory import AT_REST, Motion, Trajectory
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
     from pathlib import Path
 
     from typing_extensions import Self
@@ -31,128 +32,6 @@ if TYPE_CHECKING:
 MIN_POSES = 3
 # Readings of mimic joints are computed, not measured: they agree to rounding.
 _MIMIC_ROUNDING = 1e-9
-
-
-@dataclass(frozen=True, eq=False)
-class Measurements(Rebuilt, ABC):
-    """Measurements of one kind, sorted by their keys; what was not measured is a missing row.
-
-    A kind is a frozen dataclass with an index array (S,) for each of its ``keys``, the first one ``pose``, an array
-    (S, D) of what was measured, and ``sigma`` (S,), the standard deviation of each number. A kind that measures that
-    something is zero, such as a contact, has no such array.
-
-    Attributes:
-        pose: (S,) index of the pose.
-        names: what the indices of a key stand for that only this table names, such as places.
-        kind: the table's key in session.yaml, and the stem of its CSV file.
-        keys: the columns that name things, which together are unique.
-        dimension: D, the numbers of one measurement.
-        columns: the columns that hold these; none where they are zero.
-        array: the field that holds these; empty where there is none.
-        noise: the key of ``noise`` that says the usual standard deviation.
-        usual: its default.
-        unit: of the numbers.
-        report: unit and factor in which they are reported.
-    """
-
-    kind: ClassVar[str]
-    keys: ClassVar[tuple[str, ...]]
-    dimension: ClassVar[int]
-    columns: ClassVar[tuple[str, ...]] = ()
-    array: ClassVar[str] = ""
-    noise: ClassVar[str]
-    usual: ClassVar[float]
-    unit: ClassVar[str]
-    report: ClassVar[tuple[str, float]]
-
-    pose: Ints
-    names: Mapping[str, tuple[str, ...]] = field(default_factory=dict, kw_only=True)
-
-    if TYPE_CHECKING:
-
-        @property
-        def sigma(self) -> Floats:
-            """(S,) standard deviation of each number."""
-
-    def __post_init__(self) -> None:
-        """Check the columns, sort them by the keys and make them read-only."""
-        index = {key: np.asarray(getattr(self, key)) for key in self.keys}
-        count = len(index["pose"]) if index["pose"].ndim == 1 else 0
-        if count == 0:
-            raise SessionError("there is no measurement", where=self.kind)
-        for key, column in index.items():
-            if column.shape != (count,) or column.dtype.kind not in "iu" or column.min() < 0:
-                raise SessionError(f"{key} is not an array of {count} indices", where=self.kind)
-        try:
-            sigma = finite_array(np.broadcast_to(self.arrays["sigma"], (count,)), (count,), "sigma", self.kind)
-        except ValueError as error:
-            what = f"sigma has shape {np.shape(self.arrays['sigma'])}, not ({count},)"
-            raise SessionError(what, where=self.kind) from error
-        if sigma.min() <= 0.0:
-            raise SessionError(f"sigma is {sigma.min():g}; it must be positive", where=self.kind)
-        columns = {**self.arrays, **index, "sigma": sigma}
-        if self.array:
-            columns[self.array] = finite_array(self.values, (count, self.dimension), self.array, self.kind)
-        order = np.lexsort([index[key] for key in reversed(self.keys)])
-        for name, column in columns.items():
-            keep(self, **{name: frozen(np.asarray(column)[order], np.intp if name in index else float)})
-        keep(self, names=ReadOnly(self.names))
-        twice = np.logical_and.reduce([np.diff(getattr(self, key)) == 0 for key in self.keys])
-        if twice.any():
-            first = int(np.flatnonzero(twice)[0])
-            names = ", ".join(f"{key} {getattr(self, key)[first]}" for key in self.keys)
-            raise SessionError(f"there are two measurements of {names}", where=self.kind)
-
-    def __len__(self) -> int:
-        """Return the number of rows."""
-        return len(self.pose)
-
-    @property
-    def values(self) -> Floats:
-        """What was measured, (S, D)."""
-        result: Floats = getattr(self, self.array) if self.array else np.zeros((len(self), self.dimension))
-        return result
-
-    @property
-    def index(self) -> dict[str, Ints]:
-        """The index array (S,) of each key."""
-        return {key: getattr(self, key) for key in self.keys}
-
-    def rows(self, chosen: Any) -> Self:
-        """Return some of the rows, by an index or a mask (S,)."""
-        return replace(self, **{name: column[chosen] for name, column in self.arrays.items()})
-
-    def with_sigma(self, sigma: float) -> Self:
-        """Return the same measurements with one standard deviation for all. [unit]."""
-        changed: dict[str, Any] = {"sigma": np.full(len(self), sigma)}
-        return replace(self, **changed)
-
-    def at(self, poses: Ints) -> Self | None:
-        """Return the rows at some poses, (K,) in ascending order, numbered by these; None if there are none."""
-        kept = np.isin(self.pose, poses)
-        if not kept.any():
-            return None
-        rows = self.rows(kept)
-        return replace(rows, pose=np.searchsorted(poses, rows.pose))
-
-    def check(self, counts: Mapping[str, int]) -> None:
-        """Refuse indices of things that do not exist.
-
-        Args:
-            counts: how many there are of what a key names; others are not checked.
-
-        Raises:
-            SessionError: an index is too large.
-        """
-        for key, column in self.index.items():
-            largest = int(column.max())
-            if key in counts and largest >= counts[key]:
-                raise SessionError(f"{key} {largest} does not exist: there are {counts[key]}", where=self.kind)
-
-    @property
-    def arrays(self) -> dict[str, Any]:
-        """The columns by the names of their fields, each with S rows."""
-        return {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.name != "names"}
 
 
 Kind = TypeVar("Kind", bound=Measurements)
@@ -173,7 +52,11 @@ class Setup(Rebuilt):
         noise: of the measurements.
         estimate: what is to be estimated.
         tolerances: of the robot.
-        joint_models: by name, which are estimated (True) or not (False); of the others each decides itself.
+        joint_models: by name, which are estimated (True) or not (False), of all joints or of each by name; of the
+            others the measurements decide.
+        payload: what the arm carries.
+        gravity: (3,) in the base link's frame. [m/s^2]
+        gear_ratio: turns of the motor for one of the joint, by the joint's name.
         scale_sigma: of the share that the instrument's lengths may be too long by; None where nothing is said.
         sha256: hash of every input file, by the name that the session gives it.
         folder: where it was read from.
@@ -189,7 +72,10 @@ class Setup(Rebuilt):
     noise: Noise = field(default_factory=Noise)
     estimate: Estimate = field(default_factory=Estimate)
     tolerances: Tolerances = field(default_factory=Tolerances)
-    joint_models: Mapping[str, bool] = field(default_factory=dict)
+    joint_models: Mapping[str, bool | Mapping[str, bool]] = field(default_factory=dict)
+    payload: Payload | None = None
+    gravity: Floats = field(default_factory=lambda: STANDARD_GRAVITY)
+    gear_ratio: Mapping[str, float] = field(default_factory=dict)
     scale_sigma: float | None = None
     sha256: Mapping[str, str] = field(default_factory=dict)
     folder: Path | None = None
@@ -197,6 +83,13 @@ class Setup(Rebuilt):
     def __post_init__(self) -> None:
         keep(self, leds=tuple(self.leds), led_distances=tuple(self.led_distances), mounts=tuple(self.mounts))
         keep(self, sha256=ReadOnly(self.sha256), joint_models=ReadOnly(self.joint_models))
+        keep(self, gravity=finite_array(self.gravity, (3,), "gravity", "session"), gear_ratio=ReadOnly(self.gear_ratio))
+        by_joint = {
+            f"joint_models.{name}": said for name, said in self.joint_models.items() if isinstance(said, Mapping)
+        }
+        for where, joints in {**by_joint, "gear_ratio": self.gear_ratio}.items():
+            for joint in joints:
+                check_known(joint, self.chain.actuated, "joints", where)
         for name in (name for distance in self.led_distances for name in distance.leds):
             check_known(name, self.led_names, "LEDs", "led_distances")
         if not self.leds:
@@ -271,6 +164,10 @@ class Positions(Setup):
         poses: (N) labels.
         q: (N, n) value of every joint of the chain in every pose, mimic joints included. [rad or m]
         time: (N,) of each pose, where recorded. [s]
+        torques: (N, n) measured joint torques, with the sign that the maker gives them; None where there are none.
+            [N m or N]
+        previous: (N, n) values of the joints where the arm came from, perhaps in a pose in which nothing was measured;
+            None for the poses in order. [rad or m]
         motion: at rest in every pose, or a trajectory: each pose is then a frame of one camera, q what its log says.
         warnings: what looked odd when it was read.
     """
@@ -278,6 +175,8 @@ class Positions(Setup):
     poses: tuple[str, ...]
     q: Floats
     time: Floats | None = None
+    torques: Floats | None = None
+    previous: Floats | None = None
     motion: Motion = AT_REST
     warnings: tuple[str, ...] = ()
 
@@ -293,11 +192,19 @@ class Positions(Setup):
             raise SessionError("a mimic joint's value in q is not what it follows from", where="session")
         if self.time is not None:
             keep(self, time=finite_array(self.time, (count,), "time", "session"))
+        for name in ("torques", "previous"):
+            if getattr(self, name) is not None:
+                keep(self, **{name: finite_array(getattr(self, name), self.q.shape, name, "session")})
 
     @property
     def readings(self) -> Floats:
         """(N, k) values [rad or m] of the joints that have a reading of their own, as in joints.csv."""
         return self.chain.readings(self.q)
+
+    @property
+    def came_from(self) -> Floats:
+        """(N, n) values of the joints before the arm moved to each pose; the first pose's own ones. [rad or m]."""
+        return self.q[[0, *range(len(self.q) - 1)]] if self.previous is None else self.previous
 
     def label(self, pose: int) -> str:
         """What the tables and the images' file names call a pose: a frame goes by the name its camera gave it."""
@@ -350,6 +257,8 @@ class Session(Positions):
             poses=tuple(self.poses[k] for k in poses),
             q=self.q[poses],
             time=None if self.time is None else self.time[poses],
+            torques=None if self.torques is None else self.torques[poses],
+            previous=self.came_from[poses],
             motion=self.motion.at(poses),
             measurements=tuple(table for table in tables if table is not None),
         )

@@ -11,6 +11,7 @@ from urdfcal.estimation.joint_models.compliance import Compliance
 from urdfcal.estimation.joint_models.gain import Gain
 from urdfcal.estimation.joint_models.harmonics import Harmonics
 from urdfcal.estimation.joint_models.lag import Lag
+from urdfcal.estimation.joint_models.motor_harmonics import MotorHarmonics
 from urdfcal.estimation.joint_models.time_offset import TimeOffsets
 from urdfcal.estimation.joint_models.zero_offset import ZeroOffsets
 
@@ -24,6 +25,7 @@ JOINT_MODELS: tuple[type[JointModel], ...] = (
     Lag,
     Gain,
     Harmonics,
+    MotorHarmonics,
     Backlash,
 )
 """Every joint model there is. A new one is a file of its own and a name here."""

@@ -32,7 +32,7 @@ class Readings:
         pose: (N,) index of each pose in the session.
         motion: of the arm at these poses: at rest, or moving while it is filmed.
         torques: (N, n) measured joint torques, None where there are none. [N m or N]
-        previous: (N, n) readings at the pose that the arm came from, its own ones where that is not known. [rad or m]
+        previous: (N, n) readings where the arm came from, None where that is not known. [rad or m]
     """
 
     q: Floats
@@ -45,12 +45,8 @@ class Readings:
     @classmethod
     def of(cls, session: Positions) -> Readings:
         """Take all poses of a session."""
-        return cls(
-            session.q,
-            np.arange(len(session.poses)),
-            session.motion,
-            previous=session.q[[0, *range(len(session.q) - 1)]],
-        )
+        poses = np.arange(len(session.poses))
+        return cls(session.q, poses, session.motion, session.torques, session.came_from)
 
     @cached_property
     def unit(self) -> Ints:
@@ -118,7 +114,7 @@ class JointModel(VectorBlock):
         """
         said = session.joint_models.get(cls.name)
         usual = cls.enabled(session, geometry)
-        return usual if said is None else said and (usual or geometry != "none")
+        return usual if said is None else bool(said) and (usual or geometry != "none")
 
     def block(self, session: Positions, geometry: str, terms: Sequence[Term]) -> Self | None:
         """Return the block as it is estimated; None where it is not.

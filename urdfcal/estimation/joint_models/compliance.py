@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from urdfcal.errors import SessionError
 from urdfcal.estimation.joint_models.linear import LinearJointModel, Prior
 from urdfcal.robot.gravity import Masses, masses_of
 
@@ -19,14 +20,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Compliance(LinearJointModel):
-    """Each joint gives way by its compliance times the torque that holds the arm against gravity.
+    """Each joint gives way by its compliance times its torque: as measured, or what holds the arm against gravity.
+
+    Measured torques have the sign that the maker gives them; compliances then have it, too.
 
     Strain-wave and cycloidal gears of arms of 5 to 30 kg yield by 1e-5 to 7e-5 rad/(N m): catalogues give 1e4 to 1e5
     N m/rad at the output (Harmonic Drive CSG-20 to 40: 1.3e4 to 1.2e5; Nabtesco RV-20E: 1.7e5); a UR10 before a laser
     tracker has 1.7e-5, an arm of seven axes with measured torques 6.5e-5. Ball screws: 1e7 to 1e9 N/m; belts 1e6.
 
     Attributes:
-        masses: that the joints carry.
+        masses: that the joints carry; None where torques are measured.
+        gravity: (3,) in the base link's frame. [m/s^2]
     """
 
     name: ClassVar[str] = "compliance"
@@ -36,17 +40,30 @@ class Compliance(LinearJointModel):
     together: ClassVar[bool] = True
     everywhere: ClassVar[bool] = True
 
-    masses: Masses = field(kw_only=True)
+    masses: Masses | None = field(kw_only=True)
+    gravity: Floats = field(kw_only=True)
 
     @classmethod
     def depends_on(cls, session: Positions) -> dict[str, Any] | None:
-        """Take the masses of the URDF."""
-        masses = None if session.urdf is None else masses_of(session.urdf, session.chain)
-        return None if masses is None else {"masses": masses}
+        """Take measured torques, else the masses of URDF and payload."""
+        if session.torques is not None:
+            return {"masses": None, "gravity": session.gravity}
+        masses = None if session.urdf is None else masses_of(session.urdf, session.chain, session.payload)
+        return None if masses is None else {"masses": masses, "gravity": session.gravity}
 
     def features(self, readings: Readings) -> Floats:
-        """Return the torques, against which a joint gives way."""
-        tau = self.masses.torques(readings.q)
+        """Return the torques, against which a joint gives way.
+
+        Raises:
+            SessionError: they were measured where the compliance was found, and are not known here.
+        """
+        tau = readings.torques if self.masses is None else self.masses.torques(readings.q, self.gravity)
+        if tau is None:
+            raise SessionError(
+                "the compliance is that under measured torques, and these readings have none",
+                where="torques",
+                remedy="Give the torques of every pose.",
+            )
         carried: Floats = -(tau @ self.mechanism.reading_jacobian)[:, self.joints]
         return carried
 

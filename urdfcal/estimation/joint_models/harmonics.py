@@ -35,9 +35,13 @@ class Harmonics(LinearJointModel):
 
     def features(self, readings: Readings) -> Floats:
         """Return sine and cosine of the angle and of twice the angle."""
-        q = self.read(readings.q)[:, :: len(self.words)]
+        q = self.turns(readings)[:, :: len(self.words)]
         features = np.stack([np.sin(q), np.cos(q), np.sin(2.0 * q), np.cos(2.0 * q)], axis=2)
         return features.reshape(len(q), len(self))
+
+    def turns(self, readings: Readings) -> Floats:
+        """Return the angle (N, k) that errors repeat with. [rad]."""
+        return self.read(readings.q)
 
     def sentence(self, joint: Joint, group: str, p: Floats) -> str:
         """Say how much."""

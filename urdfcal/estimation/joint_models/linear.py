@@ -72,13 +72,13 @@ class LinearJointModel(JointModel):
 
     @classmethod
     def of(cls, session: Positions) -> Self | None:
-        """Take every joint that has a reading."""
+        """Take every joint that has a reading and that the model concerns."""
         more = cls.depends_on(session)
         joints = session.chain.actuated_joints
         each = [
             (j, word, prior)
             for j, joint in enumerate(joints)
-            if (prior := cls.prior(joint)) is not None
+            if (prior := cls.prior(joint)) is not None and cls.concerns(session, joint)
             for word in cls.words
         ]
         if more is None or not each:
@@ -99,6 +99,12 @@ class LinearJointModel(JointModel):
     def prior(cls, joint: Joint) -> Prior | None:
         """Return what is known of the parameters of a joint; None where it has none."""
         return cls.prismatic if joint.prismatic else cls.revolute
+
+    @classmethod
+    def concerns(cls, session: Positions, joint: Joint) -> bool:
+        """Return whether a joint of a session may have it."""
+        del session, joint
+        return True
 
     @classmethod
     def depends_on(cls, session: Positions) -> dict[str, Any] | None:
