@@ -104,9 +104,12 @@ def test_pixels_and_points_together(tmp_path: Path, session: Session) -> None:
     )
 
 
-@pytest.mark.parametrize("models", [{}, {"zero_offset": True}, {"time_offset": False, "zero_offset": True}])
+@pytest.mark.parametrize(
+    "models",
+    [{}, {"zero_offset": True}, {"time_offset": False, "zero_offset": True}, {"gain": {"waist": True}, "lag": False}],
+)
 def test_joint_models_are_written_where_something_is_said_of_them(
-    tmp_path: Path, session: Session, models: dict[str, bool]
+    tmp_path: Path, session: Session, models: dict[str, Any]
 ) -> None:
     write_session(tmp_path / "out", replace(session, joint_models=models))
     assert ("joint_models" in (tmp_path / "out" / "session.yaml").read_text()) == bool(models)

@@ -5,7 +5,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, create_model, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    WrapValidator,
+    create_model,
+    model_validator,
+)
 
 from urdfcal.estimation.joint_models import JOINT_MODELS
 from urdfcal.estimation.measurements import MEASUREMENTS, Measurement
@@ -105,6 +114,8 @@ class CamerasKeys(_Keys):
 _Cameras = Annotated[CamerasKeys, BeforeValidator(lambda value: {"file": value} if isinstance(value, str) else value)]
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     NoiseKeys: TypeAlias = _Keys
     JointModelName: TypeAlias = str
 else:
@@ -116,6 +127,19 @@ else:
         **{kind.noise: (Positive, kind.usual) for kind in MEASUREMENTS},
     )
     JointModelName = Literal[tuple(model.name for model in JOINT_MODELS)]
+
+
+def _by_joint(value: Any, on_or_off: Callable[[Any], bool]) -> bool | dict[str, bool]:
+    """Read what switches a model on or off, for all joints or for each by name."""
+    if isinstance(value, dict):
+        return {str(joint): on_or_off(said) for joint, said in value.items()}
+    return on_or_off(value)
+
+
+_JointModels = Annotated[
+    dict[JointModelName, Annotated[bool, WrapValidator(_by_joint)]],
+    BeforeValidator(lambda value: {} if value == "auto" else value),
+]
 
 
 class EstimateKeys(_Keys):
@@ -203,7 +227,7 @@ class SetupFile(_Keys):
     noise: NoiseKeys = NoiseKeys()
     estimate: _Estimate = EstimateKeys()
     tolerances: TolerancesKeys = TolerancesKeys()
-    joint_models: dict[JointModelName, bool] = {}
+    joint_models: _JointModels = {}
     scale: ScaleKeys | None = None
 
     def setup(self) -> dict[str, Any]:

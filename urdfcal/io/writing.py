@@ -157,7 +157,9 @@ def _write_files(folder: Path, session: Positions, urdf: Urdf) -> None:
         "noise": _said(**{**vars(session.noise), "other": None}, **session.noise.other),
         "estimate": {key: value if isinstance(value, str) else dict(value) for key, value in estimate.items()},
         "tolerances": _said(**{**vars(session.tolerances), "joints": None}),
-        "joint_models": dict(session.joint_models),
+        "joint_models": {
+            name: said if isinstance(said, bool) else dict(said) for name, said in session.joint_models.items()
+        },
         "scale": _said(sigma=session.scale_sigma),
     }
     content["tolerances"] |= {name: dict(values) for name, values in session.tolerances.joints.items()}

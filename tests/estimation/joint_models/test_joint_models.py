@@ -195,6 +195,15 @@ def test_one_that_is_switched_on_and_does_not_apply_is_refused(simulated: Callab
     assert Problem.of(replace(session, joint_models={"time_offset": False}), rows_of(session.chain))
 
 
+def test_what_is_no_matter_of_single_joints_is_refused_for_one(simulated: Callable) -> None:
+    session = at_rest(simulated)
+    session = replace(session, joint_models={"zero_offset": {session.chain.names[0]: True}})
+    with pytest.raises(SessionError, match="zero_offset is not a matter of single joints"):
+        Problem.of(session, rows_of(session.chain))
+    with pytest.raises(SessionError, match="joint_9"):
+        replace(session, joint_models={"gain": {"joint_9": True}})
+
+
 @pytest.mark.parametrize("geometry", ["none", "offsets", "dh"])
 def test_what_the_session_says_of_a_model_overrules_its_default(geometry: str, simulated: Callable) -> None:
     class Asked(JointModel):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from urdfcal.errors import SessionError
@@ -11,6 +12,7 @@ from urdfcal.estimation.joint_models.compliance import Compliance
 from urdfcal.estimation.joint_models.gain import Gain
 from urdfcal.estimation.joint_models.harmonics import Harmonics
 from urdfcal.estimation.joint_models.lag import Lag
+from urdfcal.estimation.joint_models.linear import LinearJointModel
 from urdfcal.estimation.joint_models.motor_harmonics import MotorHarmonics
 from urdfcal.estimation.joint_models.time_offset import TimeOffsets
 from urdfcal.estimation.joint_models.zero_offset import ZeroOffsets
@@ -38,6 +40,11 @@ def joint_models_of(session: Positions) -> tuple[JointModel, ...]:
         SessionError: one that the session switches on does not apply to it.
     """
     models = {kind.name: kind.of(session) for kind in JOINT_MODELS}
+    for name, said in session.joint_models.items():
+        if isinstance(said, Mapping) and not isinstance(models[name], LinearJointModel | None):
+            raise SessionError(
+                f"{name} is not a matter of single joints", where="joint_models", remedy="Write on or off."
+            )
     for name, model in models.items():
         if model is None and session.joint_models.get(name):
             raise SessionError(
