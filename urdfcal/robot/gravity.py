@@ -102,3 +102,24 @@ def masses_of(urdf: Urdf, mechanism: Mechanism, payload: Body | None = None) -> 
         return None
     joint = np.array([model.getJointId(name) for name in mechanism.names])
     return Masses(model, frozen(joint, np.intp), frozen(R_root_base))
+
+
+def torque_regressor(mechanism: Mechanism, q: Floats, gravity: Floats = STANDARD_GRAVITY) -> Floats:
+    """Compute the derivative of the torques at rest by the masses and first moments of the links.
+
+    Args:
+        mechanism: the joints.
+        q: (N, n) joint values. [rad or m]
+        gravity: (3,) in the base link's frame. [m/s^2]
+
+    Returns:
+        (N, k, 4 n) for each joint with a reading by mass and first moments (3,) of each joint's links. [m/s^2, 1/s^2]
+    """
+    model, rest = mechanism.build_model(), np.zeros(len(mechanism.joints))
+    model.gravity.linear = np.array(gravity)
+    data, found = model.createData(), np.zeros((len(q), len(rest), 4 * len(rest)))
+    columns = (10 * np.arange(len(rest))[:, None] + np.arange(4)).ravel()
+    for k, values in enumerate(q):
+        found[k] = pin.computeJointTorqueRegressor(model, data, values, rest, rest)[:, columns]
+    result: Floats = np.einsum("ij,niq->njq", mechanism.reading_jacobian, found)
+    return result

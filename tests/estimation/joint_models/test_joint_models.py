@@ -19,6 +19,7 @@ from urdfcal.estimation.blocks.arm import ARM
 from urdfcal.estimation.joint_models import JOINT_MODELS, JointModel, Readings
 from urdfcal.estimation.joint_models.compliance import Compliance
 from urdfcal.estimation.joint_models.linear import LinearJointModel
+from urdfcal.estimation.joint_models.torque_basis import TorqueBasis
 from urdfcal.estimation.linearize import Tangent
 from urdfcal.estimation.problem import Problem
 from urdfcal.robot.tree_dh import rows_of
@@ -40,7 +41,12 @@ def geared(simulated: Callable) -> Session:
     return replace(session, gear_ratio={session.chain.names[0]: 121.0, session.chain.names[3]: 50.0})
 
 
-SESSIONS: dict[str, Callable[[Callable], Session]] = {"motor_harmonics": geared}
+def without_urdf(simulated: Callable) -> Session:
+    """An arm of which nobody knows what it weighs."""
+    return replace(at_rest(simulated), urdf=None)
+
+
+SESSIONS: dict[str, Callable[[Callable], Session]] = {"motor_harmonics": geared, "torque_basis": without_urdf}
 """By name, a session for a model that applies to none of these, made from the fixture ``simulated``."""
 
 LINEAR = tuple(model for model in JOINT_MODELS if issubclass(model, LinearJointModel))
@@ -245,10 +251,23 @@ def test_gravity_and_payload_are_those_of_the_session(simulated: Callable) -> No
     assert np.abs(values(payload=Payload("panda_hand", 2.0, np.zeros(3))) - upright).max() > 1e-5
 
 
+def test_whatever_a_robot_weighs_its_torques_are_in_the_basis(simulated: Callable) -> None:
+    session = simulated("panda", poses=40).session
+    known = Compliance.of(session)
+    unknown = TorqueBasis.of(replace(session, urdf=None))
+    readings = Readings.of(session)
+    assert TorqueBasis.of(session) is None
+    torques, basis = known.features(readings), unknown.features(readings)
+    for j, joint in enumerate(session.chain.names):
+        mine = basis[:, unknown.of_joints([joint])]
+        rest = torques[:, j] - mine @ np.linalg.lstsq(mine, torques[:, j], rcond=None)[0]
+        assert np.abs(rest).max() <= 0.05 * np.abs(torques).max()
+
+
 def test_a_mimic_joint_follows_its_master_in_a_joint_model_too(simulated: Callable) -> None:
     session = simulated("so101", poses=8).session
-    for kind in LINEAR:
-        model = kind.of(replace(session, gear_ratio=dict.fromkeys(session.chain.actuated, 50.0)))
+    session = replace(session, gear_ratio=dict.fromkeys(session.chain.actuated, 50.0))
+    for model in filter(None, (kind.of(session) for kind in LINEAR)):
         values = model.values(Readings.of(session), some_value(model))
         np.testing.assert_allclose(
             values, session.chain.readings(values) @ session.chain.reading_jacobian.T, atol=1e-15

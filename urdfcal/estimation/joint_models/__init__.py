@@ -15,6 +15,7 @@ from urdfcal.estimation.joint_models.lag import Lag
 from urdfcal.estimation.joint_models.linear import LinearJointModel
 from urdfcal.estimation.joint_models.motor_harmonics import MotorHarmonics
 from urdfcal.estimation.joint_models.time_offset import TimeOffsets
+from urdfcal.estimation.joint_models.torque_basis import TorqueBasis
 from urdfcal.estimation.joint_models.zero_offset import ZeroOffsets
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ JOINT_MODELS: tuple[type[JointModel], ...] = (
     ZeroOffsets,
     TimeOffsets,
     Compliance,
+    TorqueBasis,
     Lag,
     Gain,
     Harmonics,
