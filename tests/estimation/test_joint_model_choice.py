@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 
 from tests.worlds import backlash, gain, harmonic, sagging, seen
+from urdfcal.estimation.alignment import kabsch
 from urdfcal.estimation.joint_model_choice import Alternatives
 from urdfcal.estimation.joint_models import JOINT_MODELS, Readings
 from urdfcal.estimation.joint_models.linear import LinearJointModel
 from urdfcal.estimation.uncertainty import tip_error
 from urdfcal.estimation.validation import hold_out, random_folds
 from urdfcal.pipeline import calibrate
+from urdfcal.robot.gravity import masses_of
+from urdfcal.robot.kinematics import tip_poses
 from urdfcal.session.knowledge import Estimate
 
 if TYPE_CHECKING:
@@ -110,6 +113,22 @@ def test_a_parameter_that_is_not_certain_makes_the_tip_uncertain(simulated: Call
     sharper[where, where] += 1e16 * np.eye(where.stop - where.start)  # as if it were known exactly
     known, _ = tip_error(elastic.problem, replace(fit, information=sharper))
     assert known < expected
+
+
+def test_what_a_urdf_cannot_hold_is_said(simulated: Callable) -> None:
+    data = simulated("panda", poses=60)
+    calibration = calibrated(sagging(data, 3e-5))
+    (said,) = [reason for reason in calibration.warnings if "URDF cannot hold it" in reason]
+    assert said.startswith("the joints yield under the arm's weight, by up to 1.")
+    # Against the truth: the calibrated arm at the readings, and at where gravity truly takes the joints.
+    chain = calibration.chain.with_placements(calibration.placements)
+    sag = -3e-5 * masses_of(data.session.urdf, data.session.chain).torques(data.session.q)
+    here, true = (tip_poses(chain, data.session.q + of)[:, :3, 3] for of in (0.0, sag))
+    T = kabsch(here, true)
+    loss = np.sqrt(np.mean(np.sum((here @ T[:3, :3].T + T[:3, 3] - true) ** 2, axis=1)))
+    assert calibration.evidence.rigid_loss == pytest.approx(loss, rel=0.1)
+    assert f"{1e3 * calibration.evidence.rigid_loss:.2g} mm rms" in said
+    assert not [reason for reason in calibrated(data.session).warnings if "URDF cannot hold it" in reason]
 
 
 def test_gears_of_one_kind_have_play_together(simulated: Callable) -> None:

@@ -72,14 +72,14 @@ class _Unit:
         columns: (K,) which of all models' parameters are its own.
         forced: whether the session switches it on.
         on: whether it is part of the estimate.
-        local: whether it must predict left-out regions better to be chosen.
+        certain: what the evidence must gain that it is chosen although left-out regions do not bear it out.
     """
 
     term: Term
     columns: Bools
     forced: bool
     on: bool
-    local: bool
+    certain: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,7 +191,7 @@ class Alternatives:
             for scale in _SCALES:
                 term = replace(unit.term, scale=scale)
                 gain = -np.inf if term in chosen else self._score((*others, term)) - now
-                if gain > least and (on or not unit.local or _transfers(before, self.errors((*others, term)))):
+                if gain > least and (on or gain > unit.certain or _transfers(before, self.errors((*others, term)))):
                     options.append((gain, (*others, term)))
         gain, better = max(options, key=lambda option: option[0], default=(0.0, chosen))
         return better if gain > 0.0 else None
@@ -359,7 +359,7 @@ def _units(
         mine = np.concatenate([m.of_joints(group if m is model else ()) for m in models])[columns]
         scale = next((t.scale for t in terms if (t.model, t.joints) == (model.name, group)), None)
         term = Term(model.name, group, scale or 1.0)
-        units.append(_Unit(term, mine, force, force or scale is not None, not model.everywhere))
+        units.append(_Unit(term, mine, force, force or scale is not None, model.certain))
     return tuple(units), columns
 
 

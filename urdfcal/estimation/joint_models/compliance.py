@@ -38,7 +38,7 @@ class Compliance(LinearJointModel):
     revolute: ClassVar[Prior | None] = Prior("rad/(N m)", 5e-5, 0.05)
     prismatic: ClassVar[Prior | None] = Prior("m/N", 1e-6, 0.01)
     together: ClassVar[bool] = True
-    everywhere: ClassVar[bool] = True
+    certain: ClassVar[float] = 0.0
 
     masses: Masses | None = field(kw_only=True)
     gravity: Floats = field(kw_only=True)

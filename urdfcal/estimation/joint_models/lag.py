@@ -32,7 +32,7 @@ class Lag(LinearJointModel):
     revolute: ClassVar[Prior | None] = Prior("1", 1e-4)
     prismatic: ClassVar[Prior | None] = Prior("1", 1e-4)
     together: ClassVar[bool] = True
-    everywhere: ClassVar[bool] = True
+    certain: ClassVar[float] = 0.0
 
     @classmethod
     def depends_on(cls, session: Positions) -> dict[str, Any] | None:

@@ -50,8 +50,8 @@ class LinearJointModel(JointModel):
         revolute: unit and prior of a turning joint's parameters; None where it has none.
         prismatic: the same of a sliding joint.
         together: whether the joints have it or have it not together, and not each on its own.
-        everywhere: whether it holds in regions that were not measured if it holds in those that were: else it is
-            chosen only if it predicts left-out regions better.
+        certain: what the logarithm of the evidence must gain that it is chosen although left-out regions do not bear it
+            out.
     """
 
     mechanism: Mechanism = field(kw_only=True)
@@ -62,7 +62,7 @@ class LinearJointModel(JointModel):
     revolute: ClassVar[Prior | None] = None
     prismatic: ClassVar[Prior | None] = None
     together: ClassVar[bool] = False
-    everywhere: ClassVar[bool] = False
+    certain: ClassVar[float] = np.inf
     order: ClassVar[int] = -1
 
     @classmethod
@@ -123,6 +123,10 @@ class LinearJointModel(JointModel):
     def sentence_of_all(self, most: float) -> str:
         """Say what the parameters of all joints mean together, that err by so much at most. [mrad]."""
         return f"the joints err by up to {most:.2g} mrad: {self.name}"
+
+    def summary(self, readings: Readings, p: Floats) -> str:
+        """Say what the parameters mean together, at some readings."""
+        return self.sentence_of_all(1e3 * float(np.abs(self.values(readings, p)).max()))
 
     def shows(self, joint: Joint, q: Floats) -> bool:
         """Return whether a joint's values (N,) are such that residuals can show it."""
