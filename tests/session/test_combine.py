@@ -10,12 +10,14 @@ import pytest
 
 from urdfcal.cameras.rig import CameraSigma
 from urdfcal.errors import OutputError, SessionError
+from urdfcal.estimation.joint_models.base import Readings
+from urdfcal.estimation.joint_models.compliance import Compliance
 from urdfcal.estimation.measurements import Detections, Points
 from urdfcal.io.writing import write_session
 from urdfcal.robot.chain import read_mechanism
 from urdfcal.session.attachments import CameraMount
 from urdfcal.session.combine import combine
-from urdfcal.session.knowledge import Estimate, Led, LedDistance, Noise, Tolerances
+from urdfcal.session.knowledge import Estimate, Led, LedDistance, Noise, Payload, Tolerances
 from urdfcal.simulation.motion import MotionSettings, set_in_motion
 
 if TYPE_CHECKING:
@@ -180,3 +182,24 @@ def test_it_is_not_written_as_one(two: tuple[Session, Session], tmp_path: Path) 
     with pytest.raises(OutputError, match=r"it is several sessions in one\. Write each"):
         write_session(tmp_path / "out", combine(dict[str, Any](zip("ab", two, strict=True))))
     assert not list(tmp_path.iterdir())
+
+
+def test_each_carries_its_own_payload_and_came_from_its_own_poses(two: tuple[Session, Session]) -> None:
+    a, b = two
+    heavy = replace(b, payload=Payload("tool0", 5.0, np.array([0.0, 0.0, 0.1])))
+    one = combine({"a": a, "b": heavy})
+    found = Compliance.of(one).features(Readings.of(one))
+    each = [Compliance.of(of).features(Readings.of(of)) for of in (a, heavy)]
+    np.testing.assert_array_equal(found, np.concatenate(each))
+    assert np.abs(each[1] - Compliance.of(b).features(Readings.of(b))).max() > 1.0
+    np.testing.assert_array_equal(one.came_from, np.concatenate([a.came_from, b.came_from]))
+    alike = combine({"a": replace(a, payload=heavy.payload), "b": heavy})
+    assert alike.payload is heavy.payload
+    assert not alike.payloads
+
+
+def test_torques_are_measured_in_all_or_in_none(two: tuple[Session, Session]) -> None:
+    a, b = (replace(of, torques=np.full(of.q.shape, k + 1.0)) for k, of in enumerate(two))
+    np.testing.assert_array_equal(combine({"a": a, "b": b}).torques, np.concatenate([a.torques, b.torques]))
+    with pytest.raises(SessionError, match=r"b: there are no torques, as there are in the others\. Leave the key out"):
+        combine({"a": a, "b": two[1]})

@@ -9,6 +9,7 @@ from urdfcal.errors import SessionError
 from urdfcal.estimation.blocks.cameras import camera_values
 
 if TYPE_CHECKING:
+    from urdfcal.estimation.joint_models import Term
     from urdfcal.estimation.state import State
     from urdfcal.session.knowledge import ArmGeometry, Freedom
     from urdfcal.session.model import Session
@@ -32,17 +33,20 @@ class ModelSpec:
         intrinsics: of each camera; of a lens that several have, at the first.
         extrinsics: of each camera in the frame it is fixed in; the first eye-to-hand one is the world and fixed.
         priors: whether tolerances hold the arm near nominal and the LEDs near their given positions.
+        terms: joint models of some joints, beside those that the session switches on.
     """
 
     geometry: ArmGeometry
     intrinsics: tuple[Freedom, ...] = ()
     extrinsics: tuple[Freedom, ...] = ()
     priors: bool = True
+    terms: tuple[Term, ...] = ()
 
     def __str__(self) -> str:
         words = [_WORDS[self.geometry]]
         for what, spec in (("intrinsics", self.intrinsics), ("camera poses", self.extrinsics)):
             words += [f"{word} {what}" for word in ("refine", "free") if word in spec]
+        words += dict.fromkeys(term.model for term in self.terms)
         return ", ".join(words).replace("refine ", "refined ")
 
     @property
@@ -53,7 +57,7 @@ class ModelSpec:
     @property
     def nominal_arm(self) -> ModelSpec:
         """The same cameras with the nominal arm."""
-        return replace(self, geometry="none")
+        return replace(self, geometry="none", terms=())
 
 
 def nominal(session: Session, state: State, *, priors: bool = True) -> ModelSpec:

@@ -13,6 +13,7 @@ from urdfcal.estimation.alignment import kabsch
 from urdfcal.estimation.assessment import IMPLAUSIBLE, corrections
 from urdfcal.estimation.blocks.arm import ARM, no_offsets
 from urdfcal.estimation.blocks.cameras import has_cameras, without_cameras
+from urdfcal.estimation.joint_models import Readings
 from urdfcal.estimation.joint_models.time_offset import time_offsets
 from urdfcal.estimation.solver import solve
 from urdfcal.estimation.start import first_state
@@ -137,7 +138,8 @@ def _same_arm(problem: Problem, a: Solution, b: Solution) -> bool:
     for observed in problem.observations:
         q = chain.random_values(len(observed.pose), np.random.default_rng(0))
         # Where an arm that moved happened to go must not decide.
-        elsewhere = replace(observed, readings=replace(observed.readings, q=q, motion=AT_REST))
+        same = observed.readings
+        elsewhere = replace(observed, readings=Readings(q, same.pose, AT_REST, same.part, same.torques))
         of_a, of_b = (
             elsewhere.table.points(elsewhere, problem.links(elsewhere.readings, of.state), of.state) for of in (a, b)
         )

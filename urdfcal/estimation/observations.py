@@ -104,6 +104,5 @@ def arrange(session: Session, table: Measurement) -> Observations:
     value = np.zeros((*shape, D))
     covariance = np.broadcast_to(np.eye(D), (*shape, D, D)).copy()
     value[group, slot], covariance[group, slot] = table.values, table.covariances
-    q, part = frozen(session.q[poses]), frozen(session.part[poses], np.intp)
-    readings = Readings(q, frozen(poses, np.intp), session.motion.at(poses), part)
+    readings = Readings.of(session).at(poses)
     return Observations(table, readings, frozen(row, np.intp), index, frozen(value), frozen(covariance))

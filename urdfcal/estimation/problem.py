@@ -55,7 +55,7 @@ class Problem:
             arm,
             joint_models_of(session),
             session.attachments,
-            Readings(session.q, np.arange(len(session.poses)), session.motion, session.part),
+            Readings.of(session),
             tuple(arrange(session, table) for table in tables),
             session.noise.reading,
         )
@@ -82,7 +82,7 @@ class Problem:
         """Return the joints' true values (N, n): the readings, and what the joint models add. [rad or m]."""
         q = readings.q
         for model in self.joint_models:
-            if model.key in state:
+            if model.key in state and np.any(state[model.key]):
                 q = q + model.values(readings, state[model.key])
         return q
 

@@ -21,11 +21,11 @@ from urdfcal.session.trajectory import AT_REST, JointLog, Motion, Trajectory
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from urdfcal.arrays import Ints
+    from urdfcal.arrays import Floats, Ints
     from urdfcal.cameras.camera import Camera
     from urdfcal.cameras.rig import CameraSigma
     from urdfcal.robot.mechanism import Mechanism
-    from urdfcal.session.model import Measurements
+    from urdfcal.session.measurements import Measurements
 
 # Between the logs of two sessions, in one time: far more than what a curve joins. [s]
 _APART = 10.0
@@ -58,6 +58,8 @@ def combine(sessions: Mapping[str, Session]) -> Session:
         what: tuple(f"{name}/{left_out}" for name, of in parts.items() for left_out in getattr(of.excluded, what))
         for what in ("poses", "cameras", "leds")
     }
+    carried = tuple(of.payload for of in every for _ in of.parts)
+    carried = () if all(same(of, first.payload) for of in carried) else carried
     own: dict[str, Any] = {
         "chain": _arm(parts),
         "leds": tuple(replace(led, name=f"{name}/{led.name}") for name, of in parts.items() for led in of.leds),
@@ -74,6 +76,8 @@ def combine(sessions: Mapping[str, Session]) -> Session:
         ),
         "urdf": first.urdf,
         "urdf_reference": first.urdf_reference,
+        "payload": None if carried else first.payload,
+        "payloads": carried,
         "noise": _noise(parts),
         "estimate": _estimate(parts, cameras),
         "sha256": {f"{name}/{file}": sha256 for name, of in parts.items() for file, sha256 in of.sha256.items()},
@@ -82,6 +86,8 @@ def combine(sessions: Mapping[str, Session]) -> Session:
         "poses": tuple(f"{name}/{label}" for name, of in parts.items() for label in of.poses),
         "q": np.concatenate([of.q for of in every]),
         "time": None,
+        "torques": _torques(parts),
+        "previous": np.concatenate([of.came_from for of in every]),
         "motion": _motion(parts, cameras.index),
         "part": _numbered([of.part for of in every], [len(of.parts) for of in every]),
         "warnings": tuple(f"{name}: {warning}" for name, of in parts.items() for warning in of.warnings),
@@ -90,6 +96,16 @@ def combine(sessions: Mapping[str, Session]) -> Session:
     }
     # What is not told apart is of the arm, or of the world, and must be the same.
     return Session(**own, **{of.name: _agreed(parts, of.name) for of in fields(Session) if of.name not in own})
+
+
+def _torques(parts: Mapping[str, Session]) -> Floats | None:
+    """What was measured of the joints' torques, in all sessions or in none."""
+    measured = {name: of.torques for name, of in parts.items()}
+    without = [name for name, torques in measured.items() if torques is None]
+    if without and len(without) < len(parts):
+        remedy = "Leave the key out of the others, or measure them in all: gravity's and measured torques do not mix."
+        raise SessionError("there are no torques, as there are in the others", where=listed(without), remedy=remedy)
+    return None if without else np.concatenate([torques for torques in measured.values() if torques is not None])
 
 
 def _numbered(indices: Sequence[Ints], counts: Sequence[int]) -> Ints:

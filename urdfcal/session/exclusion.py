@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
 
     from urdfcal.arrays import Ints
-    from urdfcal.session.model import Measurements, Session
+    from urdfcal.session.measurements import Measurements
+    from urdfcal.session.model import Session
 
 # What YAML reads as the text it is, in a list.
 _PLAIN = re.compile(r"\w[\w./-]*")
@@ -122,7 +123,8 @@ def restored(session: Session) -> Session:
     if excluded.whole is None:
         return session
     again = leave_out(excluded.whole, excluded)
-    settings = ("noise", "tolerances", "estimate", "joint_models", "led_distances", "folder", "sha256", "warnings")
+    known = ("noise", "tolerances", "estimate", "joint_models", "led_distances", "scale_sigma")
+    settings = (*known, "payload", "gravity", "gear_ratio", "folder", "sha256", "warnings")
     if not same(session, again, {*settings, "excluded"}):
         return replace(session, excluded=Excluded())
     own = {name: getattr(session, name) for name in settings if not same(getattr(session, name), getattr(again, name))}

@@ -23,6 +23,8 @@ from tests.worlds import (
 )  # fmt: skip
 from urdfcal.estimation.diagnosis.doctor import diagnose
 from urdfcal.estimation.diagnosis.residuals import Unexplained
+from urdfcal.estimation.joint_models import JOINT_MODELS
+from urdfcal.estimation.joint_models.linear import LinearJointModel
 from urdfcal.estimation.noise import find_noise
 from urdfcal.pipeline import calibrate
 from urdfcal.session.exclusion import labels, leave_out
@@ -57,7 +59,10 @@ EVENTS = {
 
 
 def unexplained(session: Session) -> tuple[FittedCalibration, Unexplained]:
-    calibration = calibrate(replace(session, estimate=Estimate("dh", "fixed", "fixed")), force=True)
+    """Residuals of a rigid arm between perfect joints."""
+    rigid = dict.fromkeys((model.name for model in JOINT_MODELS if issubclass(model, LinearJointModel)), False)
+    session = replace(session, estimate=Estimate("dh", "fixed", "fixed"), joint_models=rigid)
+    calibration = calibrate(session, force=True)
     problem, fit = calibration.problem, calibration.fit
     return calibration, Unexplained.of(calibration.session, problem, fit, find_noise(problem, fit))
 
@@ -98,6 +103,14 @@ def test_an_event_says_how_to_do_without_the_shorter_side(first: int, which: str
     poses = labels(said[1], session.poses, "")
     assert poses == (session.poses[finding.pose :] if first == 0 else session.poses[: finding.pose])
     assert not [left for left in findings(leave_out(session, Excluded(poses))) if left.name == finding.name]
+
+
+def test_what_a_joint_model_explains_is_no_longer_named(simulated: Callable) -> None:
+    session = sagging(simulated("panda", poses=50), 3e-5)
+    assert {finding.name for finding in findings(session)} & {"all joints: torque"}
+    calibration = calibrate(session, force=True)
+    assert [term.model for term in calibration.comparison.chosen.spec.terms] == ["compliance"]
+    assert calibration.evidence.findings == ()
 
 
 def test_what_cannot_be_told_apart_is_said(simulated: Callable) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from urdfcal.session.model import Measurements
+from urdfcal.session.measurements import Measurements
 
 if TYPE_CHECKING:
     from typing_extensions import Self
