@@ -12,7 +12,7 @@ import numpy as np
 from tests.cameras.board.boards import CHARUCO, CHESSBOARD, as_views, errors, held
 from tests.cameras.board.rendering import BoardRenderer
 from urdfcal.cameras.board.calibration import calibrate_cameras
-from urdfcal.cameras.board.views import detect_board
+from urdfcal.cameras.board.detection import detect_board
 from urdfcal.cameras.io.formats import read_kalibr
 from urdfcal.images.files import in_parallel
 from urdfcal.io.shipped_rigs import find_rig

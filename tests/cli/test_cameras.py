@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import shutil
 from typing import TYPE_CHECKING
 
 import click
@@ -76,9 +77,12 @@ def test_without_a_board_nothing_is_done(images: Path, tmp_path: Path) -> None:
             cameras(images, "-o", output, *options.split())
     with pytest.raises(CameraError, match="there is no such folder"):
         cameras(tmp_path / "nowhere", "-o", output, *CHARUCO_OPTIONS.split())
-    with pytest.raises(CameraError, match=r"camera 'left': only 0 of its images can be used \(0: no board"):
-        cameras(images, "-o", output, "--board", "chessboard", "12x9", "--square", "0.03")
-    assert not list(tmp_path.iterdir())
+    (tmp_path / "two" / "left").mkdir(parents=True)
+    for name in ("0.png", "1.png"):
+        shutil.copy(images / "left" / name, tmp_path / "two" / "left")
+    with pytest.raises(CameraError, match=r"camera 'left': only 0 of its .* markers of DICT_5X5 up to number"):
+        cameras(tmp_path / "two", "-o", output, "--board", "chessboard", "12x9", "--square", "0.03")
+    assert not output.exists()
 
 
 def test_files_are_converted_there_and_back(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

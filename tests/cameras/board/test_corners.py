@@ -6,7 +6,8 @@ import pytest
 from tests.cameras.board.boards import CHARUCO, CHESSBOARD, PAIR, SIZE, held, placed, true_corners
 from tests.cameras.board.rendering import BoardRenderer
 from urdfcal.cameras.board.board import Board
-from urdfcal.cameras.board.views import detect_board, refine
+from urdfcal.cameras.board.corners import refine
+from urdfcal.cameras.board.detection import detect_board
 from urdfcal.cameras.camera import Camera
 from urdfcal.cameras.rig import Rig
 

@@ -1,6 +1,9 @@
 """Bundle adjustment of a calibration from boards: lenses, camera poses and board poses in one least squares.
 
-    r = (uv - project(camera, T_cam_world T_world_board corner)) / sigma
+    r = W (uv - project(camera, T_cam_world T_world_board corner)),   W'W = (covariance of the corner + s²)^-1
+
+The covariance is the corner's own, from the pixels around it; s, one a camera, is what the fit leaves beyond it: a
+board that is not flat, a lens that is none of the model. Where the fit leaves less, the covariances are scaled down.
 
 Poses move by a step (v, w) from the left, T <- [exp(w) v; 0 1] T. Every view's pose meets the other views only
 through the cameras, so it is eliminated first (Schur complement); what remains is as large as the cameras'
@@ -24,7 +27,7 @@ from urdfcal.errors import CameraError
 from urdfcal.rotations import skew
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from urdfcal.cameras.board.board import Board
 
@@ -98,8 +101,8 @@ class Bundle:
         boards = small_motion(views) @ self.T_world_board
         return replace(self, cameras=tuple(cameras), T_cam_world=np.stack(places), T_world_board=boards)
 
-    def normal_equations(self, uv: Floats, weights: Floats) -> _Normal:
-        """Accumulate JᵀWJ and JᵀWr; ``weights`` (C, V, N) are 1 / sigma², zero where there is no corner."""
+    def normal_equations(self, uv: Floats, whitening: Floats) -> _Normal:
+        """Accumulate JᵀJ and Jᵀr of what ``whitening`` (C, V, N, 2, 2) makes of the residuals; zero: no corner."""
         V, N = uv.shape[1:3]
         points = self.board.at(self.T_world_board)
         shared, g_shared, mixed = np.zeros((self.size, self.size)), np.zeros(self.size), np.zeros((V, self.size, 6))
@@ -107,14 +110,13 @@ class Bundle:
         for c, (camera, T, columns) in enumerate(zip(self.cameras, self.T_cam_world, self.columns, strict=True)):
             p = points @ T[:3, :3].T + T[:3, 3]
             predicted, J_point, J_lens = camera.project_with_derivatives(p)
-            used = weights[c] > 0.0
-            root = np.sqrt(weights[c])[..., None]
-            r = np.where(used[..., None], uv[c] - predicted, 0.0) * root
+            W = whitening[c]
+            used = W.any(axis=(-2, -1))
+            r = W @ np.where(used[..., None], uv[c] - predicted, 0.0)[..., None]
             if np.isnan(r).any():
                 cost = np.inf
                 break
-            J_point = np.where(used[..., None, None], J_point, 0.0) * root[..., None]
-            J_lens = np.where(used[..., None, None], J_lens, 0.0) * root[..., None]
+            J_point, J_lens = (W @ np.where(used[..., None, None], J, 0.0) for J in (J_point, J_lens))
             r = r.reshape(V, 2 * N, 1)
             J_board = by_motion(J_point @ T[:3, :3], points).reshape(V, 2 * N, 6)
             # The first camera's pose has no columns.
@@ -169,6 +171,7 @@ class Adjusted:
         covariance: (P, P) of the cameras' parameters, in the order of the bundle's slices.
         sigma: (C,) standard deviation of a corner's coordinate in each camera, px, from the residuals.
         residuals: (C, V, N, 2) px, NaN where there was no corner.
+        norms: (C, V, N) the residuals' lengths in standard deviations, 1.4 rms if all is well; NaN likewise.
         outliers: (C, V, N) corners that were left out.
     """
 
@@ -176,64 +179,95 @@ class Adjusted:
     covariance: Floats
     sigma: Floats
     residuals: Floats
+    norms: Floats
     outliers: Bools
 
 
-def adjust(bundle: Bundle, uv: Floats) -> Adjusted:
-    """Adjust ``bundle`` to the corners ``uv`` (C, V, N, 2), with weights from their own residuals.
+def adjust(bundle: Bundle, uv: Floats, covariance: Floats) -> Adjusted:
+    """Adjust ``bundle`` to the corners ``uv`` (C, V, N, 2) of ``covariance`` (C, V, N, 2, 2), px², a lower bound.
 
     Raises:
         CameraError: the start explains nothing, or the fit does not converge.
     """
     seen = np.isfinite(uv[..., 0])
-    if not np.isfinite(bundle.normal_equations(uv, seen.astype(float)).cost):
+    whitening = seen[..., None, None] * np.eye(2)
+    if not np.isfinite(bundle.normal_equations(uv, whitening).cost):
         raise CameraError("the start puts a board outside a lens")
-    weights = seen.astype(float)
     sigma = np.ones(len(uv))
+    # What the fit has taken away from the residuals, shared out evenly.
+    freedom = 1.0 - min((bundle.size + 6.0 * len(bundle.T_world_board)) / (2.0 * max(seen.sum(), 1)), 0.99)
     for _ in range(_ROUNDS):
-        bundle = _descend(bundle, uv, weights)
+        bundle = _descend(bundle, uv, whitening)
         residuals = uv - bundle.project()
-        # A corner left out may have come to lie beyond the lens.
-        distance = np.nan_to_num(np.linalg.norm(residuals, axis=-1), nan=np.inf)
-        before, sigma = sigma, _noise(distance, seen, bundle)
-        norms = distance / sigma[:, None, None]
-        huber = _HUBER / np.maximum(norms, _HUBER)
-        weights = np.where(seen & (norms < _CUT), huber, 0.0) / sigma[:, None, None] ** 2
+        before = sigma
+        each = zip(residuals, covariance, seen, strict=True)
+        unit, norms, sigma = (
+            np.stack(values) for values in zip(*(_weighed(*one, freedom) for one in each), strict=True)
+        )
+        huber = np.sqrt(_HUBER / np.maximum(norms, _HUBER))
+        whitening = np.where(seen & (norms < _CUT), huber, 0.0)[..., None, None] * unit
         if np.allclose(sigma, before, rtol=_SETTLED, atol=0.0):
             break
-    if np.count_nonzero(weights) < _LEAST_SHARE * np.count_nonzero(seen):
+    used = whitening.any(axis=(-2, -1))
+    if np.count_nonzero(used) < _LEAST_SHARE * np.count_nonzero(seen):
         raise CameraError("the corners do not agree on any camera", remedy=_MORE)
-    _, _, covariance = bundle.normal_equations(uv, weights).solve(0.0)
-    return Adjusted(bundle, frozen(covariance), frozen(sigma), residuals, seen & (weights == 0.0))
+    _, _, found = bundle.normal_equations(uv, whitening).solve(0.0)
+    return Adjusted(bundle, frozen(found), frozen(sigma), residuals, np.where(seen, norms, np.nan), seen & ~used)
 
 
-def _noise(distance: Floats, seen: Floats, bundle: Bundle) -> Floats:
-    """(C,) standard deviations of a coordinate: rms of each camera's residuals without those far beyond the others'."""
-    counted = 2 * int(seen.sum())
-    unknown = bundle.size + 6 * len(bundle.T_world_board)
-    # What the fit has taken away from the residuals, shared out evenly.
-    inflation = np.sqrt(counted / max(counted - unknown, 1))
-    sigma = []
-    for camera in range(len(distance)):
-        d = distance[camera][seen[camera] & np.isfinite(distance[camera])]
-        if not d.size:
-            raise CameraError("the corners do not agree on any camera", remedy=_MORE)
-        # The median of a Rayleigh distribution is 1.1774 sigma.
-        rough = max(float(np.median(d)) / 1.1774, _LEAST_SIGMA)
-        kept = d[d < _CUT * rough]
-        sigma.append(max(float(np.sqrt(np.mean(kept**2) / 2.0)), _LEAST_SIGMA) * inflation)
-    return np.array(sigma)
+def _weighed(residuals: Floats, covariance: Floats, seen: Bools, freedom: float) -> tuple[Floats, Floats, float]:
+    """What one camera's residuals (V, N, 2) say of the noise.
+
+    Returns:
+        (V, N, 2, 2) what whitens each, (V, N) their lengths in standard deviations, infinite beyond the lens, and the
+        standard deviation of a coordinate, px, rms over the corners.
+    """
+    known = seen & np.isfinite(residuals).all(axis=-1)
+    if not known.any():
+        raise CameraError("the corners do not agree on any camera", remedy=_MORE)
+    r, C = residuals[known], covariance[known]
+    # In its axes every covariance is two variances.
+    variances, axes = np.linalg.eigh(C)
+    squared = (np.swapaxes(axes, 1, 2) @ r[..., None])[..., 0] ** 2
+
+    def lengths(extra: float) -> Floats:
+        return np.asarray((squared / np.maximum(variances + extra, _LEAST_SIGMA**2)).sum(axis=1))
+
+    # The median of the squared lengths of two-dimensional Gaussians is 2 ln 2, their mean 2; far ones do not count.
+    rough = _extra(lambda extra: float(np.median(lengths(extra))) / (2.0 * np.log(2.0)) / freedom, squared)
+    kept = lengths(rough) < _CUT**2
+    extra = _extra(lambda extra: float(lengths(extra)[kept].mean()) / 2.0 / freedom, squared)
+    variances = np.maximum(variances + extra, _LEAST_SIGMA**2)
+    # Where the corners are better than they claim, their covariances shrink together.
+    variances *= min(1.0, max(float((squared / variances)[kept].mean()) / freedom, 1e-6))
+    variances = np.maximum(variances, _LEAST_SIGMA**2)
+    whitening = np.zeros((*seen.shape, 2, 2))
+    norms = np.full(seen.shape, np.inf)
+    whitening[known] = np.swapaxes(axes, 1, 2) / np.sqrt(variances)[..., None]
+    norms[known] = np.sqrt((squared / variances).sum(axis=1))
+    return whitening, norms, float(np.sqrt(squared[kept].mean() / freedom))
 
 
-def _descend(bundle: Bundle, uv: Floats, weights: Floats) -> Bundle:
+def _extra(chi2: Callable[[float], float], squared: Floats) -> float:
+    """The variance, px², that makes ``chi2``, a falling function of it, one; 0 if it is less than one already."""
+    low, high = _LEAST_SIGMA**2, 4.0 * float(squared.max()) + _LEAST_SIGMA**2
+    if chi2(0.0) <= 1.0:
+        return 0.0
+    for _ in range(60):
+        middle = np.sqrt(low * high)
+        low, high = (middle, high) if chi2(middle) > 1.0 else (low, middle)
+    return float(high)
+
+
+def _descend(bundle: Bundle, uv: Floats, whitening: Floats) -> Bundle:
     """Levenberg-Marquardt with fixed weights."""
-    at = bundle.normal_equations(uv, weights)
+    at = bundle.normal_equations(uv, whitening)
     damping = _FIRST_DAMPING
     for _ in range(_MAX_STEPS):
         shared, views, _ = at.solve(damping)
         try:
             candidate = bundle.moved(shared, views)
-            new = candidate.normal_equations(uv, weights)
+            new = candidate.normal_equations(uv, whitening)
         except CameraError:
             new = replace(at, cost=np.inf)
         if not new.cost <= at.cost * (1.0 + 1e-12):
@@ -298,7 +332,7 @@ def first_guesses(name: str, resolution: tuple[int, int], model: str, board: Boa
     return [camera(ratio * best) for ratio in _RATIOS]
 
 
-def place(cameras: Sequence[Camera], board: Board, uv: Floats) -> tuple[list[Floats | None], Floats, Floats]:
+def place(cameras: Sequence[Camera], board: Board, uv: Floats) -> tuple[list[Floats | None], Floats, Ints]:
     """Where the cameras stand, from the boards that two or more of them saw.
 
     A board that looks the same from several sides may have been read differently by two cameras; only one reading lets
@@ -311,10 +345,10 @@ def place(cameras: Sequence[Camera], board: Board, uv: Floats) -> tuple[list[Flo
 
     Returns:
         T_cam_world of each camera, None where no chain of common views leads to the first; T_world_board (V, 4, 4), NaN
-        where no such camera saw it; and ``uv`` with the readings made to agree.
+        where no such camera saw it; and (C, V, N) the order of the corners in which the readings agree.
     """
-    uv = np.array(uv)
     seen = np.asarray(np.isfinite(uv[..., 0]).any(axis=2))
+    orders = np.broadcast_to(np.arange(uv.shape[2]), uv.shape[:3]).copy()
     T_cam_world: list[Floats | None] = [np.eye(4), *[None] * (len(cameras) - 1)]
     T_world_board = np.full((uv.shape[1], 4, 4), np.nan)
     T_world_board[seen[0]] = board_poses(cameras[0], board, uv[0, seen[0]])
@@ -323,14 +357,14 @@ def place(cameras: Sequence[Camera], board: Board, uv: Floats) -> tuple[list[Flo
         common = [0 if T is not None else int((seen[c] & known).sum()) for c, T in enumerate(T_cam_world)]
         c = int(np.argmax(common))
         if common[c] == 0:
-            return T_cam_world, T_world_board, uv
+            return T_cam_world, T_world_board, orders
         views = np.flatnonzero(seen[c] & known)
         # (S, views, 4, 4): this camera's place, for every reading of the board.
         readings = [board_poses(cameras[c], board, uv[c, views][:, order]) for order in board.symmetries]
         candidates = np.stack(readings) @ inverse(T_world_board[views])
         T, agreed = _most_agreed(candidates)
         for view, reading in zip(views, agreed, strict=True):
-            uv[c, view] = uv[c, view, board.symmetries[reading]]
+            orders[c, view] = board.symmetries[reading]
         T_cam_world[c] = T
         new = seen[c] & ~known
         T_world_board[new] = inverse(T) @ board_poses(cameras[c], board, uv[c, new])
