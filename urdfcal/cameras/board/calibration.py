@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.arrays import Bools, Floats, Ints, frozen
-from urdfcal.cameras.board.bundle import Adjusted, Bundle, adjust, board_poses, first_guesses, place
+from urdfcal.cameras.board.bundle import Adjusted, Bundle, adjust
+from urdfcal.cameras.board.start import board_poses, first_guesses, place
 from urdfcal.cameras.board.views import Rejection
 from urdfcal.cameras.rig import CameraSigma, Rig
 from urdfcal.errors import CameraError
@@ -23,7 +24,8 @@ if TYPE_CHECKING:
 
 # A view adds 6 unknowns of its own; with fewer corners, or all in two rows, it says nothing about the lens.
 _FEWEST_CORNERS, _FEWEST_ROWS = 8, 2
-_FEWEST_VIEWS = 5
+# Three views tell lens and poses; of fewer than this the standard deviations are themselves uncertain.
+_FEWEST_VIEWS, _FEW_VIEWS = 3, 8
 # The rms of 54 corners varies by 7 % between views, with distance and light by a factor of two.
 _FAR_ABOVE = 3.0
 _MOST_LEFT_OUT = 0.2
@@ -32,6 +34,8 @@ _MOST_LEFT_OUT = 0.2
 _LEAST_TILT = 10.0
 # A focal length off by 0.5 % puts an LED 1.5 m away off by 7 mm: more than the arm's own errors.
 _WORST_FOCAL = 0.005
+# Beyond this the prior says nothing that the printed focal length of the lens does not.
+_HOPELESS_FOCAL = 0.05
 # k3 is used where it is this many of its standard deviations from zero.
 _SIGNIFICANT = 3.0
 # A start that ends here has found the camera; others end at tens of px or leave corners out.
@@ -100,7 +104,9 @@ class BoardCalibration:
     warnings: tuple[str, ...]
 
 
-def calibrate_cameras(views: BoardViews, board: Board, model: str = "radtan") -> BoardCalibration:
+def calibrate_cameras(
+    views: BoardViews, board: Board, model: str = "radtan", *, force: bool = False
+) -> BoardCalibration:
     """Estimate lenses and places of all cameras, with their covariance.
 
     Every camera is calibrated alone first; those that views in common link to the first one then all together in one
@@ -110,11 +116,22 @@ def calibrate_cameras(views: BoardViews, board: Board, model: str = "radtan") ->
         views: what the cameras saw.
         board: of what.
         model: "radtan" (k3 only where the corners ask for it), "equidistant" or "none".
+        force: go on where the views leave the focal length open or the cameras disagree, with a warning.
 
     Raises:
         CameraError: too few or too parallel views, or corners that fit no camera; says what images to add.
     """
     uv, rejected = _usable(views, board)
+    warnings: list[str] = []
+
+    def mind(doubt: CameraError | None) -> None:
+        if doubt is None:
+            return
+        if not force:
+            remedy = f"{doubt.remedy} Or --force takes them as they are."
+            raise CameraError(doubt.what, where=doubt.where, remedy=remedy)
+        warnings.append(f"{doubt.where}: {doubt.what}. {doubt.remedy}")
+
     alone: list[Adjusted] = []
     for c, name in enumerate(views.cameras):
         _check_views(views, c, uv, rejected)
@@ -124,7 +141,7 @@ def calibrate_cameras(views: BoardViews, board: Board, model: str = "radtan") ->
         for rejection in dropped:
             uv[c, views.views.index(rejection.view)] = np.nan
         _check_views(views, c, uv, rejected)
-        _check_focal(fitted, name)
+        mind(_open_focal(fitted, name))
         alone.append(fitted)
 
     cameras = [fitted.bundle.cameras[0] for fitted in alone]
@@ -136,8 +153,8 @@ def calibrate_cameras(views: BoardViews, board: Board, model: str = "radtan") ->
         rejected += dropped
         for i, c in enumerate(group):
             fits[c] = fitted, i
-            _check_together(cameras[c].name, float(alone[c].sigma[0]), float(fitted.sigma[i]))
-    return _result(views, board, fits, rejected)
+            mind(_disagreeing(cameras[c].name, float(alone[c].sigma[0]), float(fitted.sigma[i])))
+    return _result(views, board, fits, rejected, warnings)
 
 
 def _usable(views: BoardViews, board: Board) -> tuple[Floats, list[Rejection]]:
@@ -166,30 +183,31 @@ def _check_views(views: BoardViews, c: int, uv: Floats, rejected: Sequence[Rejec
     raise CameraError(what, where=f"camera '{views.cameras[c]}'", remedy=remedy)
 
 
-def _check_focal(fitted: Adjusted, name: str) -> None:
-    """Refuse views that leave the focal length open."""
+def _open_focal(fitted: Adjusted, name: str) -> CameraError | None:
+    """What to object to views that leave the focal length open."""
     camera = fitted.bundle.cameras[0]
     seen = np.isfinite(fitted.residuals[0, ..., 0]).any(axis=1)
     tilts = _tilts(fitted.bundle, 0)[seen]
     if tilts.max() < _LEAST_TILT:
-        raise CameraError(
+        return CameraError(
             f"the board faces the camera in all images (tilted by at most {tilts.max():.0f}°): a longer lens further "
             "away would see the same",
             where=f"camera '{name}'",
             remedy=_TILT_THE_BOARD,
         )
     relative = float((np.sqrt(np.diag(fitted.covariance)[:2]) / camera.intrinsics[:2]).max())
-    if not relative < _WORST_FOCAL:
-        what = f"these images tell the focal length only to {100 * relative:.2g} % (standard deviation)"
-        remedy = f"{100 * _WORST_FOCAL:g} % is needed. {_TILT_THE_BOARD}"
-        raise CameraError(what, where=f"camera '{name}'", remedy=remedy)
+    if relative < _HOPELESS_FOCAL:
+        return None
+    what = f"these images tell the focal length only to {100 * relative:.2g} % (standard deviation)"
+    return CameraError(what, where=f"camera '{name}'", remedy=_TILT_THE_BOARD)
 
 
-def _check_together(name: str, alone: float, together: float) -> None:
-    """Refuse a camera that agrees with itself but not with the others."""
-    if together > _FAR_ABOVE * max(alone, _LEAST_NOISE):
-        what = f"its corners fit to {alone:.2g} px alone, but to {together:.2g} px together with the other cameras"
-        raise CameraError(what, where=f"camera '{name}'", remedy=_AT_THE_SAME_TIME)
+def _disagreeing(name: str, alone: float, together: float) -> CameraError | None:
+    """What to object to a camera that agrees with itself but not with the others."""
+    if together <= _FAR_ABOVE * max(alone, _LEAST_NOISE):
+        return None
+    what = f"its corners fit to {alone:.2g} px alone, but to {together:.2g} px together with the other cameras"
+    return CameraError(what, where=f"camera '{name}'", remedy=_AT_THE_SAME_TIME)
 
 
 def _alone(name: str, resolution: tuple[int, int], model: str, board: Board, uv: Floats, covariance: Floats) -> Camera:
@@ -296,7 +314,11 @@ def _quality(views: BoardViews, c: int, fitted: Adjusted, i: int) -> CameraQuali
 
 
 def _result(
-    views: BoardViews, board: Board, fits: dict[int, tuple[Adjusted, int]], rejected: Sequence[Rejection]
+    views: BoardViews,
+    board: Board,
+    fits: dict[int, tuple[Adjusted, int]],
+    rejected: Sequence[Rejection],
+    doubts: Sequence[str],
 ) -> BoardCalibration:
     names: list[str] = []
     blocks: list[tuple[Adjusted, Ints]] = []
@@ -316,7 +338,7 @@ def _result(
     correlation = np.clip(covariance / np.outer(sigma, sigma), -1.0, 1.0)
     correlation = 0.5 * (correlation + correlation.T)
 
-    cameras, places, sigmas, qualities, warnings, end = [], [], [], [], [], 0
+    cameras, places, sigmas, qualities, warnings, end = [], [], [], [], list(doubts), 0
     for c, (fitted, columns) in enumerate(blocks):
         i = fits[c][1]
         camera, T = fitted.bundle.cameras[i], fitted.bundle.T_cam_world[i]
@@ -328,15 +350,31 @@ def _result(
         places.append(np.block([[U @ Vt, T[:3, 3:]], [T[3]]]) if fitted is blocks[0][0] else None)
         sigmas.append(CameraSigma(lens, pose if len(pose) else None, correlation[start:end, :end]))
         qualities.append(_quality(views, c, fitted, i))
-        warnings += _remarks(qualities[-1], placed=places[-1] is not None)
-    rig = Rig(tuple(cameras), tuple(places), tuple(sigmas))
+        focal = float((lens[:2] / camera.intrinsics[:2]).max())
+        warnings += _remarks(qualities[-1], focal, placed=places[-1] is not None)
+    # Between cameras there are lengths, in one alone none.
+    lengths = sum(T is not None for T in places) > 1
+    if lengths and board.scale_sigma is None:
+        warnings.append(
+            "the distance between the cameras is right if the board's squares are as said: measure several in a row on "
+            f"the print, and give their length and its sigma: --measured {max(board.shape) - 1} 0.2003 0.0002"
+        )
+    rig = Rig(tuple(cameras), tuple(places), tuple(sigmas), board.scale_sigma if lengths else None)
     return BoardCalibration(
         board, rig, frozen(covariance), tuple(names), tuple(qualities), tuple(rejected), tuple(warnings)
     )
 
 
-def _remarks(quality: CameraQuality, *, placed: bool) -> list[str]:
+def _remarks(quality: CameraQuality, focal: float, *, placed: bool) -> list[str]:
     remarks = []
+    if focal >= _WORST_FOCAL:
+        remarks.append(
+            f"camera '{quality.name}': the focal length is known to {100 * focal:.2g} % only (standard deviation): "
+            f"refine it with the arm (`estimate: {{intrinsics: refine}}`). {_TILT_THE_BOARD}"
+        )
+    if len(quality.views) < _FEW_VIEWS:
+        what = f"camera '{quality.name}': {len(quality.views)} images are few, 15 to 30 are good"
+        remarks.append(f"{what}; the standard deviations are themselves uncertain")
     if quality.coverage < _LEAST_COVERAGE:
         covered = quality.covered
         thirds = {
