@@ -415,6 +415,15 @@ def test_pictures_are_found_in_natural_order_and_read(tmp_path: Path) -> None:
     assert reasons["cam10", "empty"].startswith("no board is found in it")
 
 
+def test_pictures_too_soft_for_their_squares_are_left_out_with_the_reason(tmp_path: Path) -> None:
+    T = placed([0.3, 0.2, 0.0], [-0.1, -0.07, 0.9])
+    for name, blur in (("sharp", 0.8), ("soft", 2.0), ("softer", 4.5)):
+        write_image(tmp_path / f"{name}.png", BoardRenderer(PAIR.cameras[0]).render(CHESSBOARD, T, blur=blur))
+    (left_out,) = read_views(tmp_path, CHESSBOARD).rejected
+    assert left_out.view == "softer"
+    assert re.match(r"it is too soft: edges are blurred by 4\.\d px .*, squares 2\d px", left_out.reason)
+
+
 def test_a_folder_of_pictures_is_one_camera(tmp_path: Path) -> None:
     write_image(tmp_path / "a.png", np.zeros((20, 30), np.uint8))
     assert list(find_images(tmp_path)) == ["cam0"]

@@ -54,6 +54,10 @@ class Corners:
         """(N,) which corners were found."""
         return np.isfinite(self.uv[:, 0])
 
+    def squares(self, board: Board) -> float:
+        """Side of a square in the image, the shorter one, median over the corners, px."""
+        return float(np.nanmedian(np.linalg.norm(_squares(board, self.uv), axis=2).min(axis=1)))
+
 
 def refine(image: Image, board: Board, uv: Floats) -> Corners:
     """Find the corners near ``uv``.

@@ -22,6 +22,11 @@ if TYPE_CHECKING:
     from urdfcal.cameras.board.corners import Corners
 
 
+# Beyond this the edges of the next squares, and of the board, spill into a corner's window: real pictures of squares of
+# 15 px blurred by 3 px gave focal lengths off by 0.5 %, 4 standard deviations. At 0.12 they are right.
+_SOFTEST = 0.15
+
+
 @dataclass(frozen=True)
 class Rejection:
     """An image that was not used.
@@ -134,7 +139,12 @@ def _look(path: Path, board: Board) -> tuple[tuple[int, int], Corners | str]:
         return (0, 0), error.what
     size = image.shape[1], image.shape[0]
     corners = detect_board(image, board)
-    return size, what_is_seen(image, board) if corners is None else corners
+    if corners is None:
+        return size, what_is_seen(image, board)
+    blur, square = float(np.nanmedian(corners.blur)), corners.squares(board)
+    if blur > _SOFTEST * square:
+        return size, f"it is too soft: edges are blurred by {blur:.1f} px (standard deviation), squares {square:.0f} px"
+    return size, corners
 
 
 def _natural(name: str) -> list[tuple[int, str]]:
