@@ -419,7 +419,10 @@ def test_pictures_too_soft_for_their_squares_are_left_out_with_the_reason(tmp_pa
     T = placed([0.3, 0.2, 0.0], [-0.1, -0.07, 0.9])
     for name, blur in (("sharp", 0.8), ("soft", 2.0), ("softer", 4.5)):
         write_image(tmp_path / f"{name}.png", BoardRenderer(PAIR.cameras[0]).render(CHESSBOARD, T, blur=blur))
-    (left_out,) = read_views(tmp_path, CHESSBOARD).rejected
+    views = read_views(tmp_path, CHESSBOARD)
+    (left_out,) = views.rejected
+    with pytest.raises(CameraError, match=r"only 2 of its images can be used \(1 x it is too soft\)"):
+        calibrate_cameras(views, CHESSBOARD)
     assert left_out.view == "softer"
     assert re.match(r"it is too soft: edges are blurred by 4\.\d px .*, squares 2\d px", left_out.reason)
 

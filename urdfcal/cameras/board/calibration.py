@@ -176,7 +176,8 @@ def _check_views(views: BoardViews, c: int, uv: Floats, rejected: Sequence[Rejec
     count = int(np.isfinite(uv[c, ..., 0]).any(axis=1).sum())
     if count >= _FEWEST_VIEWS:
         return
-    reasons = Counter(r.reason for r in rejected if r.camera == views.cameras[c]).most_common()
+    # What follows the colon is different in every image.
+    reasons = Counter(r.reason.split(":")[0] for r in rejected if r.camera == views.cameras[c]).most_common()
     because = f" ({'; '.join(f'{times} x {reason}' for reason, times in reasons[:3])})" if reasons else ""
     what = f"only {count} of its images can be used{because}, at least {_FEWEST_VIEWS} are needed and 15 to 30 are good"
     remedy = "Add sharp images of the board in all parts of the image, and check the board's kind and its counts."
