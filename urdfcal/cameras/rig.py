@@ -118,6 +118,8 @@ class Rig:
         cameras: with different names; none where something else measures.
         T_cam_world: for every camera (4, 4), or None where its place is not known; a group's first is the identity.
         sigmas: for every camera how well it is known, or None; left out: all None.
+        scale_sigma: standard deviation of the share that the lengths between them may be too long by, as the board's
+            that calibrated them; None if nothing is known.
         group: for every camera the first one of its group; left out: all are one.
         lens: for every camera the one whose lens it has, as before it was moved; left out: each its own.
 
@@ -128,6 +130,7 @@ class Rig:
     cameras: tuple[Camera, ...] = ()
     T_cam_world: tuple[Floats | None, ...] = ()
     sigmas: tuple[CameraSigma | None, ...] = ()
+    scale_sigma: float | None = None
     group: tuple[int, ...] = ()
     lens: tuple[int, ...] = ()
 
@@ -173,7 +176,8 @@ class Rig:
 
         The first one stays, or none of the others' places is known: they are counted from it.
         """
-        group, lens = (_renumbered([of[c] for c in cameras]) for of in (self.group, self.lens))
+        kept = ([of[c] for c in cameras] for of in (self.group, self.lens))
+        group, lens = (tuple(some.index(of) for of in some) for some in kept)
         firsts = [self.group[c] == c for c in cameras]
         places = [
             np.eye(4) if first == k and not firsts[k] else self.T_cam_world[c]
@@ -188,7 +192,8 @@ class Rig:
                 correlations = None if sigma.correlations is None else sigma.correlations[:, before]
                 sigma = replace(sigma, correlations=correlations)
             sigmas.append(sigma)
-        return Rig(tuple(self.cameras[c] for c in cameras), tuple(places), tuple(sigmas), group, lens)
+        chosen = tuple(self.cameras[c] for c in cameras)
+        return Rig(chosen, tuple(places), tuple(sigmas), self.scale_sigma, group, lens)
 
     @property
     def correlation(self) -> Floats:
@@ -227,6 +232,8 @@ class Rig:
     def _check_sigmas(self) -> None:
         if len(self.sigmas) != len(self.cameras):
             raise CameraError(f"{len(self.cameras)} cameras have {len(self.sigmas)} sets of standard deviations")
+        if self.scale_sigma is not None and not 0.0 <= self.scale_sigma < 1.0:
+            raise CameraError(f"a standard deviation of {self.scale_sigma:g} of all lengths makes no sense")
         before = 0
         firsts = {self.cameras[c] for c in self.group}
         for camera, T, sigma in zip(self.cameras, self.T_cam_world, self.sigmas, strict=True):
@@ -270,11 +277,6 @@ class Rig:
             what = f"sigma {sigma[point, camera]:g} px of detection {point} must be positive"
             raise CameraError(what, where=f"camera '{self.names[camera]}'")
         return uv, np.where(seen, sigma, np.nan)
-
-
-def _renumbered(kept: Sequence[int]) -> tuple[int, ...]:
-    """For each of some that are kept the first one with the same number."""
-    return tuple(kept.index(of) for of in kept)
 
 
 @dataclass(frozen=True, eq=False)

@@ -207,7 +207,7 @@ class _JoinedCameras:
                     sigma = replace(sigma, correlations=np.hstack([np.zeros((len(rows), known)), rows]))
                 sigmas.append(sigma)
             indices.append(np.array(mine, dtype=np.intp))
-        return cls(Rig(tuple(cameras), tuple(places), tuple(sigmas), tuple(group), tuple(lens)), tuple(indices))
+        return cls(Rig(tuple(cameras), tuple(places), tuple(sigmas), None, tuple(group), tuple(lens)), tuple(indices))
 
 
 def _tables(parts: Mapping[str, Session], cameras: Sequence[Ints]) -> tuple[Measurements, ...]:
