@@ -15,7 +15,7 @@ from urdfcal.estimation.measurements import MEASUREMENTS, Detections, Points
 from urdfcal.io.folder import read_session
 from urdfcal.io.schema import SessionFile
 from urdfcal.io.writing import write_session
-from urdfcal.session.knowledge import Estimate, Led, LedDistance, Noise, Tolerances
+from urdfcal.session.knowledge import Estimate, Led, LedDistance, Noise, Payload, Tolerances
 
 if TYPE_CHECKING:
     from urdfcal.session.model import Session
@@ -202,11 +202,15 @@ def test_every_key_that_is_read_is_written(tmp_path: Path, session: Session) -> 
         estimate=Estimate("dh", "fixed"),
         joint_models={"zero_offset": True},
         scale_sigma=0.002,
+        payload=Payload("tip", 1.2, np.array([0.0, 0.0, 0.05])),
+        gravity=np.array([9.81, 0.0, 0.0]),
+        gear_ratio={"roll": 121.0},
+        torques=np.zeros(session.q.shape),
     )
     write_session(tmp_path / "out", full)
     written = yaml.safe_load((tmp_path / "out" / "session.yaml").read_text())
     other_tables = {kind.kind for kind in MEASUREMENTS} - {table.kind for table in session.measurements}
     assert set(SessionFile.model_fields) - set(written) == other_tables | {"frames", "exclude"}
     found = read_session(tmp_path / "out")
-    for field in ("led_distances", "estimate", "joint_models", "scale_sigma"):
+    for field in ("led_distances", "estimate", "joint_models", "scale_sigma", "gear_ratio"):
         assert getattr(found, field) == getattr(full, field), field

@@ -15,7 +15,7 @@ from urdfcal.estimation.measurements import MEASUREMENTS, Detections, Points
 from urdfcal.files import Source
 from urdfcal.io.checks.content import unseen
 from urdfcal.io.checks.plausibility import Inputs, check, check_positions
-from urdfcal.io.tables import read_frames, read_joints, read_log, read_measurements
+from urdfcal.io.tables import read_frames, read_joints, read_log, read_measurements, read_torques
 from urdfcal.names import check_known, suggest
 from urdfcal.robot.chain import read_mechanism
 from urdfcal.robot.urdf.urdf import Urdf, find_urdf
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from urdfcal.io.schema import SessionFile, SetupFile
+    from urdfcal.io.tables import JointTable
     from urdfcal.io.yaml_document import Document
     from urdfcal.robot.mechanism import Mechanism
 
@@ -96,6 +97,8 @@ def read_session(
         tables[kind] = tables[kind].only(~np.isin(tables[kind].rows, wrong))
     measurements = tuple(table.measurements for table in tables.values())
     session = positions.measured(measurements, sha256=hashes, warnings=warnings)
+    if keys.torques is not None:
+        session = _with_torques(session, _file(document, "torques"), keys.torques, inputs.joints)
     with document.placing():
         return leave_out(session, excluded) if excluded else session
 
@@ -170,6 +173,24 @@ def read_points(path: str | Path, session: Session) -> tuple[Points, tuple[Led, 
     """
     table = read_measurements(Path(path), Points, {"pose": session.poses}, session.noise.of(Points))
     return table.measurements, tuple(Led(name) for name in table.names["led"])  # type: ignore[return-value]
+
+
+def _with_torques(session: Session, path: Path, name: str, joints: JointTable) -> Session:
+    """Return a session with torques; poses without are none of it, and those after them came from there.
+
+    Raises:
+        SessionError: something was measured in one of them.
+    """
+    urdf_joints = () if session.urdf is None else session.urdf.joints
+    table, rows, torques = read_torques(path, session.chain, urdf_joints, session.poses)
+    measured = np.unique(np.concatenate([of.pose for of in session.measurements]))
+    for pose in np.setdiff1d(measured, rows)[:1].tolist():
+        what = f"pose {session.poses[pose]!r} has no torques, and something was measured in it"
+        remedy = f"Add its row to {path}, or take out what was measured in it."
+        raise joints.table.wrong(what, pose, "pose", remedy)
+    order = np.argsort(rows)
+    hashes = {**session.sha256, name: table.source.sha256}
+    return replace(session.at(rows[order]), torques=torques[order], sha256=hashes)
 
 
 def _excluded(document: Document, positions: Positions, poses: Sequence[str]) -> Excluded:

@@ -22,7 +22,17 @@ from urdfcal.names import flaw
 from urdfcal.robot.dh import Parameter  # noqa: TC001  # pydantic needs it at run time
 from urdfcal.rotations import rpy_to_matrix
 from urdfcal.session.attachments import CameraMount
-from urdfcal.session.knowledge import ArmGeometry, Estimate, Freedom, Led, LedDistance, Noise, TimeOffset, Tolerances
+from urdfcal.session.knowledge import (
+    ArmGeometry,
+    Estimate,
+    Freedom,
+    Led,
+    LedDistance,
+    Noise,
+    Payload,
+    TimeOffset,
+    Tolerances,
+)
 
 
 def _named(name: str) -> str:
@@ -171,6 +181,23 @@ class ScaleKeys(_Keys):
     sigma: NotNegative
 
 
+class PayloadKeys(_Keys):
+    """What the arm carried: on which link, its mass in kg, and its centre there in m."""
+
+    link: Name
+    mass: Positive
+    center: Vector
+
+
+def _known_direction(gravity: Any) -> Any:
+    if isinstance(gravity, dict):
+        raise ValueError(  # noqa: TRY004  # pydantic's way
+            "the direction of gravity cannot be estimated: measure how the base leans, and write [x, y, z] in the base "
+            "link's frame, in m/s^2"
+        )
+    return gravity
+
+
 class StandKeys(_Keys):
     """Where a rig's first camera stands and looks, in the base link's frame, in m."""
 
@@ -229,6 +256,9 @@ class SetupFile(_Keys):
     tolerances: TolerancesKeys = TolerancesKeys()
     joint_models: _JointModels = {}
     scale: ScaleKeys | None = None
+    payload: PayloadKeys | None = None
+    gravity: Annotated[Vector | None, BeforeValidator(_known_direction)] = None
+    gear_ratio: dict[Name, Positive] = {}
 
     def setup(self) -> dict[str, Any]:
         """The parts that need no other file, as arguments of :class:`~urdfcal.session.model.Setup`."""
@@ -244,6 +274,9 @@ class SetupFile(_Keys):
             "tolerances": Tolerances(tolerances.length, tolerances.angle, tolerances.zero, exceptions),
             "joint_models": self.joint_models,
             "scale_sigma": None if self.scale is None else self.scale.sigma,
+            "payload": None if self.payload is None else Payload(**dict(self.payload)),
+            "gear_ratio": self.gear_ratio,
+            **({} if self.gravity is None else {"gravity": np.array(self.gravity)}),
         }
 
 
@@ -266,6 +299,7 @@ class SessionFile(_Tables):
 
     joints: Name
     frames: Name | None = None
+    torques: Name | None = None
     exclude: ExcludeKeys = ExcludeKeys()
 
     @property
@@ -282,6 +316,8 @@ class SessionFile(_Tables):
             if self.frames is not None and "camera" not in kind.keys:
                 both = f"frames and {kind.kind} are both named"
                 raise ValueError(f"{both}: {kind.kind} belong to an arm that stands still")
+        if self.frames is not None and self.torques is not None:
+            raise ValueError("frames and torques are both named: torques belong to an arm that stands still")
         if self.frames is not None and self.cameras is None:
             raise ValueError("frames are named, but no cameras")
         if self.frames is None and self.estimate.time_offset is not None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from urdfcal.arrays import Floats, Ints, ReadOnly, Rebuilt, finite_array, keep
+from urdfcal.arrays import Floats, Ints, ReadOnly, Rebuilt, finite_array, finite_number, keep
 from urdfcal.cameras.rig import Rig
 from urdfcal.errors import SessionError
 from urdfcal.names import check_known, check_names
@@ -34,7 +34,19 @@ MIN_POSES = 3
 _MIMIC_ROUNDING = 1e-9
 
 
+# From the poles to the equator it is 9.832 to 9.764; that of some units, axes or signs of payloads is not. [m/s^2]
+_GRAVITY = (9.7, 9.9)
+
 Kind = TypeVar("Kind", bound=Measurements)
+
+
+def before(values: Floats, time: Floats | None) -> Floats:
+    """Return the values (N, ...) of the pose before each, by time (N,) if there is one; of the first its own."""
+    order = np.arange(len(values)) if time is None else np.argsort(time, kind="stable")
+    earlier = np.empty_like(order)
+    earlier[order] = order[[0, *range(len(order) - 1)]]
+    result: Floats = values[earlier]
+    return result
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -83,13 +95,11 @@ class Setup(Rebuilt):
     def __post_init__(self) -> None:
         keep(self, leds=tuple(self.leds), led_distances=tuple(self.led_distances), mounts=tuple(self.mounts))
         keep(self, sha256=ReadOnly(self.sha256), joint_models=ReadOnly(self.joint_models))
-        keep(self, gravity=finite_array(self.gravity, (3,), "gravity", "session"), gear_ratio=ReadOnly(self.gear_ratio))
-        by_joint = {
-            f"joint_models.{name}": said for name, said in self.joint_models.items() if isinstance(said, Mapping)
-        }
-        for where, joints in {**by_joint, "gear_ratio": self.gear_ratio}.items():
-            for joint in joints:
-                check_known(joint, self.chain.actuated, "joints", where)
+        keep(self, gravity=finite_array(self.gravity, (3,), "gravity", "gravity"), gear_ratio=ReadOnly(self.gear_ratio))
+        self._check_load()
+        by_joint = {name: of for name, of in self.joint_models.items() if isinstance(of, Mapping)}
+        for name, joint in ((name, joint) for name, of in by_joint.items() for joint in of):
+            check_known(joint, self.chain.actuated, "joints", f"joint_models.{name}")
         for name in (name for distance in self.led_distances for name in distance.leds):
             check_known(name, self.led_names, "LEDs", "led_distances")
         if not self.leds:
@@ -106,6 +116,21 @@ class Setup(Rebuilt):
             for name in () if said is None or isinstance(said, str) else said:
                 check_known(name, self.rig.names, "cameras", "estimate")
         _ = self.attachments  # a link that is none of the robot's is refused now, not when it is first needed
+
+    def _check_load(self) -> None:
+        """Refuse a gravity, payload or gear ratio that cannot be."""
+        strength = float(np.linalg.norm(self.gravity))
+        if not _GRAVITY[0] <= strength <= _GRAVITY[1]:
+            remedy = "Write its vector in the base link's frame, in m/s^2: [0, 0, -9.81] of a base that stands upright."
+            raise SessionError(f"gravity of {strength:.4g} m/s^2 is not the Earth's", where="gravity", remedy=remedy)
+        if self.payload is not None and self.urdf is None:
+            remedy = "Give the setup its URDF, or leave the payload out."
+            raise SessionError("without a URDF nothing is known of its link", where="payload", remedy=remedy)
+        if self.payload is not None and self.urdf is not None:
+            check_known(self.payload.link, tuple(self.urdf.links), "links", "payload.link")
+        for joint, ratio in self.gear_ratio.items():
+            check_known(joint, self.chain.actuated, "joints", f"gear_ratio.{joint}")
+            finite_number(ratio, "the ratio", f"gear_ratio.{joint}", zero=False)
 
     @cached_property
     def attachments(self) -> Attachments:
@@ -167,7 +192,7 @@ class Positions(Setup):
         torques: (N, n) measured joint torques, with the sign that the maker gives them; None where there are none.
             [N m or N]
         previous: (N, n) values of the joints where the arm came from, perhaps in a pose in which nothing was measured;
-            None for the poses in order. [rad or m]
+            None for the poses in order, of time if there is one. [rad or m]
         motion: at rest in every pose, or a trajectory: each pose is then a frame of one camera, q what its log says.
         warnings: what looked odd when it was read.
     """
@@ -204,7 +229,7 @@ class Positions(Setup):
     @property
     def came_from(self) -> Floats:
         """(N, n) values of the joints before the arm moved to each pose; the first pose's own ones. [rad or m]."""
-        return self.q[[0, *range(len(self.q) - 1)]] if self.previous is None else self.previous
+        return before(self.q, self.time) if self.previous is None else self.previous
 
     def label(self, pose: int) -> str:
         """What the tables and the images' file names call a pose: a frame goes by the name its camera gave it."""

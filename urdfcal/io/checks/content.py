@@ -227,7 +227,7 @@ def unseen(inputs: Inputs) -> Iterator[str]:
     blind = [pose for k, pose in enumerate(labels) if k not in seen and pose not in excluded.poses]
     if len(blind) > (0 if inputs.frames is None else _MOST * len(labels)):
         path = (inputs.frames or inputs.joints).table.path
-        yield f"{path}: {len(blind)} of {len(labels)} poses have no measurement and do not count: {listed(blind)}"
+        yield f"{path}: {len(blind)} of {len(labels)} poses have no measurement: {listed(blind)}"
     leds = _named(tables, "led")
     if dark := [
         name for i, name in enumerate(inputs.positions.led_names) if i not in leds and name not in excluded.leds
