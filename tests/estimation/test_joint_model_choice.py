@@ -115,6 +115,20 @@ def test_a_parameter_that_is_not_certain_makes_the_tip_uncertain(simulated: Call
     assert known < expected
 
 
+def test_what_a_model_brings_is_told_of_each_joint_and_in_other_regions(simulated: Callable) -> None:
+    data = simulated("panda", poses=60)
+    trials = {trial.term.model: trial for trial in calibrated(sagging(data, 3e-5)).comparison.chosen.joint_models}
+    sag, harmonics = trials["compliance"], trials["harmonics"]
+    assert sag.included
+    assert min(sag.inside, sag.elsewhere) > 1e-4
+    assert sag.log_evidence > 20.0
+    # The shoulder carries most of the arm, the wrist little of it.
+    assert sag.by_joint["panda_joint2"] > 1e-4 > abs(sag.by_joint["panda_joint6"])
+    assert not harmonics.included
+    assert not harmonics.by_joint
+    assert abs(harmonics.inside) < 1e-4
+
+
 def test_what_a_urdf_cannot_hold_is_said(simulated: Callable) -> None:
     data = simulated("panda", poses=60)
     calibration = calibrated(sagging(data, 3e-5))
