@@ -32,7 +32,7 @@ class Lag(LinearJointModel):
     revolute: ClassVar[Prior | None] = Prior("1", 1e-4)
     prismatic: ClassVar[Prior | None] = Prior("1", 1e-4)
     together: ClassVar[bool] = True
-    certain: ClassVar[float] = 0.0
+    certain: ClassVar[float] = 10.0  # of a rigid Motoman arm it gains up to 9, and a tracker does not confirm it
 
     @classmethod
     def depends_on(cls, session: Positions) -> dict[str, Any] | None:
@@ -50,8 +50,6 @@ class Lag(LinearJointModel):
         unit = "mm" if joint.prismatic else "mrad"
         return f"{joint.name} stays behind by {-1e3 * p[0]:.2g} {unit} for each {joint.unit} that it came"
 
-    def sentence_of_all(self, most: float) -> str:
+    def sentence_of_all(self, joints: str, most: float) -> str:
         """Say how much."""
-        return (
-            f"the joints stay behind on the side that they came from, by up to {most:.2g} mrad: friction, or settling"
-        )
+        return f"lag of {joints}, by up to {most:.2g} mrad: friction, or settling"
