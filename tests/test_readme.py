@@ -13,7 +13,11 @@ import numpy as np
 
 import urdfcal
 from urdfcal.cli import run
+from urdfcal.io.folder import read_rig
+from urdfcal.io.shipped_rigs import find_rig
+from urdfcal.io.writing import write_session
 from urdfcal.robot.urdf.urdf import find_urdf
+from urdfcal.simulation.simulate import simulate
 
 if TYPE_CHECKING:
     import pytest
@@ -37,10 +41,13 @@ def test_what_people_do_and_the_library_example_work_as_written(
     chain = urdfcal.Calibration.load(tmp_path / "result").chain
     shutil.copy(find_urdf("package://example-robot-data/robots/panda_description/urdf/panda.urdf"), "other.urdf")
     q = chain.random_values(3, np.random.default_rng(0)).tolist()
+    data = simulate(read_rig(find_rig("panda")), seed=0, poses=62)
+    write_session(tmp_path / "new_session", data.session.at(np.arange(50, 62)))
+    shutil.copytree("result", "later_result")
     rows = [["time", *chain.names], *([k, *row] for k, row in enumerate(q))]
     Path("path.csv").write_text("\n".join(",".join(map(str, row)) for row in rows) + "\n")
     lines = [line.split("#")[0].split() for line in blocks("sh")[3].splitlines()]
-    assert [line[1] for line in lines] == ["apply", "compensate", "export"]
+    assert [line[1] for line in lines] == ["apply", "compensate", "export", "verify", "compare", "batch"]
     for line in lines:
         assert run(line[1:]) == 0, line
     (example,) = blocks("python")

@@ -14,21 +14,33 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from urdfcal.cameras.camera import Camera
-    from urdfcal.cameras.rig import Rig
-    from urdfcal.errors import UrdfcalError
-    from urdfcal.estimation.measurements import Detections, Points
-    from urdfcal.io.folder import read_rig, read_session, write_session
-    from urdfcal.io.recorder import Recorder
-    from urdfcal.output.recording import log_calibration as log
-    from urdfcal.pipeline import calibrate
-    from urdfcal.result.calibration import Calibration
-    from urdfcal.result.fitted import FittedCalibration
-    from urdfcal.robot.chain import Chain
-    from urdfcal.robot.dh import DHTable
-    from urdfcal.robot.urdf.urdf import Urdf
-    from urdfcal.session.knowledge import Estimate, Led, LedDistance, Noise, Tolerances
-    from urdfcal.session.model import Session, Setup
+    from urdfcal.cameras.camera import Camera as Camera
+    from urdfcal.cameras.rig import Rig as Rig
+    from urdfcal.errors import UrdfcalError as UrdfcalError
+    from urdfcal.estimation.measurements import Detections as Detections
+    from urdfcal.estimation.measurements import Points as Points
+    from urdfcal.io.folder import read_rig as read_rig
+    from urdfcal.io.folder import read_session as read_session
+    from urdfcal.io.folder import read_sessions as read_sessions
+    from urdfcal.io.recorder import Recorder as Recorder
+    from urdfcal.io.writing import write_session as write_session
+    from urdfcal.output import recording
+    from urdfcal.pipeline import calibrate as calibrate
+    from urdfcal.result.calibration import Calibration as Calibration
+    from urdfcal.result.fitted import FittedCalibration as FittedCalibration
+    from urdfcal.robot.chain import Chain as Chain
+    from urdfcal.robot.dh import DHTable as DHTable
+    from urdfcal.robot.urdf.urdf import Urdf as Urdf
+    from urdfcal.session.combine import combine as combine
+    from urdfcal.session.knowledge import Estimate as Estimate
+    from urdfcal.session.knowledge import Led as Led
+    from urdfcal.session.knowledge import LedDistance as LedDistance
+    from urdfcal.session.knowledge import Noise as Noise
+    from urdfcal.session.knowledge import Tolerances as Tolerances
+    from urdfcal.session.model import Session as Session
+    from urdfcal.session.model import Setup as Setup
+
+    log = recording.log_calibration
 
 _HOMES = {
     "urdfcal.pipeline": ("calibrate",),
@@ -38,8 +50,10 @@ _HOMES = {
     "urdfcal.robot.chain": ("Chain",),
     "urdfcal.robot.dh": ("DHTable",),
     "urdfcal.robot.urdf.urdf": ("Urdf",),
-    "urdfcal.io.folder": ("read_rig", "read_session", "write_session"),
+    "urdfcal.io.folder": ("read_rig", "read_session", "read_sessions"),
+    "urdfcal.io.writing": ("write_session",),
     "urdfcal.estimation.measurements": ("Detections", "Points"),
+    "urdfcal.session.combine": ("combine",),
     "urdfcal.session.knowledge": ("Estimate", "Led", "LedDistance", "Noise", "Tolerances"),
     "urdfcal.session.model": ("Session", "Setup"),
     "urdfcal.io.recorder": ("Recorder",),
@@ -49,31 +63,7 @@ _HOMES = {
 _HOME_OF = {name: (home, name) for home, names in _HOMES.items() for name in names}
 _HOME_OF["log"] = ("urdfcal.output.recording", "log_calibration")
 
-__all__ = [
-    "Calibration",
-    "Camera",
-    "Chain",
-    "DHTable",
-    "Detections",
-    "Estimate",
-    "FittedCalibration",
-    "Led",
-    "LedDistance",
-    "Noise",
-    "Points",
-    "Recorder",
-    "Rig",
-    "Session",
-    "Setup",
-    "Tolerances",
-    "Urdf",
-    "UrdfcalError",
-    "calibrate",
-    "log",
-    "read_rig",
-    "read_session",
-    "write_session",
-]
+__all__ = sorted(_HOME_OF)
 
 
 def __getattr__(name: str) -> Any:

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import fields
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import numpy as np
 
+from urdfcal.errors import SessionError
+
 if TYPE_CHECKING:
+    from contextlib import AbstractContextManager
+
     from numpy.typing import ArrayLike, NDArray
 
 Floats: TypeAlias = "NDArray[np.float64]"
@@ -21,6 +26,41 @@ def frozen(values: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
     array = np.array(values, dtype=dtype)
     array.setflags(write=False)
     return array
+
+
+def finite_array(values: ArrayLike, shape: tuple[int, ...], name: str, where: str) -> Floats:
+    """Return a read-only array of finite numbers of a given shape.
+
+    Raises:
+        SessionError: the values are no numbers, of another shape, or not finite.
+    """
+    try:
+        array = frozen(values)
+    except (TypeError, ValueError) as error:
+        raise SessionError(f"{name} is not made of numbers", where=where) from error
+    if array.shape != shape:
+        raise SessionError(f"{name} has shape {array.shape}, not {shape}", where=where)
+    if not np.isfinite(array).all():
+        raise SessionError(f"{name} has values that are not finite", where=where)
+    return array
+
+
+def finite_number(value: Any, name: str, where: str, *, zero: bool) -> float:
+    """Return a positive number; with ``zero`` it may be 0.
+
+    Raises:
+        SessionError: it is none.
+    """
+    number = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+    if not number or not np.isfinite(value) or value < 0 or (value == 0 and not zero):
+        raise SessionError(f"{name} is {value!r}, not a {'non-negative' if zero else 'positive'} number", where=where)
+    return float(value)
+
+
+def keep(declared: object, **values: Any) -> None:
+    """Set fields of a frozen dataclass while it is made."""
+    for name, value in values.items():
+        object.__setattr__(declared, name, value)
 
 
 K = TypeVar("K")
@@ -58,16 +98,17 @@ class Rebuilt:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Take the fields along."""
-        return _rebuilt, (type(self), {entry.name: getattr(self, entry.name) for entry in fields(self)})  # type: ignore[arg-type]
-
-
-def _rebuilt(kind: type[Any], values: dict[str, Any]) -> Any:
-    return kind(**values)
+        return partial(type(self), **{entry.name: getattr(self, entry.name) for entry in fields(self)}), ()  # type: ignore[arg-type]
 
 
 def evenly(values: Ints, most: int) -> Ints:
     """At most so many of some values, spread evenly over their order."""
     return values[np.unique(np.linspace(0, len(values) - 1, min(most, len(values))).astype(np.intp))]
+
+
+def rms(values: Floats) -> float:
+    """Return the root mean square of values; NaN of none."""
+    return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")
 
 
 def numbered(columns: Iterable[Ints]) -> Ints:
@@ -86,3 +127,17 @@ def inverse(T: Floats) -> Floats:
     result[..., :3, 3] = -(Rt @ T[..., :3, 3, None])[..., 0]
     result[..., 3, 3] = 1.0
     return result
+
+
+def one_blas_thread() -> AbstractContextManager[object]:
+    """Keep linear algebra to one thread within a ``with``: two are slower at these sizes."""
+    limits: AbstractContextManager[object] = _thread_pools().limit(limits=1, user_api="blas")
+    return limits
+
+
+@cache
+def _thread_pools() -> Any:
+    # Looking for the libraries takes 3 ms each time; numpy's is there by now.
+    import threadpoolctl
+
+    return threadpoolctl.ThreadpoolController()

@@ -1,19 +1,70 @@
-"""Writing files so that a failed run leaves nothing behind."""
+"""Files read once, so that what was hashed is what was used, and written so that a failed run leaves nothing behind."""
 
 from __future__ import annotations
 
 import errno
-import os
+import hashlib
+import secrets
 import shutil
 import tempfile
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from urdfcal.errors import OutputError
+from urdfcal.errors import OutputError, SessionError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+
+_UTF16 = (b"\xff\xfe", b"\xfe\xff")
+
+
+@dataclass(frozen=True)
+class Source:
+    """The content of one file.
+
+    Attributes:
+        path: as the user would name it.
+        data: its bytes.
+    """
+
+    path: Path
+    data: bytes
+
+    @classmethod
+    def read(cls, path: Path) -> Source:
+        """Read ``path``.
+
+        Raises:
+            SessionError: it cannot be read.
+        """
+        try:
+            return cls(path, path.read_bytes())
+        except OSError as error:
+            raise SessionError(f"cannot be read: {error.strerror}", where=str(path)) from error
+
+    @property
+    def sha256(self) -> str:
+        """Hash of the bytes, in hexadecimal."""
+        return hashlib.sha256(self.data).hexdigest()
+
+    @property
+    def text(self) -> str:
+        """The content as text, every line end a line feed, without a byte order mark.
+
+        Raises:
+            SessionError: it is not UTF-8.
+        """
+        try:
+            text = self.data.decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            line = self.data.count(b"\n", 0, error.start) + 1
+            found = "UTF-16" if self.data.startswith(_UTF16) else f"byte 0x{self.data[error.start]:02x}"
+            where = f"{self.path}:{line}"
+            raise SessionError(f"{found} is not UTF-8 text", where=where, remedy="Save the file as UTF-8.") from error
+        return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 @contextmanager
@@ -23,16 +74,11 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises:
         OutputError: the folder is not there, cannot be written, or is full.
     """
-    with _told(path):
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=path.suffix, dir=path.parent)
-        os.close(handle)
-        temporary = Path(name)
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}{path.suffix}")
+    with told(path):
+        temporary.touch(exist_ok=False)
         try:
             yield temporary
-            # mkstemp makes files only the owner can read; a result is shared like any other file.
-            mask = os.umask(0)
-            os.umask(mask)
-            temporary.chmod(0o666 & ~mask)
             temporary.replace(path)
         finally:
             temporary.unlink(missing_ok=True)
@@ -45,7 +91,7 @@ def staged(folder: Path) -> Iterator[Path]:
     Raises:
         OutputError: ``folder`` is a file, or it or its parent cannot be written, or is full.
     """
-    with _told(folder):
+    with told(folder):
         if folder.exists() and not folder.is_dir():
             raise NotADirectoryError(errno.ENOTDIR, "it is a file")
         beside = folder if folder.exists() else folder.absolute().parent
@@ -63,12 +109,16 @@ def staged(folder: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def _told(path: Path) -> Iterator[None]:
-    """Say where writing failed, and what to do."""
+def told(path: Path, remedy: str = "Name a place that can be written.") -> Iterator[None]:
+    """Say where writing failed, and what to do.
+
+    Raises:
+        OutputError: instead of any error of the operating system.
+    """
     try:
         yield
     except OSError as error:
-        remedy = "Make room there." if error.errno == errno.ENOSPC else "Name a place that can be written."
+        remedy = "Make room there." if error.errno == errno.ENOSPC else remedy
         raise OutputError(f"cannot write here: {error.strerror or error}", where=str(path), remedy=remedy) from error
 
 

@@ -43,6 +43,23 @@ def check_names(kind: str, names: Collection[str]) -> None:
         seen.add(name)
 
 
+def check_known(name: str, known: Collection[str], kind: str, where: str, among: str = "") -> None:
+    """Refuse the name of what there is not.
+
+    Args:
+        name: to be looked for.
+        known: those that exist.
+        kind: what they name, in the plural: "cameras".
+        where: it is named.
+        among: what else is to be said of those that exist.
+
+    Raises:
+        SessionError: it is not among them.
+    """
+    if name not in known:
+        raise SessionError(f"there is no {kind[:-1]} {name!r}{among}", where=where, remedy=suggest(name, known, kind))
+
+
 def listed(names: Collection[str]) -> str:
     """Join ``names`` for a message; of many, the first ones and the count."""
     shown = ", ".join(list(names)[:_SHOWN])

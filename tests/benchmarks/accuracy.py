@@ -38,13 +38,11 @@ from urdfcal.estimation.problem import Problem
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.pipeline import calibrate
-from urdfcal.robot.chain import Chain
 from urdfcal.robot.dh import DHTable
 from urdfcal.robot.kinematics import tip_motion
 from urdfcal.rotations import skew
 from urdfcal.session.knowledge import Estimate
-from urdfcal.simulation.geometric_errors import draw_offsets
-from urdfcal.simulation.simulate import Simulated, simulate
+from urdfcal.simulation.simulate import Simulated, draw_offsets, simulate
 
 WORKSPACE = 500
 # Draws of a robot that give the spreads to 1 %.
@@ -145,7 +143,7 @@ def main() -> None:
             nominal = calibration.chain
             q = nominal.random_values(WORKSPACE, np.random.default_rng(seed))
             true, built = (
-                Chain(nominal.name, nominal.base_link, nominal.tip_link, nominal.joints, placements, nominal.T_last_tip)
+                nominal.with_placements(placements)
                 for placements in (simulated.truth.placements, calibration.placements)
             )
             errors = [np.sqrt(np.mean(compare(robot, true, q).position ** 2)) for robot in (nominal, built)]

@@ -29,8 +29,8 @@ import numpy as np
 
 from tests.cameras.board.boards import CHARUCO, held
 from tests.cameras.board.rendering import BoardRenderer
+from urdfcal.cli.calibrate import find_leds as detect
 from urdfcal.cli.cameras import command as cameras_command
-from urdfcal.cli.detect import run as detect
 from urdfcal.estimation.blocks.cameras import lens_key
 from urdfcal.estimation.evaluation import compare
 from urdfcal.estimation.measurements import Detections

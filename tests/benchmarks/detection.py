@@ -30,7 +30,6 @@ from urdfcal.estimation.evaluation import compare
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.pipeline import calibrate
-from urdfcal.robot.chain import Chain
 from urdfcal.simulation.images import TRUTH, Exposure, write_simulated_images
 from urdfcal.simulation.render import Light, Scenery, Sensor
 from urdfcal.simulation.simulate import simulate
@@ -148,10 +147,7 @@ def whole(folder: Path, poses: int, seeds: int) -> None:
             calibration = calibrate(replace(of, measurements=(detections,)))
             nominal = calibration.chain
             q = nominal.random_values(500, np.random.default_rng(seed))
-            true, built = (
-                Chain(nominal.name, nominal.base_link, nominal.tip_link, nominal.joints, M, nominal.T_last_tip)
-                for M in (simulated.truth.placements, calibration.placements)
-            )
+            true, built = (nominal.with_placements(M) for M in (simulated.truth.placements, calibration.placements))
             errors.append(1e3 * np.sqrt(np.mean(compare(built, true, q).position ** 2)))
         rows.append(errors)
         print(f"seed {seed}: {errors[0]:.4f} mm from images, {errors[1]:.4f} mm from ideal centroids", flush=True)

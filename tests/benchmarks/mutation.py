@@ -64,7 +64,6 @@ sys.path[:] = [entry for entry in sys.path if Path(entry or ".").resolve() != Pa
 _DECIDES = r"check|doubt|fail|warn|refus|gate|outlier|strange|judge|allow|prefer|screen|verdict|far\b|_far|valid"
 GATES: tuple[tuple[str, str], ...] = (
     ("io/checks/*", r""),
-    ("session/checks/*", r""),
     ("io/*", r"_check|^check"),
     ("session/*", r"__post_init__|_check|^check"),
     ("cameras/*", r"__post_init__|_check"),
@@ -93,7 +92,7 @@ EQUIVALENT: frozenset[tuple[str, str, str]] = frozenset(
         ("detection/association.py", "_combinations", "len(choice) > 1 -> (len(choice) >= 1)"),
         # A median of nothing is nan, which compares as the value that stands for it.
         ("detection/association.py", "agree", "single -> (True)"),
-        ("io/checks/swaps.py", "_score", "found -> (True)"),
+        ("io/checks/content.py", "_score", "found -> (True)"),
         # Of no lights nothing stands still, whichever way it is said.
         ("detection/spots/detector.py", "_stands_still", "not len(spots.fits) -> (False)"),
         ("detection/spots/detector.py", "_stands_still", "np.zeros(0, dtype=bool) -> (~(np.zeros(0, dtype=bool)))"),
@@ -109,7 +108,7 @@ DECISIONS = frozenset({"condition", "comparison", "boolean", "return"})
 _PRELOADED = (
     "numpy", "scipy.optimize", "scipy.interpolate", "scipy.spatial", "pinocchio", "cv2", "yaml", "pydantic", "jinja2",
     "click", "click.testing", "rich.console", "rich.table", "rich.progress", "threadpoolctl", "yourdfpy",
-    "matplotlib.figure", "rosbags.highlevel", "hypothesis.strategies", "rerun",
+    "rosbags.highlevel", "hypothesis.strategies", "rerun",
 )  # fmt: skip
 _MEMORY = 8 * 2**30  # a loop that no longer ends must not take the machine's
 _START = 20.0  # s: imports of urdfcal and collection, on a loaded machine

@@ -25,8 +25,9 @@ from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from urdfcal.io.folder import read_rig, write_session
+from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
+from urdfcal.io.writing import write_session
 from urdfcal.simulation.simulate import simulate
 
 if TYPE_CHECKING:

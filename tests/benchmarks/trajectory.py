@@ -43,9 +43,8 @@ from urdfcal.estimation.evaluation import compare
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.pipeline import calibrate
-from urdfcal.robot.chain import Chain
 from urdfcal.session.knowledge import Estimate
-from urdfcal.session.motion import AT_REST
+from urdfcal.session.trajectory import AT_REST
 from urdfcal.simulation.motion import MotionSettings, set_in_motion
 from urdfcal.simulation.simulate import Simulated, simulate
 
@@ -77,8 +76,7 @@ def tip_error(calibration: FittedCalibration, simulated: Simulated, q: np.ndarra
     """Rms over the workspace, mm."""
     drawn = calibration.chain
     built, true = (
-        Chain(drawn.name, drawn.base_link, drawn.tip_link, drawn.joints, placements, drawn.T_last_tip)
-        for placements in (calibration.placements, simulated.truth.placements)
+        drawn.with_placements(placements) for placements in (calibration.placements, simulated.truth.placements)
     )
     return 1e3 * float(np.sqrt(np.mean(compare(built, true, q).position ** 2)))
 

@@ -9,8 +9,11 @@ from typing import TYPE_CHECKING
 import pytest
 
 import urdfcal
+from tests.io.broken import swap
+from tests.worlds import images, slipped
 from urdfcal.cli import run
 from urdfcal.errors import CalibrationError
+from urdfcal.io.writing import write_session
 from urdfcal.output.findings import Overview, pose_texts
 from urdfcal.output.recording import _banner
 
@@ -39,7 +42,83 @@ def test_library_and_command_line_refuse_the_same(
     printed = " ".join(capsys.readouterr().err.split())
     assert printed.count(error.value.what) == 1
     assert printed.count("times the declared noise") == 1
-    assert not (tmp_path / "out").exists()
+    assert files(tmp_path / "out") == {"refused/report.html"}
+
+
+def files(folder: Path) -> set[str]:
+    return {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_what_is_refused_is_reported_until_a_run_succeeds(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, good = tmp_path / "out", tmp_path / "good"
+    shutil.copytree(session, good)
+    swap("session.yaml", "pixel: 0.02", "pixel: 0.1")(good)
+    assert run(["calibrate", str(good), "-o", str(out), "-q"]) == 0
+    results = {name: (out / name).read_bytes() for name in files(out)}
+    for _ in range(2):
+        assert run(["calibrate", str(session), "-o", str(out)]) == 1
+        said = capsys.readouterr()
+        assert said.out == ""
+        assert f"{out / 'refused' / 'report.html'} shows it; --force writes it all the same." in said.err
+        assert files(out) == {*results, "refused/report.html"}
+        assert {name: (out / name).read_bytes() for name in results} == results
+    page = (out / "refused" / "report.html").read_text()
+    assert "times the declared noise" in page
+    assert "nothing else was written" in page
+    assert "Beside it" not in page
+    assert run(["calibrate", str(session), "-o", str(out), "-q", "--force"]) == 0
+    assert files(out) == set(results)
+    assert not (out / "refused").exists()
+    assert "Beside it" in (out / "report.html").read_text()
+
+
+def test_other_files_in_the_folder_of_what_was_refused_stay(session: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert run(["calibrate", str(session), "-o", str(out)]) == 1
+    (out / "refused" / "notes.txt").touch()
+    assert run(["calibrate", str(session), "-o", str(out), "-q", "--force"]) == 0
+    assert files(out / "refused") == {"notes.txt"}
+
+
+def test_what_is_refused_where_nothing_can_be_written_is_still_refused(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "out").touch()
+    assert run(["calibrate", str(session), "-o", str(tmp_path / "out")]) == 1
+    said = capsys.readouterr().err
+    assert "cannot write here" in said
+    assert "times the declared noise" in said
+    assert "shows it" not in said
+
+
+def test_what_is_refused_says_which_poses_to_leave_out(
+    tmp_path: Path, simulated: Callable, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_session(tmp_path / "session", slipped(simulated("ur5", poses=50), 2e-3))
+    call = ["calibrate", str(tmp_path / "session"), "-o", str(tmp_path / "out")]
+    assert run(call) == 1
+    said = re.search(r", or leave out these poses \(exclude: \{poses: \[(.*)\]\}\)", capsys.readouterr().err)
+    assert said
+    assert said[0] in (tmp_path / "out" / "refused" / "report.html").read_text()
+    assert run([*call, "-q", "--exclude-poses", said[1]]) == 0
+    assert not (tmp_path / "out" / "refused").exists()
+
+
+@pytest.mark.parametrize("options", [[], ["--force"]])
+def test_what_is_so_wrong_that_there_are_no_numbers_is_refused_as_well(
+    options: list[str], tmp_path: Path, simulated: Callable, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Images upside down and mirrored, of an arm behind the cameras."""
+    upside_down = images(simulated("ur5"), 0.0, change=lambda uv, size: size - uv)
+    write_session(tmp_path / "session", upside_down)
+    assert run(["calibrate", str(tmp_path / "session"), "-o", str(tmp_path / "out"), *options]) == 1
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert "not written: " in said.err
+    assert ("is no finite number" in said.err) == bool(options)
+    assert not (tmp_path / "out" / "calibration.json").exists()
 
 
 def test_all_outputs_show_one_assessment_and_each_reason_once(

@@ -122,7 +122,7 @@ def test_cameras_with_standard_deviations_are_refined_within_them(demo: Path, tm
     text = (session / "session.yaml").read_text()
     (session / "session.yaml").write_text(text + "estimate: {intrinsics: fixed, extrinsics: fixed}\n")
     assert run(["calibrate", str(session), "-o", str(tmp_path / "fixed")]) == 1
-    assert not (tmp_path / "fixed").exists()
+    assert [path.name for path in (tmp_path / "fixed").rglob("*")] == ["refused", "report.html"]
 
 
 def test_evaluate_two_urdfs(demo: Path, capsys: pytest.CaptureFixture[str]) -> None:

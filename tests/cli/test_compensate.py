@@ -9,7 +9,7 @@ import pytest
 
 import urdfcal
 from urdfcal.cli import run
-from urdfcal.cli.compensate import _errors
+from urdfcal.cli.results import _errors
 from urdfcal.robot.chain import Tree
 from urdfcal.robot.kinematics import link_poses, tip_poses
 from urdfcal.robot.urdf.packages import package_roots

@@ -20,7 +20,7 @@ from urdfcal.simulation.simulate import simulate
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from urdfcal.simulation.truth import Simulated
+    from urdfcal.simulation.simulate import Simulated
 
 
 @pytest.fixture

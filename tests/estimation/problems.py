@@ -33,7 +33,7 @@ class Example:
     """A session's problem, and a state of it where nothing is nominal.
 
     Attributes:
-        session: with all joint models on.
+        session: with all joint models on that apply to it.
         problem: of all its measurements.
         start: where the session's measurements put what is unknown.
         state: a random step of all active parameters from there.
@@ -49,7 +49,8 @@ class Example:
     @classmethod
     def of(cls, session: Session, geometry: ArmGeometry) -> Example:
         """Free everything of a session with an arm's geometry."""
-        session = replace(session, joint_models={model.name: True for model in JOINT_MODELS})
+        models = {model.name: True for model in JOINT_MODELS if model.of(session) is not None}
+        session = replace(session, joint_models=models)
         arm = PlacementTable(session.chain) if geometry == "full" else rows_of(session.chain)
         problem = Problem.of(session, arm)
         start = first_state(session, arm, no_offsets(problem.arm))

@@ -1,15 +1,21 @@
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
+from tests.worlds import repeated
 from urdfcal.errors import CalibrationError
 from urdfcal.estimation.assessment import assess, corrections
 from urdfcal.estimation.blocks.arm import ARM
+from urdfcal.estimation.blocks.cameras import lens_key
+from urdfcal.estimation.diagnosis.doctor import Finding
+from urdfcal.estimation.diagnosis.trials import Suspicion
 from urdfcal.estimation.measurements import Detections
+from urdfcal.estimation.scale import LengthScale
 from urdfcal.pipeline import calibrate
 from urdfcal.session.knowledge import Estimate
 
@@ -21,6 +27,7 @@ if TYPE_CHECKING:
     from urdfcal.result.fitted import FittedCalibration
     from urdfcal.session.model import Session
 
+EVIDENCE = ("noise", "scale", "findings", "regions", "tip", "improvement", "suspicion")
 ARM_ONLY = Estimate("dh", "fixed", "fixed")
 
 
@@ -37,9 +44,10 @@ def again(of: FittedCalibration, session: Session | None = None, **changes: obje
     """What the assessment says of a calibration with changes to its fit, or to the trials of its comparison."""
     comparison = of.comparison
     trials = {name: changes.pop(name) for name in ("chosen", "best", "nominal_arm") if name in changes}
+    evidence = replace(of.evidence, **{name: changes.pop(name) for name in EVIDENCE if name in changes})
     if changes:
         trials["chosen"] = replace(comparison.chosen, fit=replace(of.fit, **changes))
-    return assess(session or of.session, of.problem, replace(comparison, **trials))
+    return assess(session or of.session, of.problem, replace(comparison, **trials), evidence)
 
 
 def moved(of: FittedCalibration, tolerances: float, zero: bool = False) -> dict[str, object]:
@@ -81,8 +89,8 @@ def test_a_misfit_is_said_once(good: FittedCalibration, reduced: float, level: s
 @pytest.mark.parametrize(
     ("tolerances", "level", "words"),
     [
-        (4.9, "good", []),
-        (-5.1, "doubtful", ["is off by", "5 times its tolerance"]),
+        (7.9, "good", []),
+        (-8.1, "doubtful", ["is off by", "8 times its tolerance"]),
         (19.9, "doubtful", ["20 times its tolerance"]),
         (20.1, "bad", ["would be off by 20 tolerances", "name larger tolerances"]),
     ],
@@ -106,7 +114,11 @@ def test_joint_zeros_may_be_anywhere_and_are_a_warning(good: FittedCalibration) 
 def test_far_corrections_that_leave_a_misfit_explain_something_else(good: FittedCalibration) -> None:
     found = again(good, **moved(good, 6.0), **chi2(good, 2.1))
     assert found.level == "bad"
+    assert "a correction is more than 5 tolerances long" in found.failures[0]
     assert "explain an effect that is not the arm's" in found.failures[0]
+    strict = {name: dict.fromkeys(("d", "a", "alpha"), 1e-9) for name in good.chain.names}
+    session = replace(good.session, tolerances=replace(good.session.tolerances, joints=strict))
+    assert re.match(r"\d+ corrections are more than", again(good, session, **chi2(good, 2.1)).failures[0])
     assert sum("declared noise" in reason for reason in found.reasons) == 1
     assert again(good, **moved(good, 4.0), **chi2(good, 2.1)).failures == ()
     assert again(good, **moved(good, 6.0), **chi2(good, 1.9)).failures == ()
@@ -222,3 +234,109 @@ def test_noise_declared_too_small_is_a_failure_in_the_library_too(simulated: Cal
     assert forced.assessment.level == "bad"
     assert forced.failures == forced.assessment.failures != ()
     assert forced.document.verdict.reasons == list(forced.assessment.reasons)
+
+
+def test_an_effect_in_the_residuals_is_a_warning_in_place_of_the_noise(good: FittedCalibration) -> None:
+    finding = Finding(
+        "joint: change", "from pose 7 on joint is 2 mrad off: the encoder jumped", 0.42, 1e-9, 7, ("base",)
+    )
+    noise = (replace(good.evidence.noise[0], found=0.5, chi2=99.0), *good.evidence.noise[1:])
+    found = again(good, findings=(finding,), noise=noise, **chi2(good, 3.0))
+    assert found.level == "doubtful"
+    assert found.warnings == (f"{finding.sentence} (42% of the squared residuals; base would look the same)",)
+    alone = again(good, findings=(replace(finding, alike=()),))
+    assert alone.warnings == (f"{finding.sentence} (42% of the squared residuals)",)
+
+
+@pytest.mark.parametrize(("sigmas", "level"), [(2.9, "good"), (-3.1, "doubtful"), (4.9, "doubtful"), (5.1, "bad")])
+def test_all_lengths_too_long_by_one_factor(good: FittedCalibration, sigmas: float, level: str) -> None:
+    scale = LengthScale(6e-4, 2e-3 * sigmas, 2e-3)
+    found = again(good, scale=scale)
+    assert found.level == level
+    for reason in found.reasons:
+        way = "long" if sigmas > 0 else "short"
+        assert f"all lengths come out {0.2 * abs(sigmas):.2g} +- 0.2 % too {way} for the arm's tolerances" in reason
+        assert "0.1 % is 0.6 mm at the tip" in reason
+    assert len(found.reasons) == (level != "good")
+    assert len(found.failures) == (level == "bad")
+
+
+@pytest.mark.parametrize(("share", "fall", "said"), [(0.1, 99.0, True), (0.65, 99.0, True), (1.4, 99.0, False),
+                                                     (9.0, 15.0, False), (9.0, 15.2, True)])  # fmt: skip
+def test_noise_that_is_declared_otherwise_than_it_is_found(
+    good: FittedCalibration, share: float, fall: float, said: bool
+) -> None:
+    pixel, joint = good.evidence.noise
+    wrong = replace(pixel, declared=0.1, found=0.1 / share, relative_sigma=0.05, chi2=fall)
+    found = again(good, noise=(wrong, replace(joint, found=3e-4, relative_sigma=0.1)))
+    assert found.level == ("doubtful" if said else "good")
+    if said:
+        assert f"pixel 0.1 px for {0.1 / share:.2g}" in found.warnings[0]
+        assert f"enter noise: {{pixel: {0.1 / share:.2g}, joint: 0.0003}}" in found.warnings[0]
+    unknown = again(good, noise=(wrong, replace(joint, relative_sigma=0.6)))
+    assert not any("joint: " in warning for warning in unknown.warnings)
+
+
+def test_an_led_far_from_where_it_was_said_to_be(good: FittedCalibration) -> None:
+    (led,), (position,) = good.session.leds, good.estimate.leds
+    for sigmas, said in ((4.5, False), (4.7, True)):
+        moved_led = replace(led, position=position + np.array([0.0, 0.0, sigmas * 0.004]), sigma=0.004)
+        found = again(good, replace(good.session, leds=(moved_led,)))
+        assert found.level == ("doubtful" if said else "good")
+        assert [text.startswith(f"LED '{led.name}' comes out 19 mm from where") for text in found.warnings] == [
+            True
+        ] * said
+    for free in (replace(led, position=None, sigma=None), replace(led, position=position + 1.0, sigma=0.0)):
+        assert again(good, replace(good.session, leds=(free,))).level == "good"
+
+
+def test_regions_that_are_predicted_badly(good: FittedCalibration) -> None:
+    inside = float(np.sqrt(np.mean(good.comparison.chosen.residuals("distance") ** 2)))
+    for factor, said in ((1.9, False), (2.1, True)):
+        found = again(good, regions=replace(good.evidence.regions, rms=factor * inside))
+        assert ["it does not hold elsewhere" in text for text in found.warnings] == [True] * said
+
+
+def test_an_improvement_that_is_not_shown(good: FittedCalibration) -> None:
+    assert again(good, improvement=(1e-6, 1e-3)).level == "good"
+    found = again(good, improvement=(-2e-5, 1e-4))
+    assert found.warnings == (
+        "no improvement over the nominal arm is shown: on held-out poses the difference is -0.02 to 0.1 mm (95 %)",
+    )
+    nominal = replace(good.session, estimate=replace(ARM_ONLY, geometry="none"))
+    assert again(good, nominal, improvement=(-2e-5, 1e-4)).level == "good"
+
+
+def test_the_mistake_that_a_trial_found_comes_first(good: FittedCalibration) -> None:
+    suspicion = Suspicion("joint_2's sign", 240.0, 0.8, "px")
+    found = again(good, suspicion=suspicion, **chi2(good, 500.0))
+    assert found.failures[0] == "joint_2's sign: with that mended the nominal arm is 0.8 px off instead of 240 px"
+    assert str(replace(suspicion, before=np.inf)).endswith("0.8 px off instead of no fit at all")
+
+
+def test_lenses_that_come_out_as_another_cameras(good: FittedCalibration) -> None:
+    lens = good.session.rig.cameras[0]
+    for ratio, said in ((0.82, False), (0.78, True), (1.2, False), (2.0, True)):
+        scale = np.where(np.arange(len(lens.parameters)) < 2, ratio, 1.0)
+        state = good.fit.state.replace({lens_key(lens.name): lens.with_parameters(scale * lens.parameters)})
+        found = again(good, state=state)
+        words = f"camera '{lens.name}' comes out with {ratio:.2g} times the focal length that is given"
+        assert [text.startswith(words) for text in found.warnings] == [True] * said
+
+
+def test_noise_declared_too_large_is_told_before_effects_that_come_of_it(good: FittedCalibration) -> None:
+    pixel, joint = good.evidence.noise
+    finding = Finding("joint: gain", "joint moves more than it reads", 0.3, 1e-9, None, ())
+    too_large = replace(pixel, declared=2.0, found=0.1, chi2=500.0)
+    found = again(good, noise=(too_large, joint), findings=(finding,))
+    assert [text.startswith("noise is not declared") for text in found.warnings] == [True]
+    too_small = replace(pixel, declared=0.01, found=0.1, chi2=500.0)
+    assert again(good, noise=(too_small, joint), findings=(finding,)).warnings[0].startswith(finding.sentence)
+
+
+def test_poses_that_are_few_configurations(simulated: Callable) -> None:
+    session = replace(repeated(simulated("ur5", poses=50), 0.0), estimate=ARM_ONLY)
+    calibration = calibrate(session, force=True)
+    words = "50 poses are only 10 distinct configurations"
+    assert sum(text.startswith(words) for text in calibration.assessment.warnings) == 1
+    assert not any("distinct" in text for text in calibrate(simulated("ur5", poses=50).session).assessment.warnings)

@@ -74,9 +74,8 @@ def test_five_numbers_of_a_spread() -> None:
 
 
 def test_a_tool_that_is_turned_on_its_link_does_not_move_the_alignment(chain: Chain) -> None:
-    turned = replace(
-        chain, T_last_tip=chain.T_last_tip @ pin.exp6(np.array([0.0, 0.0, 0.0, 0.5, 0.0, 0.0])).homogeneous
-    )
+    T_last_tip = chain.T_last_tip @ pin.exp6(np.array([0.0, 0.0, 0.0, 0.5, 0.0, 0.0])).homogeneous
+    turned = replace(chain, tips=(replace(chain.tips[0], T_joint_link=T_last_tip),))
     difference = compare(chain, turned, chain.random_values(50, np.random.default_rng(0)))
     assert difference.position.max() < 1e-12
     np.testing.assert_allclose(difference.orientation, 0.5, rtol=1e-9)

@@ -8,7 +8,7 @@ import pytest
 
 from urdfcal.estimation.blocks.arm import no_offsets
 from urdfcal.estimation.blocks.leds import LEDS
-from urdfcal.estimation.identifiability import _sentence, identify
+from urdfcal.estimation.identifiability import _observability, _sentence, identify
 from urdfcal.estimation.joint_models.time_offset import TIME_OFFSETS
 from urdfcal.estimation.model_spec import ModelSpec
 from urdfcal.estimation.parameters import choose_parameters
@@ -33,6 +33,10 @@ def test_ranks_are_those_of_theory(rig: str, rank: int, simulated: Callable) -> 
     identifiability = calibrate(simulated(rig).session).identifiability
     assert identifiability.rank == rank
     assert 1.0 < identifiability.condition_number < 1e4
+
+
+def test_the_indices_of_sun_and_hollerbach() -> None:
+    assert _observability(np.array([8.0, 2.0]), 16) == pytest.approx((1.0, 0.25, 2.0, 0.5, 1.6))
 
 
 def test_gauge_freedoms_are_named(simulated: Callable) -> None:

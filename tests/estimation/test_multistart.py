@@ -12,7 +12,7 @@ from urdfcal.estimation.alignment import kabsch
 from urdfcal.estimation.blocks.arm import ARM
 from urdfcal.estimation.blocks.cameras import has_cameras
 from urdfcal.estimation.measurements import Detections
-from urdfcal.estimation.multistart import _same_arm, _screen
+from urdfcal.estimation.multistart import _same_arm, _screen, _start
 from urdfcal.estimation.problem import Problem
 from urdfcal.estimation.time_offset_start import start_state
 from urdfcal.pipeline import calibrate
@@ -79,6 +79,17 @@ def test_arms_that_differ_only_where_a_moving_arm_did_not_go_are_not_the_same(si
     a, b = (SimpleNamespace(state=state) for state in (nominal, other))
     assert _same_arm(problem, a, a)
     assert not _same_arm(problem, a, b)
+
+
+def test_only_lengths_and_angles_start_elsewhere(simulated: Callable) -> None:
+    session = replace(simulated("elbow3r", poses=8).session, estimate=Estimate("dh", "fixed", "fixed"))
+    calibration = calibrate(session, force=True)
+    arm, *others = calibration.fit.parameters.blocks
+    other = replace(arm, units=("1", *arm.units[1:]))  # half a turn would mean nothing for it
+    first = replace(calibration.fit, parameters=replace(calibration.fit.parameters, blocks=(other, *others)))
+    rng = np.random.default_rng(0)
+    drawn = other.local(_start(session, calibration.problem, first, rng, far=True)[ARM])[0]
+    np.testing.assert_array_equal(drawn != 0.0, other.active & (np.arange(len(other)) > 0))
 
 
 def test_cameras_have_no_part_in_other_starts_from_points(simulated: Callable) -> None:

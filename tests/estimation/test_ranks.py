@@ -18,7 +18,7 @@ from urdfcal.estimation.parameters import choose_parameters
 from urdfcal.estimation.problem import Problem
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.dh import DHTable, row_transform
-from urdfcal.robot.mechanism import Joint
+from urdfcal.robot.mechanism import Joint, Tip
 from urdfcal.session.knowledge import Led
 from urdfcal.session.model import Session
 
@@ -74,7 +74,9 @@ def chain_of(name: str) -> Chain:
         for i, (kind, *_) in enumerate(rows)
     )
     B = [row_transform([*row[1:], 0.0]) for row in rows]
-    return Chain(name, "base", "tip", joints, np.array([np.eye(4), *B[:-1]]), B[-1])
+    last = len(joints) - 1
+    placements = np.array([np.eye(4), *B[:-1]])
+    return Chain(name, "base", joints, tuple(range(-1, last)), placements, (Tip("tip", last, B[-1]),))
 
 
 class WithoutBeta(DHTable):

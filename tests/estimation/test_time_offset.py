@@ -23,8 +23,7 @@ from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.dh import DHTable
 from urdfcal.session.knowledge import Estimate
-from urdfcal.session.motion import AT_REST
-from urdfcal.session.trajectory import JointLog
+from urdfcal.session.trajectory import AT_REST, JointLog
 from urdfcal.simulation.motion import MotionSettings, set_in_motion
 from urdfcal.simulation.simulate import simulate
 
@@ -33,7 +32,7 @@ if TYPE_CHECKING:
 
     from urdfcal.result.fitted import FittedCalibration
     from urdfcal.session.model import Session
-    from urdfcal.simulation.truth import Simulated
+    from urdfcal.simulation.simulate import Simulated
 
 OFFSETS = (0.02, -0.007)
 ARM_ALONE = Estimate("dh", "fixed", "fixed")
@@ -193,7 +192,7 @@ def test_an_arm_at_rest_in_every_frame_determines_no_time_offset_and_that_is_sai
 def test_folds_of_a_moving_arm_are_stretches_of_time() -> None:
     (observed,) = problem_of(filmed("elbow3r", 6, 4.0).session).observations
     motion = observed.readings.motion
-    fold = motion.folds(len(observed.pose), 5, seed=0)
+    fold = motion.folds(observed.readings.q, 5, seed=0)
     time = motion.time
     assert np.array_equal(np.bincount(fold) // 10, np.full(5, len(time) // 50)) or np.ptp(np.bincount(fold)) <= 1
     assert np.all(np.diff(fold[np.argsort(time)]) >= 0)

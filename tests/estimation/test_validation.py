@@ -7,8 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from urdfcal.estimation.validation import FOLDS, hold_out, loss, rms_interval
+from tests.worlds import repeated, sagging
+from urdfcal.estimation.blocks.arm import ARM
+from urdfcal.estimation.validation import FOLDS, hold_out, jackknife, loss, random_folds, region_interval, rms_interval
 from urdfcal.pipeline import calibrate
+from urdfcal.robot.dh import PARAMETERS
 from urdfcal.session.knowledge import Estimate
 
 if TYPE_CHECKING:
@@ -32,12 +35,12 @@ def test_the_loss_is_the_mean_over_measurements_without_padding() -> None:
 def test_a_pose_has_no_part_in_its_own_prediction(calibration: FittedCalibration) -> None:
     problem, fit = calibration.problem, calibration.fit
     (observed,) = problem.observations
-    before = hold_out(problem, fit, seed=0)
-    folds = observed.readings.motion.folds(len(problem.poses), FOLDS, 0)
+    folds = random_folds(problem, seed=0)
+    before = hold_out(problem, fit, folds)
     assert before.folds == FOLDS
     value = np.array(observed.value)
     value[0] += 3.0
-    after = hold_out(problem.with_observations([replace(observed, value=value)]), fit, seed=0)
+    after = hold_out(problem.with_observations([replace(observed, value=value)]), fit, folds)
     with_it = (folds[observed.pose] == folds[observed.pose[0]])[:, None] & observed.valid
     elsewhere = ~with_it & observed.valid
     with_it[0] = False
@@ -46,7 +49,10 @@ def test_a_pose_has_no_part_in_its_own_prediction(calibration: FittedCalibration
 
 
 def test_distances_are_residuals_in_metres_across_the_ray(calibration: FittedCalibration) -> None:
-    problem, held_out = calibration.problem, hold_out(calibration.problem, calibration.fit, seed=0)
+    problem, held_out = (
+        calibration.problem,
+        hold_out(calibration.problem, calibration.fit, random_folds(calibration.problem, 0)),
+    )
     (observed,) = problem.observations
     metres = problem.metres_per_unit(observed, calibration.fit.state)
     expected = (held_out.residual[0] * metres)[observed.valid]
@@ -56,7 +62,10 @@ def test_distances_are_residuals_in_metres_across_the_ray(calibration: FittedCal
 
 
 def test_other_seeds_divide_the_poses_otherwise(calibration: FittedCalibration) -> None:
-    a, b, again = (hold_out(calibration.problem, calibration.fit, seed).norms[0] for seed in (0, 1, 0))
+    a, b, again = (
+        hold_out(calibration.problem, calibration.fit, random_folds(calibration.problem, seed)).norms[0]
+        for seed in (0, 1, 0)
+    )
     np.testing.assert_array_equal(a, again)
     assert not np.array_equal(a, b)
 
@@ -96,3 +105,59 @@ def test_outliers_and_poses_without_measurements_have_no_part_in_the_interval() 
     kept = np.concatenate([np.ones((50, 2), bool), np.zeros((50, 1), bool)], axis=1)
     unit = np.arange(60)  # ten poses more that nobody has measured
     assert rms_interval([SimpleNamespace(pose=np.arange(50))], [kept], [spoilt], unit, 3) == expected
+
+
+def region_interval_of(rms: list[float], each: int = 50) -> tuple[float, float]:
+    """The interval from regions of so many poses, each with the same distance in all its poses."""
+    distance, region = np.repeat(rms, each)[:, None], np.repeat(np.arange(len(rms)), each)
+    observed = SimpleNamespace(pose=np.arange(len(distance)))
+    return region_interval([observed], [np.ones_like(distance, bool)], [distance], region)
+
+
+def test_a_further_region_scatters_as_those_that_were_left_out() -> None:
+    assert region_interval_of([2e-3] * 5) == pytest.approx((2e-3, 2e-3))
+    assert region_interval_of([1e-3]) == (0.0, np.inf)
+    rng, within = np.random.default_rng(3), 0
+    for _ in range(400):
+        *seen, further = np.exp(rng.normal(-7.0, 0.4, 6))
+        low, high = region_interval_of(seen, each=1)
+        within += low <= further <= high
+    assert 0.92 < within / 400 < 0.98
+
+
+def test_repeats_of_a_configuration_are_left_out_together(simulated: Callable) -> None:
+    session = replace(repeated(simulated("ur5", poses=50), 0.0), estimate=Estimate("dh", "fixed", "fixed"))
+    calibration = calibrate(session, force=True)
+    folds = random_folds(calibration.problem, seed=0).reshape(5, 10)
+    assert (folds == folds[:1]).all()
+    held_out = calibration.comparison.chosen.residuals("distance")
+    inside = calibration.problem.residual(calibration.problem.observations[0], calibration.fit.state)
+    # Ten configurations hardly determine the arm: what it does elsewhere must not hide behind repeats.
+    metres = 1e-3 * np.sqrt(np.mean(inside**2)) / session.noise.pixel
+    assert np.sqrt(np.mean(held_out**2)) > 0.5 * metres
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_without_misfit_the_jackknife_agrees_with_the_covariance(seed: int, simulated: Callable) -> None:
+    calibration = calibrate(simulated("so101", poses=60, seed=seed).session)
+    problem, fit = calibration.problem, calibration.comparison.chosen.fit
+    assert not fit.misfit
+    assert fit.spread is None
+    spread = jackknife(problem, fit, np.arange(60) % 20)
+    ratio = np.sqrt(np.diag(spread) / np.diag(fit.covariance))
+    assert 0.7 < np.median(ratio) < 1.4
+
+
+def test_where_the_arm_bends_intervals_are_what_regions_show(simulated: Callable) -> None:
+    data = simulated("ur5", poses=50)
+    session = replace(sagging(data, 4e-5), estimate=Estimate("dh", "fixed"))
+    calibration = calibrate(session, force=True)
+    fit, table = calibration.comparison.chosen.fit, calibration.table
+    assert fit.misfit
+    sigma, narrow = (
+        of.parameters.sigmas(of.covariance)[of.parameters.columns(ARM)] for of in (fit, replace(fit, spread=None))
+    )
+    error = [(fit.state[ARM] - data.truth.offsets)[row, PARAMETERS.index(name)] for row, name in table.parameters]
+    known = np.isfinite(sigma)
+    inside, before = (np.mean(np.abs(np.array(error))[known] < 1.96 * of[known]) for of in (sigma, narrow))
+    assert inside > max(before, 0.85)

@@ -10,7 +10,7 @@ import pytest
 
 from urdfcal.detection.spots.detector import find_spots
 from urdfcal.errors import CameraError, OutputError
-from urdfcal.images.video import Video, VideoFrame, write_video
+from urdfcal.images.files import Video, VideoFrame, write_video
 from urdfcal.simulation.render import Light, Scenery, Sensor
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ def test_a_few_pictures_are_in_memory_at_a_time(path: Path, monkeypatch: pytest.
             alive.add(self)
             most = max(most, len(alive))
 
-    monkeypatch.setattr("urdfcal.images.video.VideoFrame", Counted)
+    monkeypatch.setattr("urdfcal.images.files.VideoFrame", Counted)
     find_spots(Video(path, tuple(range(COUNT)), COUNT), SIZE, threads=2, place=np.zeros(COUNT, dtype=np.intp))
     assert 1 <= most <= 6
 

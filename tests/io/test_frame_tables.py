@@ -11,8 +11,9 @@ import pytest
 from tests.io.making import ACTUATED, POSES, write_valid
 from urdfcal.errors import SessionError
 from urdfcal.estimation.measurements import Detections
-from urdfcal.io.folder import read_positions, read_session, write_session
-from urdfcal.session.motion import AT_REST
+from urdfcal.io.folder import read_positions, read_session
+from urdfcal.io.writing import write_session
+from urdfcal.session.trajectory import AT_REST
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from urdfcal.estimation.measurements import Measurement
     from urdfcal.io.schema import SetupFile
 
+_NAMES = [repr(model.name) for model in JOINT_MODELS]
+_EVERY_MODEL = f"{', '.join(_NAMES[:-1])} or {_NAMES[-1]}"
 LEAST = "robot: {urdf: a.urdf, tip_link: tip}\nleds:\n  led:\njoints: j.csv\npoints: p.csv\n"
 
 
@@ -58,6 +60,13 @@ def test_joint_models_are_asked_for_by_name(tmp_path: Path) -> None:
     assert read(tmp_path, LEAST).setup()["joint_models"] == {}
     text = LEAST + "joint_models: {zero_offset: on, time_offset: false}\n"
     assert read(tmp_path, text).setup()["joint_models"] == {"zero_offset": True, "time_offset": False}
+
+
+def test_joint_models_are_asked_for_joint_by_joint_or_left_to_the_measurements(tmp_path: Path) -> None:
+    text = LEAST + "joint_models: {compliance: on, harmonics: {joint_2: on, joint_3: off}}\n"
+    said = {"compliance": True, "harmonics": {"joint_2": True, "joint_3": False}}
+    assert read(tmp_path, text).setup()["joint_models"] == said
+    assert read(tmp_path, LEAST + "joint_models: auto\n").setup()["joint_models"] == {}
 
 
 @pytest.mark.parametrize("name", [model.name for model in JOINT_MODELS])
@@ -105,7 +114,7 @@ def test_anchors_are_followed(tmp_path: Path) -> None:
         (LEAST.replace("led:", "' led':"), "' led' begins or ends with a blank"),
         (
             LEAST + "joint_models: {time_ofset: true}\n",
-            "session.yaml:6:16, key 'joint_models.time_ofset': 'time_ofset' is not 'zero_offset' or 'time_offset'",
+            f"session.yaml:6:16, key 'joint_models.time_ofset': 'time_ofset' is not {_EVERY_MODEL}",
         ),
         (
             LEAST + "joint_models: {time_offset: 1}\n",

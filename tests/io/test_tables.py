@@ -88,22 +88,22 @@ def test_sightings_are_sorted_and_know_their_rows(path: Path) -> None:
     path.write_text("pose,camera,led,u,v\nb,l,x,1,2\na,r,x,3,4\na,l,y,5,6\na,l,x,7,8\n")
     table = read_measurements(path, Detections, {"pose": "ab", "camera": "lr", "led": "xy"}, 0.2)
     assert table.rows.tolist() == [3, 2, 1, 0]
-    assert table.values[:, 0].tolist() == [7, 5, 3, 1]
-    assert table.sigma.tolist() == [0.2] * 4
+    assert table.measurements.values[:, 0].tolist() == [7, 5, 3, 1]
+    assert table.measurements.sigma.tolist() == [0.2] * 4
     assert table.place(0, "v") == f"{path}:5:9"
 
 
 def test_sigmas_of_the_table_win(path: Path) -> None:
     path.write_text("pose,led,x,y,z,sigma\na,x,1,2,3,0.5\na,y,1,2,3,0.25\n")
-    assert read_measurements(path, Points, {"pose": "a", "led": "xy"}, 0.1).sigma.tolist() == [0.5, 0.25]
+    assert read_measurements(path, Points, {"pose": "a", "led": "xy"}, 0.1).measurements.sigma.tolist() == [0.5, 0.25]
 
 
 def test_leds_that_are_not_declared_are_taken_as_they_come(path: Path) -> None:
     path.write_text("pose,led,x,y,z\nb,second,1,2,3\na,first,4,5,6\na,second,7,8,9\n")
     table = read_measurements(path, Points, {"pose": "ab"}, 0.1)
     assert table.names["led"] == ("second", "first")
-    assert table.index["led"].tolist() == [0, 1, 0]
-    assert table.index["pose"].tolist() == [0, 0, 1]
+    assert table.measurements.index["led"].tolist() == [0, 1, 0]
+    assert table.measurements.index["pose"].tolist() == [0, 0, 1]
 
 
 class TestOpenVocabularies:
@@ -124,7 +124,7 @@ class TestOpenVocabularies:
         assert measured.pose.tolist() == [0, 0, 1]
         assert measured.led.tolist() == [0, 1, 0]
         assert measured.sigma.tolist() == [0.1] * 3
-        assert table.values.tolist() == [[0.0] * 3] * 3
+        assert measured.values.tolist() == [[0.0] * 3] * 3
 
     def test_what_is_named_elsewhere_is_not_repeated(self, path: Path) -> None:
         path.write_text("pose,led,x,y,z\nb,second,1,2,3\na,first,4,5,6\n")

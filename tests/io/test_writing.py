@@ -6,13 +6,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+import yaml
 
 from tests.io.making import write_points, write_valid
 from urdfcal.cameras.rig import Rig
 from urdfcal.errors import CameraError, OutputError, SessionError
-from urdfcal.estimation.measurements import Detections, Points
-from urdfcal.io.folder import read_session, write_session
-from urdfcal.session.knowledge import Estimate, Led, Noise, Tolerances
+from urdfcal.estimation.measurements import MEASUREMENTS, Detections, Points
+from urdfcal.io.folder import read_session
+from urdfcal.io.schema import SessionFile
+from urdfcal.io.writing import write_session
+from urdfcal.session.knowledge import Estimate, Led, LedDistance, Noise, Payload, Tolerances
 
 if TYPE_CHECKING:
     from urdfcal.session.model import Session
@@ -101,9 +104,12 @@ def test_pixels_and_points_together(tmp_path: Path, session: Session) -> None:
     )
 
 
-@pytest.mark.parametrize("models", [{}, {"zero_offset": True}, {"time_offset": False, "zero_offset": True}])
+@pytest.mark.parametrize(
+    "models",
+    [{}, {"zero_offset": True}, {"time_offset": False, "zero_offset": True}, {"gain": {"waist": True}, "lag": False}],
+)
 def test_joint_models_are_written_where_something_is_said_of_them(
-    tmp_path: Path, session: Session, models: dict[str, bool]
+    tmp_path: Path, session: Session, models: dict[str, Any]
 ) -> None:
     write_session(tmp_path / "out", replace(session, joint_models=models))
     assert ("joint_models" in (tmp_path / "out" / "session.yaml").read_text()) == bool(models)
@@ -186,3 +192,26 @@ def test_what_cannot_be_written_is_said(tmp_path: Path, session: Session) -> Non
     with pytest.raises(SessionError, match="' left' begins or ends with a blank"):
         write_session(tmp_path / "out", replace(session, rig=blank))
     assert [path.name for path in tmp_path.iterdir()] == ["valid"]
+
+
+def test_every_key_that_is_read_is_written(tmp_path: Path, session: Session) -> None:
+    # Frames are only of an arm that moves; what is left out is written back in test_excluding.py.
+    full = replace(
+        session,
+        led_distances=(LedDistance(session.led_names[:2], 0.1, 1e-3),),
+        estimate=Estimate("dh", "fixed"),
+        joint_models={"zero_offset": True},
+        scale_sigma=0.002,
+        moved={"base": session.poses[2:4], session.led_names[0]: (session.poses[1],)},
+        payload=Payload("tip", 1.2, np.array([0.0, 0.0, 0.05])),
+        gravity=np.array([9.81, 0.0, 0.0]),
+        gear_ratio={"roll": 121.0},
+        torques=np.zeros(session.q.shape),
+    )
+    write_session(tmp_path / "out", full)
+    written = yaml.safe_load((tmp_path / "out" / "session.yaml").read_text())
+    other_tables = {kind.kind for kind in MEASUREMENTS} - {table.kind for table in session.measurements}
+    assert set(SessionFile.model_fields) - set(written) == other_tables | {"frames", "exclude"}
+    found = read_session(tmp_path / "out")
+    for field in ("led_distances", "estimate", "joint_models", "scale_sigma", "gear_ratio", "moved"):
+        assert getattr(found, field) == getattr(full, field), field

@@ -5,7 +5,7 @@ import pytest
 
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
-from urdfcal.output.placing import branches_of, joint_frames, place_rows
+from urdfcal.output.placing import joint_frames, place_rows
 from urdfcal.robot.dh import PARAMETERS
 from urdfcal.robot.kinematics import link_poses
 from urdfcal.robot.tree_dh import MOUNT, rows_of
@@ -54,10 +54,10 @@ def test_stretches_are_as_long_as_d_and_a(built):
 def test_every_branch_is_one_line_from_its_link_to_its_tip(built):
     table, offsets, q, frames = built
     chain, lines = table.chain, place_rows(table, offsets, frames).lines
-    assert len(lines) == len(branches_of(table)) == 1 + sum(label.endswith(MOUNT) for label in table.labels)
+    assert len(lines) == len(chain.branches) == 1 + sum(label.endswith(MOUNT) for label in table.labels)
     tips = link_poses(chain, q, chain.tips, table.placements(offsets))
-    for branch, line in zip(branches_of(table), lines, strict=True):
-        carrier = frames[:, chain.parents[branch.joints[0]] + 1]
+    for branch, line in zip(chain.branches, lines, strict=True):
+        carrier = frames[:, chain.parents[branch[0]] + 1]
         np.testing.assert_allclose(line[:, 0], carrier[:, :3, 3], atol=1e-12)
-        end = next(T for tip, T in zip(chain.tips, tips, strict=True) if tip.joint == branch.joints[-1])
+        end = next(T for tip, T in zip(chain.tips, tips, strict=True) if tip.joint == branch[-1])
         np.testing.assert_allclose(line[:, -1], end[:, :3, 3], atol=1e-12)

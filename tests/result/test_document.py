@@ -71,7 +71,13 @@ def test_unknowns_without_a_section_of_their_own_are_listed(
     )
     chosen = replace(refused.comparison.chosen, fit=fit)
     (entry,) = builder._parameters(replace(refused, comparison=replace(refused.comparison, chosen=chosen)))
-    assert entry == {"name": "joint_1.compliance", "unit": "rad/(N m)", "offset": 0.5, "sigma": 0.1}
+    assert entry == {
+        "name": "joint_1.compliance",
+        "unit": "rad/(N m)",
+        "nominal": 0.0,
+        "offset": 0.5,
+        "sigma": 0.1,
+    }
 
 
 def test_files_of_the_first_format_are_read() -> None:

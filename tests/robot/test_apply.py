@@ -8,7 +8,7 @@ import pinocchio as pin
 import pytest
 
 from urdfcal.errors import RobotError
-from urdfcal.robot.apply import apply_to_model, apply_to_urdf
+from urdfcal.robot.apply import apply_to_mechanism, apply_to_model, apply_to_urdf
 from urdfcal.robot.chain import Chain, Tree
 from urdfcal.robot.urdf.origins import origins_of, rewrite_origins
 from urdfcal.robot.urdf.urdf import Urdf
@@ -206,3 +206,38 @@ def test_a_link_that_moved_on_the_base_link_is_reported_as_such(simulated: Calla
     moved = Urdf.parse(rewrite_origins(arm.urdf, {fixed: T}))
     with pytest.raises(RobotError, match="link 'base' is elsewhere on link 'base_link' than"):
         apply_to_urdf(moved, tree, arm.calibrated)
+
+
+def test_another_reading_of_the_robot_gets_the_calibrated_placements(arm: Arm) -> None:
+    """Nominal or corrected, to the same link or an earlier one."""
+    for urdf in (arm.urdf, Urdf.parse(arm.text.encode())):
+        other = Chain.from_urdf(urdf, arm.chain.tip_link, arm.chain.base_link)
+        applied = apply_to_mechanism(other, arm.chain, arm.calibrated, "other")
+        np.testing.assert_array_equal(applied.placements, arm.calibrated)
+    joints = [arm.urdf.joints[name] for name in arm.chain.names[:2]]
+    short = Chain.from_urdf(arm.urdf, joints[-1].child, arm.chain.base_link)
+    applied = apply_to_mechanism(short, arm.chain, arm.calibrated, "short")
+    np.testing.assert_array_equal(applied.placements, arm.calibrated[:2])
+    assert applied.tip_link == joints[-1].child
+
+
+def test_a_reading_of_another_robot_is_refused_with_its_place(simulated: Callable) -> None:
+    arm, elbow3r = Arm(simulated("ur5")), Arm(simulated("elbow3r"))
+    chain = arm.chain
+    moved = np.array(chain.placements)
+    moved[2, 0, 3] += 0.001
+    elsewhere = replace(chain, placements=moved)
+    turned = replace(chain, joints=(replace(chain.joints[0], axis=-chain.joints[0].axis), *chain.joints[1:]))
+    tree = Tree(
+        chain.name, chain.base_link, chain.joints, (-1, 0, 1, 2, 3, 3), chain.placements,
+        (*chain.tips, replace(chain.tips[0], link="other", joint=4)),
+    )  # fmt: skip
+    for other, told in (
+        (elbow3r.chain, "joint 'joint_1' was not calibrated"),
+        (elsewhere, "the placement of joint 'elbow_joint' is not the one that was calibrated: it is 1 mm off"),
+        (turned, "joint 'shoulder_pan_joint' does not move as the one that was calibrated"),
+        (tree, "joint 'wrist_3_joint' does not hang where it did"),
+    ):
+        with pytest.raises(RobotError, match=told) as refused:
+            apply_to_mechanism(other, chain, arm.calibrated, "session.yaml")
+        assert refused.value.where == "session.yaml"

@@ -5,10 +5,10 @@ import pytest
 
 from tests.robot.test_chain import TREES, read
 from urdfcal.robot.chain import Tree
-from urdfcal.robot.dh import PARAMETERS
+from urdfcal.robot.dh import PARAMETERS, DHTable
 from urdfcal.robot.kinematics import link_motions, link_poses
 from urdfcal.robot.placements import PlacementTable
-from urdfcal.robot.tree_dh import TreeTable
+from urdfcal.robot.tree_dh import rows_of
 from urdfcal.robot.urdf.urdf import Urdf
 
 
@@ -31,7 +31,7 @@ def tree(request: pytest.FixtureRequest) -> Tree:
     return Tree.from_urdf(Urdf.parse(f'<robot name="r">{body}</robot>'.encode()), ["l2", "r2"], "base")
 
 
-def random_offsets(table: TreeTable, seed: int) -> np.ndarray:
+def random_offsets(table: DHTable, seed: int) -> np.ndarray:
     offsets = np.zeros((len(table.labels), 5))
     rng = np.random.default_rng(seed)
     for row, name in table.parameters:
@@ -40,12 +40,12 @@ def random_offsets(table: TreeTable, seed: int) -> np.ndarray:
 
 
 def test_a_nominal_arm_keeps_its_placements_bit_for_bit(tree: Tree) -> None:
-    table = TreeTable.from_tree(tree)
+    table = rows_of(tree)
     np.testing.assert_array_equal(table.placements(np.zeros((len(table.labels), 5))), tree.placements)
 
 
 def test_labels_name_joints_and_mounts(tree: Tree) -> None:
-    table = TreeTable.from_tree(tree)
+    table = rows_of(tree)
     assert table.nominal.shape == (len(table.labels), 5)
     assert [label for label in table.labels if not label.endswith(".mount")] == [
         tree.names[i] for run in tree.branches for i in run
@@ -54,7 +54,7 @@ def test_labels_name_joints_and_mounts(tree: Tree) -> None:
 
 
 def test_twists_agree_with_finite_differences(tree: Tree) -> None:
-    table = TreeTable.from_tree(tree)
+    table = rows_of(tree)
     offsets, parameters = random_offsets(table, 0), table.parameters
     q = tree.random_values(3, np.random.default_rng(0))
     model = tree.build_model(table.placements(offsets))
@@ -71,7 +71,7 @@ def test_twists_agree_with_finite_differences(tree: Tree) -> None:
 
 def test_rows_lose_nothing_that_whole_placements_identify(tree: Tree) -> None:
     """With base and LEDs free, the rows span every motion of the LEDs that any misplaced joints can cause."""
-    table, placements = TreeTable.from_tree(tree), PlacementTable(tree)
+    table, placements = rows_of(tree), PlacementTable(tree)
     q = tree.random_values(60, np.random.default_rng(3))
     leds = np.random.default_rng(4).normal(0.0, 0.05, (len(tree.tips), 3))
     motions = link_motions(tree, tree.build_model(), q, tree.tips)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from pathlib import Path
 
-    from urdfcal.simulation.truth import Simulated
+    from urdfcal.simulation.simulate import Simulated
 
 KINDS = ("ros1", "sqlite3", "mcap")
 # A day in 2023; nothing in it is a multiple of a power of ten.
@@ -223,7 +223,7 @@ def moving(kind: str, simulated: Simulated, seconds: float, offsets: Sequence[fl
     actuated = [joint.mimic is None for joint in session.chain.joints]
     for i in range(round(125 * seconds)):
         bag.joints(START + 8_000_000 * i, motion(0.008 * i)[actuated], session.chain.actuated)
-    scene = simulated.scene
+    scene = simulated.truth
     rng = np.random.default_rng(0)
     for camera, (one, offset) in enumerate(zip(rig.cameras, offsets, strict=True)):
         sensor, scenery = Sensor(one.resolution), Scenery.flat(one.resolution, 25.0)

@@ -153,7 +153,7 @@ def broken(folder: Path, **changes: object) -> Path:
             "'head'.*a camera that stands in the world is on no link",
         ),
         ({"cameras": "cameras.yaml"}, "the key 'stand' is missing"),
-        ({"stand": {"position": [1, 0, 0], "look_at": [0, 0, 0]}}, "stand: no camera stands: all ride"),
+        ({"stand": {"position": [1, 0, 0], "look_at": [0, 0, 0]}}, "key 'stand': no camera stands: all ride"),
     ],
 )
 def test_what_is_wrong_in_a_file_is_told_with_its_place(tmp_path: Path, changes: dict, message: str) -> None:

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from urdfcal.arrays import finite_array, finite_number
 from urdfcal.errors import SessionError
-from urdfcal.session.finite import finite_array, finite_number
 
 
 def test_an_array_is_a_copy_that_cannot_be_written_to() -> None:

@@ -16,7 +16,7 @@ from urdfcal.estimation.measurements import Detections, Points
 from urdfcal.io.folder import read_rig, read_session
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.io.writing import write_session
-from urdfcal.session.knowledge import Estimate, Led, Noise, Tolerances
+from urdfcal.session.knowledge import Estimate, Led, LedDistance, Noise, Tolerances
 from urdfcal.session.model import RigDescription, Session, Stand
 
 if TYPE_CHECKING:
@@ -144,6 +144,7 @@ def test_sightings_that_do_not_fit_are_refused(changes: dict[str, Any], message:
         ({"measurements": (pixels(led=np.array([0, 2, 1])),)}, "led 2 does not exist: there are 2"),
         ({"tolerances": Tolerances(joints={"wrist": {}})}, "there is no joint 'wrist'"),
         ({"estimate": Estimate(extrinsics={"cam9": "free"})}, "there is no camera 'cam9'"),
+        ({"led_distances": (LedDistance(("red", "lamp"), 0.1, 1e-3),)}, "there is no LED 'lamp'"),
     ],
 )
 def test_sessions_that_do_not_fit_are_refused(session: Session, changes: dict[str, Any], message: str) -> None:
@@ -166,6 +167,9 @@ def test_sessions_that_do_not_fit_are_refused(session: Session, changes: dict[st
         lambda: Estimate(intrinsics="none"),  # type: ignore[arg-type]
         lambda: Estimate(intrinsics={"cam0": "none"}),  # type: ignore[dict-item]
         lambda: Estimate(geometry={"cam0": "free"}),  # type: ignore[arg-type]
+        lambda: LedDistance(("a", "a"), 0.1, 1e-3),
+        lambda: LedDistance(("a", "b"), 0.0, 1e-3),
+        lambda: LedDistance(("a", "b"), 0.1, -1e-3),
         lambda: Tolerances(length=-1.0),
         lambda: Tolerances(joints={"a": {"gamma": 1.0}}),
         lambda: Tolerances(joints={"a": {"theta": -1.0}}),
@@ -185,7 +189,8 @@ def test_numbers_and_names_of_numpy_become_plain_ones() -> None:
 
 def test_zero_means_exactly_where_that_makes_sense() -> None:
     assert Led("a", np.zeros(3), sigma=0.0).sigma == 0.0
-    assert Noise(joint=0.0) == Noise()
+    assert Noise(joint=0.0).reading == Noise().reading == 0.0
+    assert Noise(joint=0.0) != Noise()  # of nothing said it is estimated
     assert Tolerances(zero=0.0, joints={"a": {"theta": 0.0}}).joints["a"]["theta"] == 0.0
 
 
@@ -199,6 +204,16 @@ def test_a_camera_cannot_look_at_itself(session: Session) -> None:
     assert not rig.stand.position.flags.writeable
     with pytest.raises(SessionError, match="looks at its own place"):
         replace(rig.stand, look_at=here)
+
+
+def test_a_rig_says_where_its_first_eye_to_hand_camera_stands() -> None:
+    rig = read_rig(find_rig("ur5"))
+    with pytest.raises(SessionError, match="where the first camera stands is not given"):
+        replace(rig, stand=None)
+    eye_in_hand = read_rig(find_rig("ur5_handeye"))
+    assert eye_in_hand.stand is None
+    with pytest.raises(SessionError, match="no camera stands"):
+        replace(eye_in_hand, stand=rig.stand)
 
 
 def test_some_of_its_poses_are_a_session(session: Session, tracked: Session) -> None:

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from urdfcal.errors import SessionError
-from urdfcal.session.motion import AT_REST, AtRest, Motion
-from urdfcal.session.trajectory import JointLog, Trajectory
+from urdfcal.session.trajectory import AT_REST, AtRest, JointLog, Motion, Trajectory
 
 TIME = np.linspace(3.0, 9.0, 121)
 LOG = JointLog(TIME, np.stack([np.sin(TIME), np.cos(TIME)], axis=1))
@@ -35,21 +34,29 @@ class TestAtRest:
     def test_some_of_its_poses_are_at_rest(self) -> None:
         assert AT_REST.at(np.array([0, 2])) == AT_REST
 
-    def test_each_pose_is_independent(self) -> None:
-        assert AT_REST.independent(4).tolist() == [0, 1, 2, 3]
+    def test_each_configuration_is_independent_and_its_repeats_belong_to_it(self) -> None:
+        q = np.array([[0.0, 0.0], [1.0, 0.0], [0.04, -0.04], [1.0, 0.06], [0.0, 0.01], [0.0, 0.0]])
+        assert AT_REST.independent(q).tolist() == [0, 1, 0, 2, 0, 0]
+
+    def test_repeats_are_in_one_fold(self) -> None:
+        q = np.repeat(np.arange(10.0)[:, None], 5, axis=0)
+        fold = AT_REST.folds(q, 5, seed=0).reshape(10, 5)
+        assert (fold == fold[:, :1]).all()
+        assert np.bincount(fold[:, 0]).tolist() == [2] * 5
 
     @pytest.mark.parametrize(("poses", "folds"), [(20, 5), (23, 5), (3, 3), (7, 2), (2, 4)])
     def test_folds_are_of_equal_size_but_for_one(self, poses: int, folds: int) -> None:
-        fold = AT_REST.folds(poses, folds, seed=0)
+        fold = AT_REST.folds(np.arange(float(poses))[:, None], folds, seed=0)
         sizes = np.bincount(fold, minlength=folds)
         assert fold.shape == (poses,)
         assert len(sizes) == folds
         assert np.ptp(sizes) <= 1
 
     def test_folds_are_mixed_and_the_seed_decides_how(self) -> None:
-        first = AT_REST.folds(40, 4, seed=1)
-        assert np.array_equal(first, AT_REST.folds(40, 4, seed=1))
-        assert not np.array_equal(first, AT_REST.folds(40, 4, seed=2))
+        q = np.arange(40.0)[:, None]
+        first = AT_REST.folds(q, 4, seed=1)
+        assert np.array_equal(first, AT_REST.folds(q, 4, seed=1))
+        assert not np.array_equal(first, AT_REST.folds(q, 4, seed=2))
         assert not np.array_equal(first, np.arange(40) % 4)
         assert np.any(np.diff(first) < 0)  # no stretches
 
@@ -81,19 +88,19 @@ class TestFilmed:
 
     def test_frames_of_the_same_second_are_not_independent(self) -> None:
         """Counted from the first frame, at 3.5 s."""
-        assert filmed().independent(6).tolist() == [4, 0, 0, 1, 1, 2]
+        assert filmed().independent(np.zeros((6, 1))).tolist() == [4, 0, 0, 1, 1, 2]
 
     def test_folds_are_stretches_of_time(self) -> None:
         """Whatever the seed, and of the chosen frames alone."""
-        assert filmed().folds(6, 3, seed=0).tolist() == [2, 0, 0, 1, 1, 2]
-        assert filmed().folds(6, 3, seed=7).tolist() == [2, 0, 0, 1, 1, 2]
-        assert filmed().at(np.array([0, 2, 4, 5])).folds(4, 2, seed=0).tolist() == [1, 0, 0, 1]
+        assert filmed().folds(np.zeros((6, 1)), 3, seed=0).tolist() == [2, 0, 0, 1, 1, 2]
+        assert filmed().folds(np.zeros((6, 1)), 3, seed=7).tolist() == [2, 0, 0, 1, 1, 2]
+        assert filmed().at(np.array([0, 2, 4, 5])).folds(np.zeros((4, 1)), 2, seed=0).tolist() == [1, 0, 0, 1]
 
     @pytest.mark.parametrize("frames", [5, 6, 11, 40])
     def test_folds_hold_nearly_equal_numbers(self, frames: int) -> None:
         time = np.random.default_rng(0).uniform(3.5, 8.5, frames)
         many = Trajectory(LOG, (("x",) * frames,), np.zeros(frames, int), np.arange(frames), time)
-        sizes = np.bincount(many.folds(frames, 5, seed=0), minlength=5)
+        sizes = np.bincount(many.folds(np.zeros((frames, 1)), 5, seed=0), minlength=5)
         assert len(sizes) == 5
         assert np.ptp(sizes) <= 1
 
@@ -115,4 +122,12 @@ def test_a_motion_says_all_of_it() -> None:
 
     with pytest.raises(TypeError, match="abstract"):
         Silent()  # type: ignore[abstract]
-    assert Motion.__abstractmethods__ == {"at", "label", "joint_values", "covered", "independent", "folds"}
+    assert Motion.__abstractmethods__ == {
+        "at",
+        "label",
+        "joint_values",
+        "read_otherwise",
+        "covered",
+        "independent",
+        "folds",
+    }

@@ -69,7 +69,25 @@ def test_frames_are_asked_for_by_their_cameras_clock() -> None:
     assert trajectory.at(np.array([2])).values(offsets)[0, 0] == pytest.approx(np.sin(3.593), abs=1e-7)
 
 
+def test_two_readings_are_a_log() -> None:
+    assert JointLog(np.array([0.0, 1.0]), np.array([[0.0], [2.0]])).at(np.array([0.5]))[0, 0] == pytest.approx(1.0)
+    with pytest.raises(SessionError, match="a log of joint values has times"):
+        JointLog(np.zeros(1), np.zeros((1, 1)))
+
+
+def test_frames_have_a_camera_a_row_and_a_time_each() -> None:
+    log = JointLog(TIME, np.sin(TIME)[:, None])
+    with pytest.raises(SessionError, match="differ in number"):
+        Trajectory(log, (("a", "b"),), np.array([0, 0]), np.array([0, 1]), np.array([3.5]))
+
+
 @pytest.mark.parametrize("time", [[0.0, 0.1, 0.1], [0.0, 0.2, 0.1], [0.0, np.nan, 0.2], [0.0, 0.1]])
 def test_a_log_that_does_not_run_forward_is_refused(time: list[float]) -> None:
     with pytest.raises(SessionError):
         JointLog(np.array(time), np.zeros((3, 1)))
+
+
+def test_readings_that_no_joint_can_have_are_refused() -> None:
+    time, values = np.array([0.0, 1e-300, 1.0]), np.array([[0.0], [0.1], [0.2]])
+    with pytest.raises(SessionError, match=r"a joint moves at .* between two readings"):
+        JointLog(time, values)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from urdfcal.session.model import RigDescription
-    from urdfcal.simulation.truth import Simulated
+    from urdfcal.simulation.simulate import Simulated
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +50,7 @@ def test_every_led_is_in_its_image_where_the_truth_says(still: Simulated, tmp_pa
     counts: list[int] = []
     assert write_simulated_images(tmp_path / "s", still, Exposure(), counts.append) == sum(counts) == 8
     session, truth = still.session, truth_of(tmp_path / "s")
-    uv = still.scene.pixels(still.truth.q)
+    uv = still.truth.pixels(still.truth.q)
     assert len(truth) == len(list((tmp_path / "s" / "images").rglob("*.png"))) == 8
     for p, pose in enumerate(session.poses):
         for c, camera in enumerate(session.rig.names):

@@ -10,8 +10,8 @@ import pytest
 from urdfcal.errors import SessionError
 from urdfcal.estimation.measurements import Detections
 from urdfcal.simulation import motion as simulated_motion
-from urdfcal.simulation.collision import load_collision_checker
 from urdfcal.simulation.motion import MotionSettings, _is_free, _Path, _tour, set_in_motion
+from urdfcal.simulation.planning import load_collision_checker
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -28,7 +28,7 @@ def test_the_arm_moves_smoothly_within_its_limits_and_clear_of_itself(rig: str, 
     for joint, values in zip(still.session.chain.joints, log.values.T, strict=True):
         assert values.min() > joint.lower - noise
         assert values.max() < joint.upper + noise
-    checker, _ = load_collision_checker(still.scene, still.session)
+    checker, _ = load_collision_checker(still.truth, still.session)
     assert checker is None or all(checker.is_free(q) for q in moving.truth.q[::20])
 
 
@@ -50,7 +50,7 @@ def test_frames_show_the_true_arm_at_the_robots_time(simulated: Callable) -> Non
     still = simulated("elbow3r", poses=8, pixel=1e-9)
     moving = set_in_motion(still, MotionSettings(frame_rate=5.0, time_offsets=(0.4, -0.3)))
     session, d = moving.session, moving.session.find(Detections)
-    uv = moving.scene.pixels(moving.truth.q)[d.pose, d.camera, d.led]
+    uv = moving.truth.pixels(moving.truth.q)[d.pose, d.camera, d.led]
     np.testing.assert_allclose(d.uv, uv, atol=1e-6)
     trajectory = session.motion
     np.testing.assert_allclose(trajectory.values(np.array([0.4, -0.3])), moving.truth.q, atol=6e-4)
@@ -122,6 +122,6 @@ def test_a_part_of_the_detections_of_a_moving_arm_are_outliers(simulated: Callab
     moving = set_in_motion(still, MotionSettings(frame_rate=3.0))
     d, rows = moving.session.find(Detections), moving.truth.outliers
     assert len(rows) == round(0.1 * len(d))
-    error = np.linalg.norm(d.uv - moving.scene.pixels(moving.truth.q)[d.pose, d.camera, d.led], axis=1)
+    error = np.linalg.norm(d.uv - moving.truth.pixels(moving.truth.q)[d.pose, d.camera, d.led], axis=1)
     assert error[rows].min() > 4.0
     assert np.delete(error, rows).max() < 1.0

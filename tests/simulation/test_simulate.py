@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
 import cv2
@@ -25,10 +26,9 @@ from urdfcal.robot.tree_dh import rows_of
 from urdfcal.robot.urdf.urdf import Urdf, find_urdf, package_roots
 from urdfcal.session.knowledge import Led
 from urdfcal.session.model import Stand
-from urdfcal.simulation.collision import CollisionChecker
-from urdfcal.simulation.geometric_errors import draw_offsets
+from urdfcal.simulation.planning import CollisionChecker
 from urdfcal.simulation.scene import look_at
-from urdfcal.simulation.simulate import simulate, write_simulated
+from urdfcal.simulation.simulate import draw_offsets, simulate, write_simulated
 
 RIGS = ("elbow3r", "panda", "so101", "stanford", "ur5")
 FACTORY = Path(__file__).parents[3] / "shared" / "data" / "ur_factory_deltas.json"
@@ -236,17 +236,19 @@ def test_the_rows_of_a_tree_are_drawn_branch_by_branch(name):
     table = rows_of(read_rig(find_rig(name)).chain)
     offsets = draw_offsets(table, np.random.default_rng(0))
     assert offsets.shape == (len(table.labels), len(PARAMETERS))
-    rows = iter(offsets)
-    for branch in table.branches:
-        if branch.mount is not None:
-            free = [parameter in branch.mount.free and parameter != "beta" for parameter in PARAMETERS]
-            assert ((next(rows) != 0.0) == free).all()
-        of_branch = np.array([next(rows) for _ in branch.table.rows])
-        free = [
-            p in branch.table.rows[0].free and (branch.mount is not None or p not in ("theta", "d")) for p in PARAMETERS
-        ]
-        assert ((of_branch[0] != 0.0) == free).all()
-        assert not of_branch[-1].any()
+    drawn = iter(zip(table.rows, offsets, strict=True))
+    for branch in table.chain.branches:
+        row, values = next(drawn)
+        assert row.mount == (branch[0] != 0)
+        if mounted := row.mount:
+            free = [parameter in row.free and parameter != "beta" for parameter in PARAMETERS]
+            assert ((values != 0.0) == free).all()
+            row, values = next(drawn)
+        free = [p in row.free and (mounted or p not in ("theta", "d")) for p in PARAMETERS]
+        assert ((values != 0.0) == free).all()
+        *_, (last, values) = islice(drawn, len(branch) - 1)
+        assert last.last
+        assert not values.any()
 
 
 @pytest.mark.skipif(not FACTORY.exists(), reason="needs ../shared/data/ur_factory_deltas.json")

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from urdfcal.arrays import Floats, frozen
+from urdfcal.arrays import Bools, Floats, frozen
 from urdfcal.cameras.lens import COEFFICIENTS, LENGTHS, Lens
 from urdfcal.errors import CameraError
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 # A focal length of 5 % of the image's longer side means a half field of view of 84°. In pixels every lens is
 # above (a 180° fisheye has 32 %); in millimetres or multiples of the image's width it is below (16 mm on
@@ -23,6 +19,10 @@ _SHORTEST_FOCAL = 0.05
 _CORNER = 0.01
 # Strongly cropped images have their principal point outside; half an image away is beyond any of them.
 _OUTSIDE = 0.5
+# A twentieth of a degree across the image.
+_LONGEST_FOCAL = 1000.0
+# The narrower the view, the larger the coefficients that still bend something: thousands at five degrees.
+_LARGEST = 1e6
 # Interlaced and anamorphic sensors reach 2:1.
 _PIXEL_ASPECT = 3.0
 
@@ -52,7 +52,10 @@ class Camera:
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name.strip():
             raise CameraError(f"a camera is named {self.name!r}", remedy="Give every camera a name.")
-        object.__setattr__(self, "resolution", self._checked_resolution())
+        whole, sides = (int, np.integer), tuple(self.resolution)
+        if len(sides) != 2 or not all(isinstance(s, whole) and not isinstance(s, bool) and s > 0 for s in sides):
+            raise self._error(f"resolution {list(sides)} is not [width, height] in whole positive pixels")
+        object.__setattr__(self, "resolution", (int(sides[0]), int(sides[1])))
         object.__setattr__(self, "intrinsics", self._numbers("intrinsics", self.intrinsics))
         object.__setattr__(self, "distortion", self._numbers("distortion", self.distortion))
         self._check_lens()
@@ -68,6 +71,12 @@ class Camera:
     def parameter_names(self) -> tuple[str, ...]:
         """Names of :attr:`parameters`: fx, fy, cx, cy, k1, ..."""
         return ("fx", "fy", "cx", "cy", *COEFFICIENTS[self.distortion_model][: len(self.distortion)])
+
+    @property
+    def matrix(self) -> Floats:
+        """(3, 3) camera matrix, px."""
+        fx, fy, cx, cy = self.intrinsics
+        return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
     def with_parameters(self, values: Floats) -> Camera:
         """The same camera with other :attr:`parameters`, ``values`` (4 + k,).
@@ -94,10 +103,7 @@ class Camera:
 
     def project_with_jacobian(self, points: Floats) -> tuple[Floats, Floats]:
         """:meth:`project` and its derivative wrt the points: (..., 2) px and (..., 2, 3) px/m."""
-        points = np.asarray(points, dtype=np.float64)
-        xy, hidden = self._onto_plane(points)
-        distorted, J_lens = self._lens.distort_with_jacobian(xy)
-        return self._to_pixels(points, xy, hidden, distorted, J_lens)
+        return self._linearised(points)[:2]
 
     def project_with_derivatives(self, points: Floats) -> tuple[Floats, Floats, Floats]:
         """:meth:`project` with all its derivatives.
@@ -109,10 +115,7 @@ class Camera:
             uv (..., 2) px, d_uv/d_point (..., 2, 3) px/m and d_uv/d_parameters (..., 2, 4 + k), its columns
             in the order of :attr:`parameters`. All NaN where :meth:`project` is.
         """
-        points = np.asarray(points, dtype=np.float64)
-        xy, hidden = self._onto_plane(points)
-        distorted, J_lens = self._lens.distort_with_jacobian(xy)
-        uv, J_point = self._to_pixels(points, xy, hidden, distorted, J_lens)
+        uv, J_point, xy, hidden, distorted = self._linearised(points)
         J_parameters = np.zeros((*uv.shape, 4 + len(self.distortion)))
         J_parameters[..., 0, 0] = distorted[..., 0]
         J_parameters[..., 1, 1] = distorted[..., 1]
@@ -132,12 +135,12 @@ class Camera:
         rays[np.isnan(rays[..., 0])] = np.nan
         return rays
 
-    def in_image(self, uv: Floats, margin: float = 0.0) -> NDArray[np.bool_]:
+    def in_image(self, uv: Floats, margin: float = 0.0) -> Bools:
         """Which of ``uv`` (..., 2) lie in the image, at least ``margin`` px from its border; NaN does not."""
         inside = (uv >= margin - 0.5) & (uv <= np.array(self.resolution) - 0.5 - margin)
         return np.asarray(inside.all(axis=-1))
 
-    def _onto_plane(self, points: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    def _onto_plane(self, points: Floats) -> tuple[Floats, Bools]:
         """Normalised (x, y), zero where the camera cannot see the point, and the mask of those points."""
         with np.errstate(all="ignore"):
             xy = points[..., :2] / points[..., 2:]
@@ -146,9 +149,11 @@ class Camera:
         xy[hidden] = 0.0
         return xy, hidden
 
-    def _to_pixels(
-        self, points: Floats, xy: Floats, hidden: NDArray[np.bool_], distorted: Floats, J_lens: Floats
-    ) -> tuple[Floats, Floats]:
+    def _linearised(self, points: Floats) -> tuple[Floats, Floats, Floats, Bools, Floats]:
+        """Pixels, their derivative wrt the points, (x, y), which of them are hidden, and what the lens makes of it."""
+        points = np.asarray(points, dtype=np.float64)
+        xy, hidden = self._onto_plane(points)
+        distorted, J_lens = self._lens.distort_with_jacobian(xy)
         focal = self.intrinsics[:2]
         uv = distorted * focal + self.intrinsics[2:]
         # d(x, y)/d(X, Y, Z) = [1 | -(x, y)] / Z
@@ -158,17 +163,10 @@ class Camera:
         J *= (focal / np.where(hidden, 1.0, points[..., 2])[..., None])[..., None]
         uv[hidden] = np.nan
         J[hidden] = np.nan
-        return uv, J
+        return uv, J, xy, hidden, distorted
 
     def _error(self, what: str, remedy: str = "") -> CameraError:
         return CameraError(what, where=f"camera '{self.name}'", remedy=remedy)
-
-    def _checked_resolution(self) -> tuple[int, int]:
-        whole = (int, np.integer)
-        sides: tuple[Any, ...] = tuple(self.resolution)
-        if len(sides) != 2 or not all(isinstance(s, whole) and not isinstance(s, bool) and s > 0 for s in sides):
-            raise self._error(f"resolution {list(sides)} is not [width, height] in whole positive pixels")
-        return int(sides[0]), int(sides[1])
 
     def _numbers(self, what: str, values: Floats) -> Floats:
         try:
@@ -182,17 +180,16 @@ class Camera:
 
     def _check_lens(self) -> None:
         if self.distortion_model not in LENGTHS:
-            raise self._error(
-                f"distortion model '{self.distortion_model}' is not known",
-                f"Use one of: {', '.join(LENGTHS)}.",
-            )
+            remedy = f"Use one of: {', '.join(LENGTHS)}."
+            raise self._error(f"distortion model '{self.distortion_model}' is not known", remedy)
         names, given = COEFFICIENTS[self.distortion_model], len(self.distortion)
         if given not in LENGTHS[self.distortion_model]:
             count = " or ".join(map(str, LENGTHS[self.distortion_model]))
-            raise self._error(
-                f"{self.distortion_model} distortion takes {count} coefficients, {given} are given",
-                f"Their order is {' '.join(names)}." if names else "",
-            )
+            what = f"{self.distortion_model} distortion takes {count} coefficients, {given} are given"
+            raise self._error(what, f"Their order is {' '.join(names)}." if names else "")
+        if given and np.abs(self.distortion).max() > _LARGEST:
+            what = f"a distortion coefficient is {self.distortion[np.abs(self.distortion).argmax()]:g}"
+            raise self._error(f"{what}: no lens bends rays so far", f"Their order is {' '.join(names)}.")
 
     def _check_pinhole(self) -> None:
         if len(self.intrinsics) != 4:
@@ -202,15 +199,14 @@ class Camera:
         if (focal <= 0.0).any():
             raise self._error(f"focal length {_pair(focal)} px must be positive")
         if (focal < _SHORTEST_FOCAL * size.max()).any():
-            raise self._error(
-                f"focal length {_pair(focal)} px is too short for {image}; it looks like millimetres or normalised",
-                "Give it in pixels: millimetres divided by the pixel pitch.",
-            )
+            what = f"focal length {_pair(focal)} px is too short for {image}; it looks like millimetres or normalised"
+            raise self._error(what, "Give it in pixels: millimetres divided by the pixel pitch.")
+        if (focal > _LONGEST_FOCAL * size.max()).any():
+            what = f"focal length {_pair(focal)} px is a telescope's for {image}"
+            raise self._error(what, "Give it in pixels: millimetres divided by the pixel pitch.")
         if focal.max() > _PIXEL_ASPECT * focal.min():
-            raise self._error(
-                f"focal lengths {_pair(focal)} px differ by more than a factor {_PIXEL_ASPECT:g}",
-                "The order is fx fy cx cy.",
-            )
+            remedy = "The order is fx fy cx cy."
+            raise self._error(f"focal lengths {_pair(focal)} px differ by more than a factor {_PIXEL_ASPECT:g}", remedy)
         if (np.abs(centre) <= _CORNER * size).all():
             raise self._error(
                 f"principal point {_pair(centre)} px lies in the corner of {image}; "
@@ -218,10 +214,8 @@ class Camera:
                 "Give it in pixels from the top-left pixel.",
             )
         if ((centre < -_OUTSIDE * size) | (centre > (1.0 + _OUTSIDE) * size)).any():
-            raise self._error(
-                f"principal point {_pair(centre)} px lies far outside {image}",
-                "Check the resolution [width, height] and the order fx fy cx cy.",
-            )
+            remedy = "Check the resolution [width, height] and the order fx fy cx cy."
+            raise self._error(f"principal point {_pair(centre)} px lies far outside {image}", remedy)
 
 
 def _pair(values: Floats) -> str:

@@ -22,8 +22,6 @@ from urdfcal.arrays import Floats, frozen
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from numpy.typing import NDArray
-
 # Coefficients in the order of the files; radtan's k3 may be left out.
 COEFFICIENTS: Mapping[str, tuple[str, ...]] = {
     "radtan": ("k1", "k2", "p1", "p2", "k3"),
@@ -142,7 +140,10 @@ class Lens:
             step = np.where(closer[:, None], _solve(J, error), 0.5 * step)
         size = np.linalg.norm(target, axis=1)
         w[~(missed <= _CONVERGED * (1.0 + size))] = np.nan
-        return self._unflatten(w).reshape(distorted.shape)
+        if self.fisheye:
+            angle = np.maximum(np.hypot(w[:, :1], w[:, 1:]), 1e-15)
+            w *= np.tan(angle) / angle
+        return w.reshape(distorted.shape)
 
     def _flatten(self, xy: Floats) -> tuple[Floats, Floats, Floats]:
         """w(xy), with the two factors of its derivative: dw/dxy = scale·1 + growth·xy xyᵀ."""
@@ -154,25 +155,16 @@ class Lens:
         scale = np.arctan(r) / r
         return xy * scale[..., None], scale, (1.0 / (1.0 + r2) - scale) / r2
 
-    def _unflatten(self, w: Floats) -> Floats:
-        if not self.fisheye:
-            return w
-        angle = np.maximum(np.hypot(w[..., :1], w[..., 1:]), 1e-15)
-        scaled: Floats = w * (np.tan(angle) / angle)
-        return scaled
-
     def _bend(self, w: Floats) -> tuple[Floats, Floats]:
         """The polynomial of the module's head at ``w`` (..., 2) and its symmetric derivative (..., 2, 2)."""
         x, y = w[..., 0], w[..., 1]
         s = x * x + y * y
-        g, slope = np.ones_like(s), np.zeros_like(s)
-        if self.radial.size:
-            g, slope = np.zeros_like(s), np.zeros_like(s)
-            for k in self.radial[::-1]:
-                slope = slope * s + g
-                g = g * s + k
-            # Horner gave h(s) = k1 + k2 s + ... and h'(s); g = 1 + s h.
-            g, slope = 1.0 + s * g, g + s * slope
+        g, slope = np.zeros_like(s), np.zeros_like(s)
+        for k in self.radial[::-1]:
+            slope = slope * s + g
+            g = g * s + k
+        # Horner gave h(s) = k1 + k2 s + ... and h'(s); g = 1 + s h.
+        g, slope = 1.0 + s * g, g + s * slope
         px, py = self.decentring
         pull = 2.0 * (px * x + py * y)
         distorted = np.stack([(g + pull) * x + px * s, (g + pull) * y + py * s], axis=-1)
@@ -206,10 +198,9 @@ def _fold_radius(radial: Floats, decentring: float) -> float:
     return smallest
 
 
-def _solve(J: Floats, b: Floats) -> NDArray[np.float64]:
+def _solve(J: Floats, b: Floats) -> Floats:
     """Solve symmetric positive definite 2x2 systems, (..., 2, 2) and (..., 2) -> (..., 2)."""
     xx, xy, yy = J[..., 0, 0], J[..., 0, 1], J[..., 1, 1]
     determinant = xx * yy - xy * xy
-    return (
-        np.stack([yy * b[..., 0] - xy * b[..., 1], xx * b[..., 1] - xy * b[..., 0]], axis=-1) / determinant[..., None]
-    )
+    solved = np.stack([yy * b[..., 0] - xy * b[..., 1], xx * b[..., 1] - xy * b[..., 0]], axis=-1)
+    return np.asarray(solved / determinant[..., None])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from itertools import combinations
 from typing import TYPE_CHECKING
@@ -11,8 +11,11 @@ import numpy as np
 
 from urdfcal.arrays import Bools, Floats, Ints, frozen
 from urdfcal.errors import CameraError
+from urdfcal.rotations import rotation_vector_to_matrix, skew
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import ArrayLike
 
     from urdfcal.cameras.camera import Camera
@@ -42,21 +45,6 @@ class Status(IntEnum):
     PARALLEL_RAYS = 3
     BEHIND_CAMERA = 4
     NOT_CONVERGED = 5
-
-    @property
-    def text(self) -> str:
-        """The status in words, to follow the name of a pose or LED."""
-        return _TEXTS[self]
-
-
-_TEXTS = {
-    Status.OK: "triangulated",
-    Status.TOO_FEW_VIEWS: "seen by fewer than two cameras of known place",
-    Status.OUTSIDE_LENS: "seen at a pixel the lens model cannot produce",
-    Status.PARALLEL_RAYS: "the rays are too close to parallel to tell the distance",
-    Status.BEHIND_CAMERA: "the rays meet behind a camera",
-    Status.NOT_CONVERGED: "no point explains these pixels",
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,10 +112,16 @@ class CameraSigma:
 class Rig:
     """Cameras and where they stand; the world frame is the first camera's.
 
+    Cameras put up several times are several groups: the world of each is its first camera's.
+
     Attributes:
         cameras: with different names; none where something else measures.
-        T_cam_world: for every camera (4, 4), or None where its place is not known; the first is the identity.
+        T_cam_world: for every camera (4, 4), or None where its place is not known; a group's first is the identity.
         sigmas: for every camera how well it is known, or None; left out: all None.
+        scale_sigma: standard deviation of the share that the lengths between them may be too long by, as the board's
+            that calibrated them; None if nothing is known.
+        group: for every camera the first one of its group; left out: all are one.
+        lens: for every camera the one whose lens it has, as before it was moved; left out: each its own.
 
     Raises:
         CameraError: a name twice, a transform that is not rigid, or standard deviations of something else.
@@ -136,10 +130,15 @@ class Rig:
     cameras: tuple[Camera, ...] = ()
     T_cam_world: tuple[Floats | None, ...] = ()
     sigmas: tuple[CameraSigma | None, ...] = ()
+    scale_sigma: float | None = None
+    group: tuple[int, ...] = ()
+    lens: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "cameras", tuple(self.cameras))
         object.__setattr__(self, "sigmas", tuple(self.sigmas) or (None,) * len(self.cameras))
+        object.__setattr__(self, "group", tuple(self.group) or (0,) * len(self.cameras))
+        object.__setattr__(self, "lens", tuple(self.lens) or tuple(range(len(self.cameras))))
         twice = sorted({name for name in self.names if self.names.count(name) > 1})
         if twice:
             raise CameraError(f"two cameras are named '{twice[0]}'", remedy="Give every camera its own name.")
@@ -149,12 +148,11 @@ class Rig:
         for name, T in zip(self.names, placed, strict=True):
             if T is not None and not _is_rigid(T):
                 raise CameraError("T_cam_world is not a rigid 4 x 4 transform", where=f"camera '{name}'")
-        if placed and (placed[0] is None or not np.array_equal(placed[0], np.eye(4))):
-            raise CameraError(
-                "T_cam_world of the first camera is not the identity",
-                where=f"camera '{self.names[0]}'",
-                remedy="The world frame is the first camera's.",
-            )
+        for first in sorted(set(self.group)):
+            T = placed[first]
+            if T is None or not np.array_equal(T, np.eye(4)):
+                what, where = "T_cam_world of the first camera is not the identity", f"camera '{self.names[first]}'"
+                raise CameraError(what, where=where, remedy="The world frame is the first camera's.")
         object.__setattr__(self, "T_cam_world", placed)
         self._check_sigmas()
 
@@ -172,6 +170,30 @@ class Rig:
         if name not in self.names:
             raise CameraError(f"there is no camera '{name}'", remedy=f"There are: {', '.join(self.names)}.")
         return self.names.index(name)
+
+    def at(self, cameras: Ints) -> Rig:
+        """Return some of the cameras, (K,) indices in ascending order.
+
+        The first one stays, or none of the others' places is known: they are counted from it.
+        """
+        kept = ([of[c] for c in cameras] for of in (self.group, self.lens))
+        group, lens = (tuple(some.index(of) for of in some) for some in kept)
+        firsts = [self.group[c] == c for c in cameras]
+        places = [
+            np.eye(4) if first == k and not firsts[k] else self.T_cam_world[c]
+            for k, (c, first) in enumerate(zip(cameras, group, strict=True))
+        ]
+        counts = [0 if sigma is None else len(sigma.values) for sigma in self.sigmas]
+        ends, sigmas = np.cumsum([0, *counts]), []
+        for k, c in enumerate(cameras):
+            sigma = self.sigmas[c]
+            if sigma is not None:
+                before = np.concatenate([np.arange(ends[i], ends[i + 1]) for i in cameras[: k + 1]])
+                correlations = None if sigma.correlations is None else sigma.correlations[:, before]
+                sigma = replace(sigma, correlations=correlations)
+            sigmas.append(sigma)
+        chosen = tuple(self.cameras[c] for c in cameras)
+        return Rig(chosen, tuple(places), tuple(sigmas), self.scale_sigma, group, lens)
 
     @property
     def correlation(self) -> Floats:
@@ -203,15 +225,17 @@ class Rig:
             CameraError: the shapes do not fit, or a detection's sigma is not positive.
         """
         uv, sigma = self._checked_pixels(uv, sigma)
-        placed = [(i, T) for i, T in enumerate(self.T_cam_world) if T is not None]
-        columns = [i for i, _ in placed]
-        cameras = tuple(self.cameras[i] for i in columns)
-        return _Observations(cameras, tuple(T for _, T in placed), uv[:, columns], sigma[:, columns]).triangulate()
+        placed = {i: T for i, T in enumerate(self.T_cam_world) if T is not None}
+        cameras, columns = [self.cameras[i] for i in placed], list(placed)
+        return _Observations(cameras, list(placed.values()), uv[:, columns], sigma[:, columns]).triangulate()
 
     def _check_sigmas(self) -> None:
         if len(self.sigmas) != len(self.cameras):
             raise CameraError(f"{len(self.cameras)} cameras have {len(self.sigmas)} sets of standard deviations")
+        if self.scale_sigma is not None and not 0.0 <= self.scale_sigma < 1.0:
+            raise CameraError(f"a standard deviation of {self.scale_sigma:g} of all lengths makes no sense")
         before = 0
+        firsts = {self.cameras[c] for c in self.group}
         for camera, T, sigma in zip(self.cameras, self.T_cam_world, self.sigmas, strict=True):
             if sigma is None:
                 continue
@@ -219,8 +243,8 @@ class Rig:
             if sigma.parameters.shape != camera.parameters.shape:
                 expected, given = len(camera.parameters), len(sigma.parameters)
                 raise CameraError(f"{expected} parameters have {given} standard deviations", where=where)
-            if sigma.pose is not None and (T is None or camera is self.cameras[0]):
-                place = "the world" if camera is self.cameras[0] else "not known"
+            if sigma.pose is not None and (T is None or camera in firsts):
+                place = "the world" if camera in firsts else "not known"
                 raise CameraError(f"its place is {place}, and has no standard deviations", where=where)
             before += len(sigma.values)
             table, count = sigma.correlations, len(sigma.values)
@@ -228,10 +252,8 @@ class Rig:
                 continue
             own = table[:, -count:] if table.shape == (count, before) else None
             if own is None or not (np.abs(table) <= 1.0 + _ROUNDING).all() or not np.array_equal(own, own.T):
-                raise CameraError(
-                    f"its correlations are not {count} x {before} numbers from -1 to 1, its own ones symmetric",
-                    where=where,
-                )
+                what = f"its correlations are not {count} x {before} numbers from -1 to 1, its own ones symmetric"
+                raise CameraError(what, where=where)
             ones = np.allclose(np.diag(own), 1.0, rtol=0.0, atol=_ROUNDING)
             if not ones or np.linalg.eigvalsh(self.correlation[:before, :before])[0] < _LEAST_EIGENVALUE:
                 raise CameraError(
@@ -252,10 +274,8 @@ class Rig:
         bad = seen & ~((sigma > 0.0) & np.isfinite(sigma))
         if bad.any():
             point, camera = np.argwhere(bad)[0]
-            raise CameraError(
-                f"sigma {sigma[point, camera]:g} px of detection {point} must be positive",
-                where=f"camera '{self.names[camera]}'",
-            )
+            what = f"sigma {sigma[point, camera]:g} px of detection {point} must be positive"
+            raise CameraError(what, where=f"camera '{self.names[camera]}'")
         return uv, np.where(seen, sigma, np.nan)
 
 
@@ -263,8 +283,8 @@ class Rig:
 class _Observations:
     """What the C cameras of known place saw of M points: uv (M, C, 2) and sigma (M, C) px, NaN if nothing."""
 
-    cameras: tuple[Camera, ...]
-    T_cam_world: tuple[Floats, ...]
+    cameras: Sequence[Camera]
+    T_cam_world: Sequence[Floats]
     uv: Floats
     sigma: Floats
 
@@ -279,7 +299,8 @@ class _Observations:
 
         found = np.flatnonzero(status == Status.OK)
         start = self._nearest_to(rays[found], seen[found])
-        behind = self._behind(start, seen[found])
+        depths = np.stack([start @ T[2, :3] + T[2, 3] for T in self.T_cam_world], axis=1)
+        behind = (seen[found] & ~(depths > 0.0)).any(axis=1)
         status[found[behind]] = Status.BEHIND_CAMERA
         found = found[~behind]
 
@@ -336,11 +357,6 @@ class _Observations:
             b += across @ (-T[:3, :3].T @ T[:3, 3])
         return np.asarray((_inverse(A) @ b[..., None])[..., 0])
 
-    def _behind(self, points: Floats, seen: Bools) -> Bools:
-        """(M,) whether a point lies behind a camera that saw it."""
-        depths = np.stack([points @ T[2, :3] + T[2, 3] for T in self.T_cam_world], axis=1)
-        return np.asarray((seen & ~(depths > 0.0)).any(axis=1))
-
     def _linearise(self, points: Floats, rows: Ints) -> tuple[Floats, Floats, Floats]:
         """JᵀJ (k, 3, 3), Jᵀr (k, 3) and rᵀr (k,) of the whitened residuals of the detections ``rows``."""
         H, gradient, cost = np.zeros((len(rows), 3, 3)), np.zeros((len(rows), 3)), np.zeros(len(rows))
@@ -369,3 +385,15 @@ def _is_rigid(T: Floats) -> bool:
         return False
     R = T[:3, :3]
     return bool(np.allclose(R @ R.T, np.eye(3), rtol=0.0, atol=1e-9) and np.linalg.det(R) > 0.0)
+
+
+def by_motion(J_point: Floats, points: Floats) -> Floats:
+    """Derivative (..., 2, 6) wrt a step (v, w) of the frame the ``points`` (..., 3) are in: dp = v + w x p."""
+    return np.concatenate([J_point, -J_point @ skew(points)], axis=-1)
+
+
+def small_motion(step: Floats) -> Floats:
+    """Transforms [exp(w) v; 0 1] of steps (v, w), (..., 6) -> (..., 4, 4)."""
+    T = np.zeros((*step.shape[:-1], 4, 4))
+    T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = rotation_vector_to_matrix(step[..., 3:]), step[..., :3], 1.0
+    return T

@@ -1,26 +1,15 @@
-"""The command line: parse, run, report errors; each command in its own module."""
+"""The command line: parse, run, report errors; commands of one purpose share a module."""
 
 from __future__ import annotations
 
+import atexit
+import gc
 import sys
 from typing import TYPE_CHECKING
 
 import click
 
-from urdfcal.cli import (
-    apply,
-    calibrate,
-    cameras,
-    compensate,
-    demo,
-    detect,
-    dh,
-    evaluate,
-    export,
-    import_,
-    simulate,
-    view,
-)
+from urdfcal.cli import batch, calibrate, cameras, import_, judging, results, robots, simulate
 from urdfcal.errors import UrdfcalError
 
 if TYPE_CHECKING:
@@ -28,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @click.group(
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110, "show_default": True},
     epilog="Any command: --debug shows the traceback of an error.",
 )
 @click.version_option(package_name="urdfcal")
@@ -36,15 +25,23 @@ def cli() -> None:
     """Make the URDF match the arm, with two cameras and an LED."""
 
 
-for _module in (demo, simulate, import_, cameras, detect, calibrate, evaluate, dh, view, compensate, apply, export):
-    cli.add_command(_module.command)
+_TO_A_RESULT = (simulate.demo, simulate.simulate, import_.command, cameras.command, calibrate.detect, calibrate.command)
+_FROM_A_RESULT = (robots.evaluate, robots.dh, results.view, results.compensate, results.apply, results.export)
+_MANY = (batch.command,)
+_JUDGING_RESULTS = (judging.verify, judging.compare)
+for _command in (*_TO_A_RESULT, *_MANY, *_FROM_A_RESULT, *_JUDGING_RESULTS):
+    cli.add_command(_command)
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run one command line and say how it ended: 0 well, 1 a calibration failed its checks, 2 bad input."""
+    """Run one command line and say how it ended: 0 well, 1 a calibration failed its checks, 2 bad input.
+
+    Of ``verify`` 1 is not shown to be within the limit, of ``compare`` that the arm changed.
+    """
     debug = "--debug" in arguments
     try:
-        cli.main([a for a in arguments if a != "--debug"], prog_name="urdfcal", standalone_mode=False)
+        # What a command ends with by ``ctx.exit`` comes back as a number.
+        ended = cli.main([a for a in arguments if a != "--debug"], prog_name="urdfcal", standalone_mode=False)
     except click.ClickException as error:
         error.show()
         return error.exit_code
@@ -56,9 +53,13 @@ def run(arguments: Sequence[str]) -> int:
             raise
         click.echo(f"urdfcal: {error}", err=True)
         return error.exit_code
-    return 0
+    return ended if isinstance(ended, int) else 0
 
 
 def main() -> None:
     """Entry point of the ``urdfcal`` command."""
+    # A process of one command: looking for garbage while libraries load, and through all of them at exit, is a tenth
+    # of `urdfcal calibrate` (2.19 -> 1.92 s). Cycles of ours are few; they are still collected, by 200,000 objects.
+    gc.set_threshold(200_000)
+    atexit.register(gc.freeze)
     sys.exit(run(sys.argv[1:]))

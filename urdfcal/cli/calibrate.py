@@ -1,4 +1,4 @@
-"""``urdfcal calibrate``: a session in, a corrected URDF out."""
+"""``urdfcal detect`` and ``calibrate``: the LEDs in a session's images; a session in, a corrected URDF out."""
 
 from __future__ import annotations
 
@@ -6,101 +6,123 @@ import io
 import json
 import sys
 from contextlib import redirect_stdout
-from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from math import isfinite
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from urdfcal.cli import detect
-from urdfcal.cli.options import seed_option
-from urdfcal.errors import CalibrationError
+from urdfcal.cli.console import PATH, progress_bar, seed_option, sheet, status_line, terminal
+from urdfcal.errors import CalibrationError, OutputError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
+    from urdfcal.images.files import Colour
     from urdfcal.output.findings import Overview
-    from urdfcal.pipeline import Method
     from urdfcal.result.fitted import FittedCalibration
     from urdfcal.session.model import Session
 
 Report = Literal["text", "json", "nothing"]
 
+# As in urdfcal.images.files, which takes long to import.
+_COLOURS = ("any", "red", "green", "blue")
 # A summary that is longer scrolls its assessment away.
 _MOST_LINES, _MOST_ROWS, _MOST_REMARKS = 25, 8, 6
 
 
+@click.command("detect")
+@click.argument("session", type=PATH)
+@click.option("--colour", type=click.Choice(_COLOURS), default="any", help="Of the LED, in colour images.")
+@click.option("--debug-images", type=PATH, help="Folder for drawings of what was found in each image.")
+def detect(session: Path, colour: Colour, debug_images: Path | None) -> None:
+    """Find the LEDs in SESSION/images/<camera>/<pose>.png, or <camera>.mp4, and write detections.csv.
+
+    With several LEDs the images are called <pose>.<led>.png; <pose>.off.png, with the LEDs dark, is subtracted.
+    What was rejected, and why, is in detections_rejected.csv.
+    """
+    find_leds(session, colour, debug_images)
+
+
+def find_leds(session: Path, colour: Colour = "any", debug_images: Path | None = None) -> None:
+    """Find the LEDs in a session's images, write the tables and print what came of it."""
+    from urdfcal.detection.detect import detect_in, open_images, write_debug_images, write_detected
+
+    positions, index = open_images(session)
+    with progress_bar("reading images", index.count) as advance:
+        detected = detect_in(positions, index, colour, advance)
+    if debug_images is not None:
+        with progress_bar("drawing", index.count) as advance:
+            write_debug_images(debug_images, detected, colour, advance)
+    paths = write_detected(session, detected)
+    sigma = detected.detections.sigma
+    click.echo(
+        f"{detected.found} detections in {index.count} images, "
+        f"found to {sorted(sigma)[len(sigma) // 2]:.3f} px each (median)"
+    )
+    if rejected := detected.summary():
+        click.echo(f"rejected: {rejected}")
+    for warning in detected.warnings:
+        click.echo(f"- {warning}")
+    for path in paths:
+        click.echo(str(path))
+
+
 @click.command("calibrate")
-@click.argument("session", type=click.Path(path_type=Path))
-@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="Folder of the results.")
+@click.argument("sessions", type=PATH, nargs=-1, required=True, metavar="SESSION...")
+@click.option("-o", "--output", type=PATH, required=True, help="Folder of the results.")
 @seed_option
 @click.option(
-    "--method",
-    type=click.Choice(["pixels", "points"]),
-    default="pixels",
-    show_default=True,
+    "--method", type=click.Choice(["pixels", "points"]), default="pixels",
     help="What the estimate rests on: pixels, or points triangulated from them.",
-)
+)  # fmt: skip
 @click.option("--no-priors", is_flag=True, help="Plain least squares, without manufacturing tolerances.")
 @click.option(
-    "--starts",
-    type=click.IntRange(min=0),
-    default=0,
-    metavar="N",
+    "--starts", type=click.IntRange(min=0), default=0, show_default=False, metavar="N",
     help="Start from N other arms, too, and screen the minima.",
-)
+)  # fmt: skip
+@click.option(
+    "--exclude-poses", metavar="POSES",
+    help="Leave these poses out: labels and ranges, such as 26-31,40; of several sessions SESSION/26-31.",
+)  # fmt: skip
+@click.option("--ignore-limits", is_flag=True, help="Take joint readings beyond the URDF's limits as they are.")
 @click.option("--force", is_flag=True, help="Write the result even if its assessment has failures.")
 @click.option("--live", is_flag=True, help="Show the solver at work in the rerun viewer.")
 @click.option("--json", "as_json", is_flag=True, help="Print calibration.json and the files instead of a summary.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def command(
-    session: Path,
-    output: Path,
-    seed: int,
-    method: Method,
-    no_priors: bool,
-    starts: int,
-    force: bool,
-    live: bool,
-    as_json: bool,
-    quiet: bool,
-) -> None:
-    """Calibrate the robot of SESSION and write URDF, calibration.json, report and recording."""
-    from urdfcal.io.folder import lacks_detections, read_session
+    sessions: tuple[Path, ...], output: Path, no_priors: bool, exclude_poses: str | None, ignore_limits: bool,
+    live: bool, as_json: bool, quiet: bool, **how: Any,
+) -> None:  # fmt: skip
+    """Calibrate the robot of SESSION and write URDF, calibration.json, report and recording.
+
+    Several sessions of one arm are calibrated together: in each it may stand elsewhere, before other cameras, with
+    other LEDs.
+    """
+    from urdfcal.io.folder import read_sessions
 
     report: Report = "nothing" if quiet else "json" if as_json else "text"
-    if lacks_detections(session):
+
+    def look(session: Path) -> None:
         with redirect_stdout({"text": sys.stdout, "json": sys.stderr, "nothing": io.StringIO()}[report]):
             click.echo(f"{session}: images and no detections: looking for the LEDs first (urdfcal detect)")
-            detect.run(session)
-    run(
-        read_session(session),
-        output,
-        seed,
-        method=method,
-        priors=not no_priors,
-        starts=starts,
-        force=force,
-        live=live,
-        report=report,
-    )
+            find_leds(session)
+
+    poses = exclude_poses.split(",") if exclude_poses else []
+    labels = [label.strip() for label in poses if label.strip()]
+    measured = read_sessions(sessions, look, exclude_poses=labels, ignore_limits=ignore_limits)
+    run(measured, output, live=live, report=report, priors=not no_priors, **how)
 
 
 def run(
-    session: Session,
-    output: Path,
-    seed: int,
-    *,
-    method: Method = "pixels",
-    priors: bool = True,
-    starts: int = 0,
-    force: bool = False,
-    live: bool = False,
-    report: Report = "text",
+    session: Session, output: Path, *, live: bool = False, report: Report = "text", force: bool = False, **how: Any
 ) -> FittedCalibration:
-    """Calibrate a session, write its results and print the summary."""
-    from urdfcal.cli.console import status_line
+    """Calibrate a session as :func:`urdfcal.pipeline.calibrate` does, write its results and print the summary.
+
+    Of a result that is refused only the report is written, where it replaces nothing.
+    """
     from urdfcal.output.findings import Overview
-    from urdfcal.pipeline import calibrate
+    from urdfcal.pipeline import calibrate, refusal
 
     view = None
     if live:
@@ -118,19 +140,24 @@ def run(
                 view.step(iteration, cost)
 
         try:
-            calibration = calibrate(
-                session, method=method, priors=priors, starts=starts, seed=seed, force=force, progress=note
-            )
+            calibration = calibrate(session, **how, force=True, progress=note)
         except CalibrationError:
             # What looked odd in the session is often why.
             for warning in session.warnings:
                 click.echo(f"- {warning}", err=True)
             raise
+        if calibration.failures and not force:
+            say("writing the report")
+            report_path = _refused(calibration, output)
+            # So is what was found in the residuals, which may say what to do.
+            for warning in calibration.warnings:
+                click.echo(f"- {warning}", err=True)
+            raise refusal(calibration, report_path)
         say("writing URDF, report and recording")
         from urdfcal.output.recording import write_results
 
         overview = Overview.of(calibration)
-        paths, remarks = write_results(overview, output)
+        paths, remarks = write_results(calibration, output, overview)
         if view is not None:
             view.finish(overview)
     if report == "json":
@@ -141,55 +168,77 @@ def run(
     return calibration
 
 
+def _refused(calibration: FittedCalibration, output: Path) -> Path | None:
+    """Report a calibration that is refused; None where that is not possible either."""
+    from urdfcal.output.recording import write_refused
+
+    try:
+        return write_refused(calibration, output)
+    except OutputError as error:
+        click.echo(f"- {error}", err=True)
+    except CalibrationError:  # not even its errors are numbers
+        pass
+    return None
+
+
 def _print(overview: Overview, paths: Sequence[Path], remarks: Sequence[str]) -> None:
     """Print assessment, numbers, corrections, warnings and files, in at most 25 lines."""
     from rich.text import Text
 
-    from urdfcal.cli.console import output
-    from urdfcal.output.findings import HEADLINE, headline
+    from urdfcal.output.findings import HEADLINE, claims, headline
+    from urdfcal.session.exclusion import summary
 
-    console = output()
+    console = terminal()
+    screen = console.is_terminal
     document, calibration = overview.document, overview.calibration
     assessment = calibration.assessment
     fit, (low, high) = document["fit"], document["validation"]["interval_mm"]
 
     def line(text: str, style: str = "") -> None:
         # Piped, a line is as long as it is; on a screen it must not wrap, or the summary grows.
-        if console.is_terminal:
-            console.print(Text(text, style=style), no_wrap=True, overflow="ellipsis")
-        else:
-            console.print(Text(text, style=style), soft_wrap=True)
+        overflow: Literal["ellipsis"] | None = "ellipsis" if screen else None
+        console.print(Text(text, style=style), no_wrap=True, overflow=overflow, soft_wrap=not screen)
 
     tone = {"good": "bold green", "doubtful": "bold yellow", "bad": "bold red"}[assessment.level]
     line(f"{calibration.chain.name}: {assessment.sentence}", tone)
     interval = f"(95 %: {low:.3g} to {high:.3g})"
     line(f"{headline(document)} {interval} {HEADLINE}, nominal -> calibrated", "bold")
-    parts = [
-        f"{fit[f'rms_nominal_{unit}']:.3f} -> {fit[f'rms_{unit}']:.3f} {unit}"
-        for unit in ("px", "mm")
-        if f"rms_{unit}" in fit
+    for claim in claims(document):
+        line(claim)
+    units = [unit for unit in ("px", "mm") if f"rms_{unit}" in fit]
+    parts = [f"{fit[f'rms_nominal_{unit}']:.3f} -> {fit[f'rms_{unit}']:.3f} {unit}" for unit in units]
+    parts += [
+        f"{each['kind']} {each['rms_nominal']:.3f} -> {each['rms']:.3f} {each['unit']}"
+        for each in fit["residuals"]
+        if each["kind"] not in ("detections", "points")
     ]
     chi2 = fit["reduced_chi2"]
     noise = f", {chi2**0.5:.2g} times the declared noise" if chi2 is not None else ""
     line(f"residual {', '.join(parts)} rms{noise}")
+    outliers = len(document["outliers"])
+    excluded = summary(calibration.session.excluded.named)
+    excluded = f" ({excluded})" if excluded else ""
     line(
-        f"{fit['poses']} poses, {fit['observations']} measured numbers, {fit['parameters']} parameters "
-        f"({calibration.comparison.chosen.spec}), {_counted(len(document['outliers']), 'outlier')}"
+        f"{fit['poses']} poses{excluded}, {fit['observations']} measured numbers, {fit['parameters']} parameters "
+        f"({calibration.comparison.chosen.spec}), {outliers} outlier{'s' if outliers != 1 else ''}"
     )
+    sessions = []
+    for name, session in document.get("sessions", {}).items():
+        found = ", ".join(f"{each['rms']:.3f} {each['unit']}" for each in session["residuals"])
+        sessions.append(f"{name}: {session['poses']} poses, {found} rms")
+    if sessions:
+        line("; ".join(sessions))
     cameras = document["cameras"].items()
     clocks = [f"{name} {_clock(**camera['time_offset'])}" for name, camera in cameras if "time_offset" in camera]
     if clocks:
         line(f"time offsets, robot less camera: {', '.join(clocks)}")
     rows = len(calibration.geometry.labels)
-    printed = 4 + bool(clocks) + 3  # the files below
+    printed = 6 + bool(sessions) + bool(clocks) + 3  # the files below
     if rows <= _MOST_ROWS:
         console.print(_corrections(calibration))
         printed += rows + 5  # title, head, rule, and a blank line above and below
-    texts = [
-        *assessment.reasons,
-        *remarks,
-        *(f"unidentifiable: {lost}" for lost in document["identifiability"]["lost"]),
-    ]
+    unidentifiable = [f"unidentifiable: {lost}" for lost in document["identifiability"]["lost"]]
+    texts = [*assessment.reasons, *remarks, *unidentifiable]
     room = min(_MOST_REMARKS, _MOST_LINES - printed)
     if len(texts) > room:
         texts = [*texts[: room - 1], f"{len(texts) - room + 1} more remarks in the report"]
@@ -200,19 +249,12 @@ def _print(overview: Overview, paths: Sequence[Path], remarks: Sequence[str]) ->
             line(str(path) if path.suffix != ".rrd" else f"{path}   (urdfcal view {path.parent})")
 
 
-def _counted(count: int, what: str) -> str:
-    return f"{count} {what}" if count == 1 else f"{count} {what}s"
-
-
 def _clock(value: float, sigma: float | None) -> str:
     """A camera's time offset, given in s."""
     return f"{1e3 * value:.3g} (fixed)" if sigma is None else f"{1e3 * value:+.2f} ± {1e3 * sigma:.2f} ms"
 
 
 def _corrections(calibration: FittedCalibration) -> object:
-    import numpy as np
-
-    from urdfcal.cli.console import sheet
     from urdfcal.estimation.blocks.arm import LENGTHS
 
     columns = [f"{name} ({'mm' if name in LENGTHS else 'mrad'})" for name in calibration.geometry.columns]
@@ -220,6 +262,6 @@ def _corrections(calibration: FittedCalibration) -> object:
     for joint, offsets, sigmas in zip(
         calibration.geometry.labels, 1e3 * calibration.estimate.offsets, 1e3 * calibration.sigmas(), strict=True
     ):
-        cells = [f"{o:.3f} ± {s:.3f}" if np.isfinite(s) else "" for o, s in zip(offsets, sigmas, strict=True)]
+        cells = [f"{o:.3f} ± {s:.3f}" if isfinite(s) else "" for o, s in zip(offsets, sigmas, strict=True)]
         table.add_row(joint, *cells)
     return table

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from urdfcal.cli.console import PATH, POSITIVE, progress_bar, sheet, terminal
 from urdfcal.errors import CameraError
 
 if TYPE_CHECKING:
-    from urdfcal.cameras.board.board import Board
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from urdfcal.cameras.board.board import Board, BoardKind
     from urdfcal.cameras.board.calibration import BoardCalibration
     from urdfcal.cameras.io.formats import Format
-    from urdfcal.cameras.rig import Rig
 
 _BOARD_FILE = "board.yaml"
 
@@ -32,16 +34,9 @@ def _pair(value: str | tuple[int, int]) -> tuple[int, int]:
 class _CalibrateUnlessNamed(click.Group):
     """A group whose first argument may be left out where it would be ``calibrate``."""
 
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
-        if args and self.get_command(ctx, args[0]) is None:
-            args = ["calibrate", *args]
-        return super().resolve_command(ctx, args)
-
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        # Options before the folder belong to calibrate: the group itself has --help alone.
-        if args and args[0].startswith("-") and args[0] not in ctx.help_option_names:
+        # Options before the folder belong to calibrate, too: the group itself has --help alone.
+        if args and args[0] not in (*self.commands, *ctx.help_option_names):
             args = ["calibrate", *args]
         return super().parse_args(ctx, args)
 
@@ -55,31 +50,35 @@ def command() -> None:
 
 
 @command.command("calibrate")
-@click.argument("folder", metavar="BOARD_FOLDER", type=click.Path(path_type=Path))
-@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="Camera file to write (Kalibr).")
+@click.argument("folder", metavar="BOARD_FOLDER", type=PATH)
+@click.option("-o", "--output", type=PATH, required=True, help="Camera file to write (Kalibr).")
 @click.option(
     "--board", type=(click.Choice(["chessboard", "charuco"]), _pair), metavar="KIND WxH",
     help="chessboard 9x6 counts inner corners, charuco 10x7 squares.  [default: BOARD_FOLDER/board.yaml]",
 )  # fmt: skip
-@click.option("--square", type=click.FloatRange(min=0.0, min_open=True), metavar="M", help="Side of a square, m.")
+@click.option("--square", type=POSITIVE, metavar="M", help="Side of a square, m.")
 @click.option(
-    "--marker", type=click.FloatRange(min=0.0, min_open=True), metavar="M", help="ChArUco: side of a marker, m."
-)
+    "--measured", type=(click.IntRange(1), POSITIVE, POSITIVE), metavar="N M M",
+    help="Length of N squares in a row as measured on the print, and its standard deviation, m.",
+)  # fmt: skip
+@click.option("--marker", type=POSITIVE, metavar="M", help="ChArUco: side of a marker, m.")
 @click.option("--dictionary", metavar="NAME", help="ChArUco: OpenCV's name, such as DICT_4X4_50.")
+@click.option("--legacy", is_flag=True, help="ChArUco: printed by OpenCV before 4.6.")
+@click.option("--force", is_flag=True, help="Write cameras that these images leave open, too.")
 @click.option(
-    "--distortion", type=click.Choice(["radtan", "equidistant", "none"]), default="radtan", show_default=True,
+    "--distortion", type=click.Choice(["radtan", "equidistant", "none"]), default="radtan",
     help="Lens model; equidistant for a fisheye.",
 )  # fmt: skip
 def calibrate(
     folder: Path,
     output: Path,
-    board: tuple[str, tuple[int, int]] | None,
-    square: float | None,
-    marker: float | None,
-    dictionary: str | None,
+    board: tuple[BoardKind, tuple[int, int]] | None,
     distortion: str,
+    force: bool,
+    measured: tuple[int, float, float] | None,
+    **details: Any,
 ) -> None:
-    """Calibrate one or several cameras from BOARD_FOLDER/<camera>/<view>.png.
+    """Calibrate one or several cameras from BOARD_FOLDER/<camera>/<view>.png (or .jpg, .jpeg, .tif, .tiff).
 
     Images of the same name were taken at the same time. The standard deviations are written beside the cameras, for
     `intrinsics: refine` and `extrinsics: refine` in session.yaml.
@@ -87,20 +86,21 @@ def calibrate(
     from urdfcal.cameras.board.calibration import calibrate_cameras
     from urdfcal.cameras.board.views import find_images, read_views
     from urdfcal.cameras.io.formats import write_kalibr
-    from urdfcal.cli.console import progress_bar
 
-    chosen = _board(folder, board, square, marker, dictionary)
+    chosen = _board(folder, board, details)
+    if measured is not None:
+        chosen = chosen.measured(*measured)
     count = sum(len(views) for views in find_images(folder).values())
     with progress_bar("looking for the board", count) as advance:
         views = read_views(folder, chosen, advance)
-    calibration = calibrate_cameras(views, chosen, distortion)
+    calibration = calibrate_cameras(views, chosen, distortion, force=force)
     write_kalibr(output, calibration.rig)
     _print(calibration, output)
 
 
 @command.command("convert")
-@click.argument("files", metavar="IN...", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.argument("output", metavar="OUT", type=click.Path(path_type=Path))
+@click.argument("files", metavar="IN...", nargs=-1, required=True, type=PATH)
+@click.argument("output", metavar="OUT", type=PATH)
 @click.option(
     "--to", "format_", type=click.Choice(["kalibr", "ros", "opencv"]),
     help="Format of OUT.  [default: opencv for .xml and .yml, kalibr for .yaml, ros for a folder]",
@@ -109,81 +109,56 @@ def calibrate(
 def convert(files: tuple[Path, ...], output: Path, format_: Format | None, size: tuple[int, int] | None) -> None:
     """Convert camera files: Kalibr camchain, ROS camera_info (one a camera, in order), OpenCV FileStorage.
 
-    The format of IN is told by its content. A pair in ROS's format is a folder with one file a camera.
+    The format of IN is told by its content. A pair in ROS's format is a folder with one file a camera, as IN, too.
     """
     from urdfcal.cameras.io.formats import read_cameras, write_cameras
 
-    chosen = format_ or _format_by_name(output)
+    formats: dict[str, Format] = {".xml": "opencv", ".yml": "opencv", ".yaml": "kalibr", "": "ros"}
+    chosen = format_ or formats.get("" if output.is_dir() else output.suffix.lower())
+    if chosen is None:
+        raise click.UsageError(f"'{output.name}' does not tell a format; name it with --to")
     rig = read_cameras(files, size)
     for path in write_cameras(output, rig, chosen):
         click.echo(str(path))
-    _say_what_is_lost(rig, chosen)
-
-
-def _format_by_name(output: Path) -> Format:
-    formats: dict[str, Format] = {".xml": "opencv", ".yml": "opencv", ".yaml": "kalibr", "": "ros"}
-    suffix = "" if output.is_dir() else output.suffix.lower()
-    if suffix not in formats:
-        raise click.UsageError(f"'{output.name}' does not tell a format; name it with --to")
-    return formats[suffix]
-
-
-def _say_what_is_lost(rig: Rig, format_: Format) -> None:
     unplaced = [name for name, T in zip(rig.names, rig.T_cam_world, strict=True) if T is None]
     if unplaced:
         click.echo(f"not known: where {', '.join(unplaced)} stands", err=True)
-    if format_ != "kalibr" and any(rig.sigmas):
+    if chosen != "kalibr" and any(rig.sigmas):
         click.echo("not kept: the standard deviations, which only Kalibr's format as urdfcal writes it has", err=True)
 
 
-def _board(
-    folder: Path,
-    board: tuple[str, tuple[int, int]] | None,
-    square: float | None,
-    marker: float | None,
-    dictionary: str | None,
-) -> Board:
-    from urdfcal.cameras.board.board import Board, BoardKind, read_board
+def _board(folder: Path, board: tuple[BoardKind, tuple[int, int]] | None, details: Mapping[str, Any]) -> Board:
+    from urdfcal.cameras.board.board import Board, read_board
 
     if board is None:
-        if any(option is not None for option in (square, marker, dictionary)):
-            raise click.UsageError("--square, --marker and --dictionary go with --board")
+        if any(details.values()):
+            raise click.UsageError("--square, --marker, --dictionary and --legacy go with --board")
         if not (folder / _BOARD_FILE).exists() and folder.is_dir():
-            raise CameraError(
-                f"there is no {_BOARD_FILE} that describes the board",
-                where=str(folder),
-                remedy="Write one (type, columns, rows, square), or use --board chessboard 9x6 --square 0.025.",
-            )
+            what = f"there is no {_BOARD_FILE} that describes the board"
+            remedy = "Write one (type, columns, rows, square), or use --board chessboard 9x6 --square 0.025."
+            raise CameraError(what, where=str(folder), remedy=remedy)
         return read_board(folder / _BOARD_FILE)
-    if square is None:
+    if details["square"] is None:
         raise click.UsageError("--board needs --square, the side of a square in metres")
     kind, (columns, rows) = board
-    names: tuple[BoardKind, ...] = get_args(BoardKind)
-    return Board(names[names.index(kind)], columns, rows, square, marker, dictionary)
+    return Board(kind, columns, rows, **details)
 
 
 def _print(calibration: BoardCalibration, output: Path) -> None:
     import numpy as np
 
-    from urdfcal.cli.console import output as terminal
-    from urdfcal.cli.console import sheet
-
     console = terminal()
-    console.print(calibration.board.title, markup=False)
+    scale = calibration.board.scale_sigma
+    known = "" if scale is None else f", measured to {100 * scale:.2g} % (standard deviation)"
+    console.print(f"{calibration.board.title}{known}", markup=False)
     rig = calibration.rig
 
     quality = sheet("images", ["camera", "used", "corners", "residual (px)", "coverage", "tilt (deg)", "worst view"])
     for q in calibration.qualities:
         worst = int(np.argmax(q.rms))
-        quality.add_row(
-            q.name,
-            f"{len(q.views)}",
-            f"{q.corners}",
-            f"{q.sigma:.3f}",
-            f"{100 * q.coverage:.0f} %",
-            f"{q.tilts.min():.0f} to {q.tilts.max():.0f}",
-            f"{q.views[worst]}, {q.rms[worst]:.3f} px",
-        )
+        seen = [q.name, f"{len(q.views)}", f"{q.corners}", f"{q.sigma:.3f}", f"{100 * q.coverage:.0f} %"]
+        tilts = f"{q.tilts.min():.0f} to {q.tilts.max():.0f}"
+        quality.add_row(*seen, tilts, f"{q.views[worst]}, {q.rms[worst]:.3f} px")
     console.print(quality)
 
     lenses = sheet("cameras ± standard deviation", ["camera", "parameter", "value", "±"], texts=2)
@@ -204,8 +179,7 @@ def _print(calibration: BoardCalibration, output: Path) -> None:
             lenses.add_row(camera.name, "rotation (mrad)", "", f"{1e3 * np.linalg.norm(sigma.pose[3:]):.3f}")
     console.print(lenses)
 
-    for rejection in calibration.rejected:
-        console.print(f"- {rejection.camera}/{rejection.view} not used: {rejection.reason}", markup=False)
-    for text in calibration.warnings:
+    rejected = [f"{of.camera}/{of.view} not used: {of.reason}" for of in calibration.rejected]
+    for text in (*rejected, *calibration.warnings):
         console.print(f"- {text}", markup=False)
     console.print(str(output), markup=False)

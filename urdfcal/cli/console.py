@@ -1,9 +1,12 @@
-"""Tables on the terminal, and progress that is shown only on a terminal."""
+"""What commands share: options, tables on the terminal, and progress that is shown only on a terminal."""
 
 from __future__ import annotations
 
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING
+
+import click
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -11,11 +14,20 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
+PATH = click.Path(path_type=Path)
+POSITIVE = click.FloatRange(min=0.0, min_open=True)
+
+result_argument = click.argument("result", type=PATH, metavar="OUT")
+tip_option = click.option("--tip", required=True, metavar="LINK", help="Link at the end of the chain.")
+base_option = click.option("--base", metavar="LINK", help="Link at its start.  [default: the root link]")
+seed_option = click.option("--seed", type=click.IntRange(min=0), default=0, help="Seed of all random numbers.")
+json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
+
 # Wide enough for a DH table with its joint names; a pipe has no width of its own.
 _PIPE_WIDTH = 110
 
 
-def output() -> Console:
+def terminal() -> Console:
     """Standard output: as wide as the terminal, or as a table needs where it is piped."""
     from rich.console import Console
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from urdfcal.cli.options import base_option
+from urdfcal.cli.console import PATH, base_option, progress_bar, sheet, terminal
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from urdfcal.rosbag.clock import Timeline
     from urdfcal.rosbag.importing import ImportSummary
     from urdfcal.rosbag.topics import ChosenTopics
@@ -29,18 +30,18 @@ def _led(value: str) -> tuple[str, list[float] | None]:
     return name, position
 
 
-def _camera(value: str) -> tuple[str, str, str | None]:
+def _camera(value: str) -> tuple[str, tuple[str, str | None]]:
     """Parse NAME=IMAGE_TOPIC[,INFO_TOPIC]."""
     name, _, topics = value.partition("=")
     image, _, info = topics.partition(",")
     if not name or not image:
         raise click.BadParameter(f"'{value}' is not NAME=TOPIC")
-    return name, image, info or None
+    return name, (image, info or None)
 
 
 @click.command("import")
-@click.argument("path", metavar="BAG", type=click.Path(path_type=Path))
-@click.option("-o", "--output", "session", type=click.Path(path_type=Path), help="Folder to write.")
+@click.argument("path", metavar="BAG", type=PATH)
+@click.option("-o", "--output", "session", type=PATH, help="Folder to write.")
 @click.option("--urdf", metavar="ROBOT.urdf", help="The nominal robot: a file, or package://...")
 @click.option("--tip", metavar="LINK", help="Link at the end of the chain.")
 @base_option
@@ -49,9 +50,12 @@ def _camera(value: str) -> tuple[str, str, str | None]:
     "--camera", "named", type=_camera, multiple=True, metavar="NAME=TOPIC[,INFO]",
     help="A camera: its images, and its camera_info if that is not beside them.  [default: all]",
 )  # fmt: skip
-@click.option("--led", type=_led, default="led", metavar="NAME[=X,Y,Z]", help="The LED, in the tip's frame, m.")
 @click.option(
-    "--cameras", "described", type=click.Path(path_type=Path), metavar="FILE",
+    "--led", type=_led, default="led", show_default=False, metavar="NAME[=X,Y,Z]",
+    help="The LED, in the tip's frame, m.",
+)  # fmt: skip
+@click.option(
+    "--cameras", "described", type=PATH, metavar="FILE",
     help="A camera file instead of camera_info, with the cameras' names.",
 )  # fmt: skip
 @click.option("--list", "listing", is_flag=True, help="Print the topics and write nothing.")
@@ -62,7 +66,7 @@ def command(
     tip: str | None,
     base: str | None,
     joints: str | None,
-    named: tuple[tuple[str, str, str | None], ...],
+    named: tuple[tuple[str, tuple[str, str | None]], ...],
     led: tuple[str, list[float] | None],
     described: Path | None,
     listing: bool,
@@ -77,31 +81,30 @@ def command(
         return
     if session is None or urdf is None or tip is None:
         raise click.UsageError("-o, --urdf and --tip are needed; --list prints the topics")
-    names = [name for name, *_ in named]
-    if len(set(names)) < len(names):
-        raise click.UsageError(f"two cameras have the same name: {', '.join(names)}")
+    if len(dict(named)) < len(named):
+        raise click.UsageError(f"two cameras have the same name: {', '.join(name for name, _ in named)}")
     from urdfcal.cameras.io.formats import read_cameras
-    from urdfcal.cli.console import progress_bar
+    from urdfcal.cameras.rig import Rig
     from urdfcal.names import check_names
     from urdfcal.robot.chain import Chain
-    from urdfcal.robot.urdf.urdf import Urdf, find_urdf
+    from urdfcal.robot.urdf.urdf import Urdf
     from urdfcal.rosbag.bag import open_bag
-    from urdfcal.rosbag.importing import ImportSetup, import_bag
-    from urdfcal.rosbag.topics import TopicOptions, choose_topics
+    from urdfcal.rosbag.importing import import_bag
+    from urdfcal.rosbag.topics import choose_topics
     from urdfcal.session.knowledge import Led
+    from urdfcal.session.model import Setup
 
     check_names("LEDs", [led[0]])
-    robot = Urdf.read(find_urdf(urdf))
-    setup = ImportSetup(
+    robot = Urdf.read(urdf)
+    setup = Setup(
+        chain=Chain.from_urdf(robot, tip, base),
+        leds=(Led(*led),),  # type: ignore[arg-type]  # a list serves as an array
+        rig=Rig() if described is None else read_cameras([described]),
         urdf=robot,
         urdf_reference=urdf,
-        chain=Chain.from_urdf(robot, tip, base),
-        led=Led(*led),  # type: ignore[arg-type]  # a list serves as an array
-        rig=None if described is None else read_cameras([described]),
     )
-    options = TopicOptions(joints, {name: (image, info) for name, image, info in named}, infos=described is None)
     with open_bag(path) as bag:
-        topics = choose_topics(bag.topics, options)
+        topics = choose_topics(bag.topics, joints, dict(named), infos=described is None)
         count = sum(topic.count for topic in bag.topics if topic.name in topics.names)
         with progress_bar("reading", count) as advance:
             summary = import_bag(bag, topics, setup, session, advance)
@@ -110,7 +113,6 @@ def command(
 
 
 def _list(path: Path) -> None:
-    from urdfcal.cli.console import output, sheet
     from urdfcal.rosbag.bag import open_bag
 
     with open_bag(path) as bag:
@@ -118,16 +120,15 @@ def _list(path: Path) -> None:
         for topic in bag.topics:
             rate = f"{(topic.count - 1) / bag.duration:.1f}" if bag.duration and topic.count > 1 else ""
             table.add_row(topic.name, topic.type, f"{topic.count}", rate)
-    output().print(table)
+    terminal().print(table)
 
 
 def _print(topics: ChosenTopics, summary: ImportSummary) -> None:
     click.echo(f"{topics.joints}: {_of('joint states', summary.joints)}")
-    images = {camera.name: camera.image for camera in topics.cameras}
     for camera in summary.rig.cameras:
         width, height = camera.resolution
         taken = _of("images", summary.cameras[camera.name])
-        click.echo(f"{camera.name}: {images[camera.name]}, {taken}, {width} x {height} px")
+        click.echo(f"{camera.name}: {topics.cameras[camera.name][0]}, {taken}, {width} x {height} px")
     click.echo(f"time 0 is {summary.origin // 10**9}.{summary.origin % 10**9:09d} s")
     for note in (*summary.notes, *summary.warnings):
         click.echo(f"- {note}")

@@ -59,8 +59,9 @@ def associate(rig: Rig, groups: Sequence[Sequence[LightCandidate]]) -> tuple[Rej
     """
     verdict: Rejections = {}
     placed = {i for i, T in enumerate(rig.T_cam_world) if T is not None}
-    several = [g for g in groups if len({c.camera for c in g} & placed) > 1]
-    sets = [_combinations([c for c in group if c.camera in placed]) for group in several]
+    seen: list[Sequence[LightCandidate]] = [[c for c in group if c.camera in placed] for group in groups]
+    several = [group for group in seen if len({c.camera for c in group}) > 1]
+    sets = [_combinations(group) for group in several]
     misses = _misses(rig, [combination for of_group in sets for combination in of_group])
     starts = np.cumsum([0, *map(len, sets)])
     by_group = [misses[a:b] for a, b in pairwise(starts)]
@@ -75,14 +76,10 @@ def associate(rig: Rig, groups: Sequence[Sequence[LightCandidate]]) -> tuple[Rej
     else:
         gate = max(_LEAST_GATE, _GATE * usual)
         for group, of_group, m in zip(several, sets, by_group, strict=True):
-            verdict |= _judge([c for c in group if c.camera in placed], of_group, m, gate)
+            verdict |= _judge(group, of_group, m, gate)
     for group in groups:
-        left = defaultdict(list)
-        for candidate in group:
-            if (candidate.camera, candidate.row) not in verdict:
-                left[candidate.camera].append(candidate)
-        for lights in left.values():
-            verdict |= _brightest(lights)
+        for camera in {c.camera for c in group}:
+            verdict |= _brightest([c for c in group if c.camera == camera and (camera, c.row) not in verdict])
     return verdict, warnings
 
 
@@ -119,11 +116,8 @@ def _judge(
     """Keep the combination of most cameras whose rays meet, if there is no doubt which it is."""
     meet = [i for i in range(len(combinations)) if misses[i] <= gate]
     if not meet:
-        least = float(misses.min())
-        reason = "the cameras' rays do not meet"
-        if np.isfinite(least):
-            reason = f"the cameras' rays miss each other by {least:.1f} px"
-        return {(c.camera, c.row): reason for c in group}
+        known = f"miss each other by {misses.min():.1f} px" if np.isfinite(misses.min()) else "do not meet"
+        return {(c.camera, c.row): f"the cameras' rays {known}" for c in group}
     most = max(len(combinations[i]) for i in meet)
     # Mean brightness, on a scale of factors.
     flux = {i: float(np.mean([np.log(c.flux) for c in combinations[i]])) for i in meet if len(combinations[i]) == most}

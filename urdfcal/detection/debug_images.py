@@ -9,9 +9,8 @@ import numpy as np
 from urdfcal.images.files import channel
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from urdfcal.arrays import Floats
+    from urdfcal.detection.spots.detector import Spots
     from urdfcal.images.files import Colour, Image
 
 _GREEN, _RED, _INK, _PAPER = (60, 220, 90), (255, 90, 80), (235, 235, 235), (24, 24, 28)
@@ -21,15 +20,13 @@ _SIDE = _CROP * _ZOOM
 _MOST_REASONS = 12
 
 
-def draw_spots(image: Image, colour: Colour, uv: Floats, sigma: Floats, reasons: Sequence[str], title: str) -> Image:
+def draw_spots(image: Image, colour: Colour, spots: Spots, title: str) -> Image:
     """Draw the lights of one image: the whole of it with all of them, and the detection enlarged.
 
     Args:
         image: (h, w) or (h, w, 3), 8 or 16 bit.
         colour: whose channel was searched.
-        uv: (n, 2) where the lights are. [px]
-        sigma: (n,) of them, NaN where not measured. [px]
-        reasons: n texts why a light was rejected, empty for the detection.
+        spots: the lights; the good one is the detection.
         title: of the drawing.
 
     Returns:
@@ -38,19 +35,19 @@ def draw_spots(image: Image, colour: Colour, uv: Floats, sigma: Floats, reasons:
     import cv2
 
     values = channel(image, colour)
-    good = [i for i, reason in enumerate(reasons) if not reason]
+    uv, sigma, reasons, good = spots.fits.uv, spots.fits.sigma, spots.reasons, np.flatnonzero(spots.good)
     height, width = values.shape
     scale = _SIDE / height
     small = cv2.resize(_visible(values), (round(width * scale), _SIDE), interpolation=cv2.INTER_AREA)
     whole = cv2.cvtColor(small, cv2.COLOR_GRAY2RGB)
     for i, reason in enumerate(reasons):
         x, y = (round((c + 0.5) * scale) for c in uv[i])
-        cv2.circle(whole, (x, y), 9 if reason else 13, _RED if reason else _GREEN, 1, cv2.LINE_AA)
-        cv2.putText(
-            whole, str(i), (x + 11, y - 7), cv2.FONT_HERSHEY_SIMPLEX, 0.38, _RED if reason else _GREEN, 1, cv2.LINE_AA
-        )
-    shown = good[0] if good else (0 if len(uv) else None)
-    closer = np.full((_SIDE, _SIDE, 3), _PAPER, np.uint8) if shown is None else _enlarged(values, uv[shown], not good)
+        ink, radius = (_RED, 9) if reason else (_GREEN, 13)
+        cv2.circle(whole, (x, y), radius, ink, 1, cv2.LINE_AA)
+        cv2.putText(whole, str(i), (x + 11, y - 7), cv2.FONT_HERSHEY_SIMPLEX, 0.38, ink, 1, cv2.LINE_AA)
+    closer = np.full((_SIDE, _SIDE, 3), _PAPER, np.uint8)
+    if len(uv):
+        closer = _enlarged(values, uv[good[0] if len(good) else 0], _GREEN if len(good) else _RED)
     lines = [title]
     lines += [f"{i}: u {uv[i, 0]:.3f}  v {uv[i, 1]:.3f}  +- {sigma[i]:.3f} px" for i in good]
     lines += [f"{i}: {reason}" for i, reason in enumerate(reasons) if reason]
@@ -71,19 +68,18 @@ def _visible(values: Floats | Image) -> Image:
     return np.asarray(255.0 * np.sqrt(np.clip((values - low) / span, 0.0, 1.0))).astype(np.uint8)
 
 
-def _enlarged(values: Floats | Image, uv: Floats, rejected: bool) -> Image:
+def _enlarged(values: Floats | Image, uv: Floats, ink: tuple[int, int, int]) -> Image:
     """The pixels around a light, with its centre drawn to a fraction of a pixel."""
     import cv2
 
     half = _CROP // 2
-    centre = np.rint(uv).astype(int)
     padded = np.pad(values, half, mode="edge")
-    u, v = np.clip(centre, 0, np.array(values.shape[::-1]) - 1)
+    u, v = np.clip(np.rint(uv).astype(int), 0, np.array(values.shape[::-1]) - 1)
     crop = _visible(padded[v : v + _CROP, u : u + _CROP])
     large = cv2.cvtColor(cv2.resize(crop, (_SIDE, _SIDE), interpolation=cv2.INTER_NEAREST), cv2.COLOR_GRAY2RGB)
     # OpenCV draws at sixteenths of a pixel.
     x, y = (round(16.0 * ((c - p + half + 0.5) * _ZOOM - 0.5)) for c, p in zip(uv, (u, v), strict=True))
-    arm, gap, ink = 16 * 60, 16 * 3, _RED if rejected else _GREEN
+    arm, gap = 16 * 60, 16 * 3
     for a, b in ((1, 0), (-1, 0), (0, 1), (0, -1)):
         ends = (x + a * gap, y + b * gap), (x + a * arm, y + b * arm)
         cv2.line(large, *ends, ink, 1, cv2.LINE_AA, 4)

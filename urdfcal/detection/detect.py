@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,14 +18,13 @@ from urdfcal.detection.spots.detector import find_spots
 from urdfcal.errors import OutputError, SessionError
 from urdfcal.estimation.measurements import Detections
 from urdfcal.files import staged
-from urdfcal.images.files import in_parallel, workers, write_image
-from urdfcal.images.video import Video
+from urdfcal.images.files import Video, in_parallel, workers, write_image
 from urdfcal.io.folder import IMAGES, detections_path, read_positions
 from urdfcal.io.writing import write_measurements, write_table
 from urdfcal.robot.kinematics import tip_poses
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator
 
     from urdfcal.arrays import Floats, Ints
     from urdfcal.cameras.camera import Camera
@@ -68,42 +68,33 @@ class Detected:
         Raises:
             SessionError: there is none.
         """
-        rows = [(shot, c, i) for c, shot, i in self._detections()]
-        if not rows:
-            raise SessionError(
-                f"no LED was found in {self.index.count} images", remedy=f"What was seen instead: {self.summary()}."
-            )
-        fits = [self.spots[c].fits for _, c, _ in rows]
-        return Detections(
-            pose=np.array([shot.pose for shot, _, _ in rows]),
-            camera=np.array([c for _, c, _ in rows]),
-            led=np.array([shot.led for shot, _, _ in rows]),
-            uv=np.array([of.uv[i] for of, (_, _, i) in zip(fits, rows, strict=True)]),
-            sigma=np.array([self._sigma(c, float(self.spots[c].fits.sigma[i])) for _, c, i in rows]),
-        )
-
-    def _sigma(self, camera: int, sigma: float) -> float:
-        """Of a detection, from that of its spot in the image. [px]."""
-        compressed = isinstance(self.index.images[camera], Video)
-        return float(np.hypot(sigma, _COMPRESSED)) if compressed else max(_LEAST_SIGMA, sigma)
+        if not self.found:
+            remedy = f"What was seen instead: {self.summary()}."
+            raise SessionError(f"no LED was found in {self.index.count} images", remedy=remedy)
+        parts = []
+        for c, (shots, images, spots) in enumerate(zip(self.index.shots, self.index.images, self.spots, strict=True)):
+            pose, led = np.array(shots, dtype=np.intp).reshape(-1, 2).T
+            seen = spots[spots.good]
+            sigma = seen.fits.sigma
+            sigma = np.hypot(sigma, _COMPRESSED) if isinstance(images, Video) else np.maximum(_LEAST_SIGMA, sigma)
+            parts.append((pose[seen.image], np.full(len(seen), c), led[seen.image], seen.fits.uv, sigma))
+        return Detections(*(np.concatenate(values) for values in zip(*parts, strict=True)))
 
     @property
     def found(self) -> int:
         """Number of detections."""
-        return sum(1 for _ in self._detections())
+        return sum(int(spots.good.sum()) for spots in self.spots)
 
     def rejected(self) -> Iterator[tuple[str, str, str, int | None, str]]:
         """Pose, camera, LED, row of its camera's spots (None: no light) and reason of every light rejected."""
-        for name, shots, spots in self._by_camera():
-            rows = defaultdict(list)
-            for i, number in enumerate(spots.image):
-                rows[int(number)].append(i)
-            for k, shot in enumerate(shots):
+        for name, shots, spots in zip(self.positions.rig.names, self.index.shots, self.spots, strict=True):
+            ends = np.searchsorted(spots.image, np.arange(len(shots) + 1)).tolist()
+            for shot, (start, end) in zip(shots, pairwise(ends), strict=True):
                 labels = self.positions.label(shot.pose), name, self.positions.led_names[shot.led]
-                for i in rows[k]:
+                for i in range(start, end):
                     if spots.reasons[i]:
                         yield (*labels, i, spots.reasons[i])
-                if not rows[k]:
+                if start == end:
                     yield (*labels, None, "no light at all")
 
     def summary(self) -> str:
@@ -112,35 +103,19 @@ class Detected:
         counts = Counter(" ".join(w for w in reason.split() if not w[0].isdigit()) for *_, reason in self.rejected())
         return ", ".join(f"{reason} ({count})" for reason, count in counts.most_common())
 
-    def _by_camera(self) -> Iterator[tuple[str, tuple[Shot, ...], Spots]]:
-        names = self.positions.rig.names
-        return zip(names, self.index.shots, self.spots, strict=True)
 
-    def _detections(self) -> Iterator[tuple[int, Shot, int]]:
-        for camera, (_, shots, spots) in enumerate(self._by_camera()):
-            for i in np.flatnonzero(spots.good):
-                yield camera, shots[spots.image[i]], int(i)
-
-
-def detect(
-    folder: str | Path,
-    colour: Colour = "any",
-    progress: Callable[[int], object] | None = None,
-    threads: int | None = None,
-) -> Detected:
+def detect(folder: str | Path, colour: Colour = "any") -> Detected:
     """Look for the LEDs in all images of a session.
 
     Args:
         folder: the session's, or its YAML file.
         colour: of the LEDs; "any" if it is not known, or the images are grey.
-        progress: called with the number of images read since the last call.
-        threads: that read images, one a core by default.
 
     Raises:
         SessionError: the session is malformed, or has no images.
         CameraError: an image cannot be read, or has another size than its camera.
     """
-    return detect_in(*open_images(folder), colour, progress, threads)
+    return detect_in(*open_images(folder), colour)
 
 
 def open_images(path: str | Path) -> tuple[Positions, ImageIndex]:
@@ -158,42 +133,34 @@ def open_images(path: str | Path) -> tuple[Positions, ImageIndex]:
 
 
 def detect_in(
-    positions: Positions,
-    index: ImageIndex,
-    colour: Colour = "any",
-    progress: Callable[[int], object] | None = None,
-    threads: int | None = None,
+    positions: Positions, index: ImageIndex, colour: Colour = "any", progress: Callable[[int], object] | None = None
 ) -> Detected:
     """Look for the LEDs in the images of an index; see :func:`detect`."""
     rig = positions.rig
     if not rig.cameras:
         raise SessionError("no cameras are named", remedy="Images need a camera file.")
     T_base_tip = tip_poses(positions.chain, positions.q)
-    threads = threads or workers()
 
     def look(task: tuple[Camera, tuple[Shot, ...], ImageSequence]) -> Spots:
         camera, shots, images = task
-        pose, led = _indices(shots)
+        pose, led = np.array(shots, dtype=np.intp).reshape(-1, 2).T
         place = _places(positions, T_base_tip[pose], led)
-        share = max(1, threads // len(index.shots))
-        return find_spots(images, camera.resolution, colour, place, progress, share)
+        return find_spots(images, camera.resolution, colour, place, progress, max(1, workers() // len(index.shots)))
 
     # A thread a camera: a video is decoded from its beginning to its end by one.
     tasks = zip(rig.cameras, index.shots, index.images, strict=True)
-    found = list(in_parallel(look, tasks, min(threads, len(index.shots))))
+    found = list(in_parallel(look, tasks, min(workers(), len(index.shots))))
     spots, warnings = [], []
     for camera, shots, seen in zip(rig.cameras, index.shots, found, strict=True):
-        pose, led = _indices(shots)
+        pose, led = np.array(shots, dtype=np.intp).reshape(-1, 2).T
         spots.append(seen)
         if len(seen.still):
             listing = ", ".join(f"({u}, {v})" for u, v in seen.still)
             warnings.append(f"camera {camera.name!r}: small lights stand still and were left out: {listing}")
         if not shots:
             continue
-        good = np.flatnonzero(seen.good)
         lights = Lights(seen.image, seen.fits.uv, _flux(seen))
-        some = Lights(lights.image[good], lights.uv[good], lights.flux[good])
-        prediction = predict(camera, positions.leds, T_base_tip[pose], led, some)
+        prediction = predict(camera, positions.leds, T_base_tip[pose], led, lights[seen.good])
         if prediction is None:
             warnings.append(
                 f"camera {camera.name!r}: the arm did not help to tell the LED from other lights: "
@@ -201,16 +168,11 @@ def detect_in(
             )
         else:
             misses = prediction.misses(lights)
-            far = np.flatnonzero(misses > prediction.gate)
-            spots[-1] = seen.with_reasons({int(i): _far(float(misses[i])) for i in far})
+            far = np.array([f"{miss:.0f} px from where the arm holds the LED" for miss in misses], dtype=object)
+            far[np.isinf(misses)] = "the arm holds the LED out of this camera's sight"
+            spots[-1] = seen.rejected(misses > prediction.gate, far)
     spots, more = _agreeing(rig, index, spots)
     return Detected(positions, index, tuple(spots), (*positions.warnings, *index.warnings, *warnings, *more))
-
-
-def _indices(shots: Sequence[Shot]) -> tuple[Ints, Ints]:
-    """(P,) and (P,) the poses and the LEDs of some shots."""
-    pose, led = ([getattr(shot, name) for shot in shots] for name in ("pose", "led"))
-    return np.array(pose, dtype=np.intp), np.array(led, dtype=np.intp)
 
 
 def write_detected(path: str | Path, detected: Detected) -> list[Path]:
@@ -229,9 +191,8 @@ def write_detected(path: str | Path, detected: Detected) -> list[Path]:
     """
     table = detections_path(path)
     if table.exists() and not table.with_name(REJECTED).exists():
-        raise OutputError(
-            "there are detections already, and not by urdfcal detect", where=str(table), remedy="Move them away first."
-        )
+        remedy = "Move them away first."
+        raise OutputError("there are detections already, and not by urdfcal detect", where=str(table), remedy=remedy)
     detections = detected.detections
     with staged(table.parent) as stage:
         write_measurements(stage / table.name, detected.positions, detections)
@@ -258,31 +219,26 @@ def write_debug_images(
     if not rig.cameras:
         return
 
-    def draw(task: tuple[Camera, int, Shot, SequenceImage, Spots]) -> None:
-        camera, number, shot, shown, spots = task
-        rows = np.flatnonzero(spots.image == number)
+    def draw(task: tuple[Camera, Shot, SequenceImage, Spots]) -> None:
+        camera, shot, shown, spots = task
         label, led = positions.label(shot.pose), positions.led_names[shot.led]
         title = f"{camera.name}  pose {label}  LED {led}"
-        reasons = [spots.reasons[i] for i in rows]
-        image = shown.lit(camera.resolution)
-        drawing = draw_spots(image, colour, spots.fits.uv[rows], spots.fits.sigma[rows], reasons, title)
-        write_image(
-            stage / camera.name / (f"{label}.{led}.png" if len(positions.leds) > 1 else f"{label}.png"), drawing
-        )
+        drawing = draw_spots(shown.lit(camera.resolution), colour, spots, title)
+        name = f"{label}.{led}.png" if len(positions.leds) > 1 else f"{label}.png"
+        write_image(stage / camera.name / name, drawing)
 
-    def tasks() -> Iterator[tuple[Camera, int, Shot, SequenceImage, Spots]]:
-        index, images = detected.index, detected.index.images
-        for camera, shots, of_camera, spots in zip(rig.cameras, index.shots, images, detected.spots, strict=True):
-            shown: ImageSequence = of_camera
-            for number, (shot, image) in enumerate(zip(shots, shown, strict=True)):
-                yield camera, number, shot, image, spots
+    def tasks() -> Iterator[tuple[Camera, Shot, SequenceImage, Spots]]:
+        index = detected.index
+        for camera, shots, images, spots in zip(rig.cameras, index.shots, index.images, detected.spots, strict=True):
+            sequence: Iterable[SequenceImage] = images
+            for number, (shot, shown) in enumerate(zip(shots, sequence, strict=True)):
+                yield camera, shot, shown, spots[spots.image == number]
 
     with staged(folder) as stage:
         for name in rig.names:
             (stage / name).mkdir()
-        for _ in in_parallel(draw, tasks()):
-            if progress:
-                progress(1)
+        for _ in in_parallel(draw, tasks(), progress=progress):
+            pass
 
 
 def _rejected_rows(detected: Detected) -> Iterator[tuple[str, ...]]:
@@ -307,12 +263,6 @@ def _places(positions: Positions, T_base_tip: Floats, led: Ints) -> Ints:
     return np.asarray(np.unique(rounded, axis=0, return_inverse=True)[1].ravel())
 
 
-def _far(miss: float) -> str:
-    if not np.isfinite(miss):
-        return "the arm holds the LED out of this camera's sight"
-    return f"{miss:.0f} px from where the arm holds the LED"
-
-
 def _flux(spots: Spots) -> Floats:
     """(n,) brightness of spots: the volume under them."""
     return np.asarray(2.0 * np.pi * spots.fits.peak * (spots.fits.width**2 + 1.0 / 12.0))
@@ -327,7 +277,7 @@ def _agreeing(rig: Rig, index: ImageIndex, spots: list[Spots]) -> tuple[list[Spo
             shot = shots[seen.image[i]]
             groups[shot.pose, shot.led].append(LightCandidate(camera, int(i), seen.fits.uv[i], float(flux[i])))
     verdict, warnings = associate(rig, list(groups.values()))
-    by_camera: list[dict[int, str]] = [{} for _ in spots]
+    reasons = [np.full(len(seen), "", dtype=object) for seen in spots]
     for (camera, row), reason in verdict.items():
-        by_camera[camera][row] = reason
-    return [seen.with_reasons(reasons) for seen, reasons in zip(spots, by_camera, strict=True)], warnings
+        reasons[camera][row] = reason
+    return [seen.rejected(of != "", of) for seen, of in zip(spots, reasons, strict=True)], warnings

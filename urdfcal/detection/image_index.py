@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, NamedTuple
 
-from urdfcal.detection.spots.detector import ImageFile
 from urdfcal.errors import SessionError
-from urdfcal.images.files import SUFFIXES
-from urdfcal.images.video import SUFFIXES as VIDEO_SUFFIXES
-from urdfcal.images.video import Video
+from urdfcal.images.files import SUFFIXES, VIDEO_SUFFIXES, ImageFile, Video
 from urdfcal.names import listed, suggest
 from urdfcal.session.trajectory import Trajectory
 
@@ -21,11 +18,8 @@ if TYPE_CHECKING:
 
 _DARK = "off"
 
-_K = TypeVar("_K")
 
-
-@dataclass(frozen=True)
-class Shot:
+class Shot(NamedTuple):
     """An image of one LED at one pose.
 
     Attributes:
@@ -72,33 +66,29 @@ def read_index(folder: Path, positions: Positions) -> ImageIndex:
     """
     cameras = positions.rig.names
     if not folder.is_dir():
-        raise SessionError(
-            "there is no such folder",
-            where=str(folder),
-            remedy=f"Put the images into {folder.name}/<camera>/<pose>.png.",
-        )
+        remedy = f"Put the images into {folder.name}/<camera>/<pose>.png."
+        raise SessionError("there is no such folder", where=str(folder), remedy=remedy)
     if _DARK in positions.led_names:
-        raise SessionError(
-            f"an LED is named {_DARK!r}, as are the images with the LED dark", where="leds", remedy="Rename it."
-        )
+        what = f"an LED is named {_DARK!r}, as are the images with the LED dark"
+        raise SessionError(what, where="leds", remedy="Rename it.")
     warnings = [
         f"{path}: no camera is called {path.name!r}. {suggest(path.name, cameras, 'cameras')}"
         for path in sorted(folder.iterdir())
         if path.is_dir() and path.name not in cameras
     ]
-    videos = _videos(folder, cameras)
-    warnings += [f"{path}: no camera is called {path.stem!r}" for path in videos.pop("", [])]
+    videos = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in VIDEO_SUFFIXES and path.is_file()]
+    warnings += [f"{path}: no camera is called {path.stem!r}" for path in videos if path.stem not in cameras]
     shots: list[tuple[Shot, ...]] = []
     images: list[tuple[ImageFile, ...] | Video] = []
     for c, camera in enumerate(cameras):
-        if camera in videos:
-            found, video = _frames(videos[camera], c, folder / camera, positions)
+        if mine := [path for path in videos if path.stem == camera]:
+            found, video = _frames(mine, c, folder / camera, positions)
             shots.append(found)
             images.append(video)
             continue
         stills, strangers = _sort(folder / camera, c, positions)
-        shots.append(tuple(shot for shot, _ in stills))
-        images.append(tuple(image for _, image in stills))
+        shots.append(tuple(stills))
+        images.append(tuple(stills.values()))
         if not stills:
             warnings.append(f"{folder / camera}: there are no images of this camera")
         elif strangers:
@@ -114,35 +104,20 @@ def read_index(folder: Path, positions: Positions) -> ImageIndex:
     return index
 
 
-def _videos(folder: Path, cameras: Sequence[str]) -> dict[str, list[Path]]:
-    """The video files by camera; those of none by the empty name."""
-    found: dict[str, list[Path]] = {}
-    for path in sorted(folder.iterdir()):
-        if path.suffix.lower() in VIDEO_SUFFIXES and path.is_file():
-            found.setdefault(path.stem if path.stem in cameras else "", []).append(path)
-    return found
-
-
 def _frames(paths: Sequence[Path], camera: int, folder: Path, positions: Positions) -> tuple[tuple[Shot, ...], Video]:
     """The shots in a camera's video: its n-th image is the n-th of the camera's frames."""
     path, *others = paths
     if others or folder.is_dir():
         other = others[0] if others else folder
-        raise SessionError(
-            f"there is {other.name} as well", where=str(path), remedy="One video, or one folder, a camera: keep one."
-        )
+        remedy = "One video, or one folder, a camera: keep one."
+        raise SessionError(f"there is {other.name} as well", where=str(path), remedy=remedy)
     if not isinstance(positions.motion, Trajectory):
-        raise SessionError(
-            "this is a video, and the session names no frames",
-            where=str(path),
-            remedy="frames: frames.csv in session.yaml lists them: camera,frame,time.",
-        )
+        remedy = "frames: frames.csv in session.yaml lists them: camera,frame,time."
+        raise SessionError("this is a video, and the session names no frames", where=str(path), remedy=remedy)
     if len(positions.leds) > 1:
-        raise SessionError(
-            f"there are {len(positions.leds)} LEDs, and a video does not say which is lit",
-            where=str(path),
-            remedy="Write its frames as images <frame>.<led>.png, or leave one LED on.",
-        )
+        what = f"there are {len(positions.leds)} LEDs, and a video does not say which is lit"
+        remedy = "Write its frames as images <frame>.<led>.png, or leave one LED on."
+        raise SessionError(what, where=str(path), remedy=remedy)
     poses = _poses_of(positions.motion, camera)
     rows = tuple(int(positions.motion.row[pose]) for pose in poses.values())
     shots = tuple(Shot(pose, 0) for pose in poses.values())
@@ -155,18 +130,18 @@ def _poses_of(trajectory: Trajectory, camera: int) -> dict[str, int]:
     return {trajectory.label(k): k for k in mine}
 
 
-def _sort(folder: Path, camera: int, positions: Positions) -> tuple[list[tuple[Shot, ImageFile]], list[str]]:
+def _sort(folder: Path, camera: int, positions: Positions) -> tuple[dict[Shot, ImageFile], list[str]]:
     """The shots in one camera's folder, and the names of image files that say nothing."""
     if not isinstance(positions.motion, Trajectory):
         poses = {name: i for i, name in enumerate(positions.poses)}
         known = set(poses)
     else:
         poses, known = _poses_of(positions.motion, camera), set(positions.motion.frames[camera])
-    lit: dict[tuple[int, int], Path] = {}
-    dark: dict[int, Path] = {}
+    leds = positions.led_names
+    numbers = {"": 0, _DARK: -1} | {name: i for i, name in enumerate(leds)}
+    found: dict[Shot, Path] = {}
     strangers = []
-    files = sorted(folder.iterdir()) if folder.is_dir() else []
-    for path in files:
+    for path in sorted(folder.iterdir()) if folder.is_dir() else []:
         if path.suffix.lower() not in SUFFIXES:
             continue
         # A pose's label may hold dots itself: the whole name first.
@@ -174,29 +149,14 @@ def _sort(folder: Path, camera: int, positions: Positions) -> tuple[list[tuple[S
         pose = poses.get(label)
         if pose is None and label in known:
             continue  # a frame that is not used, as the session's warnings say
-        if pose is None or (last and last != _DARK and last not in positions.led_names):
+        if pose is None or last not in numbers:
             strangers.append(path.name)
-        elif last == _DARK:
-            _enter(dark, pose, path)
-        else:
-            _enter(lit, (pose, _led(last, path, positions.led_names)), path)
-    shots = [(Shot(pose, led), ImageFile(path, dark.get(pose))) for (pose, led), path in sorted(lit.items())]
-    return shots, strangers
-
-
-def _led(name: str, path: Path, leds: Sequence[str]) -> int:
-    if name:
-        return leds.index(name)
-    if len(leds) > 1:
-        raise SessionError(
-            f"there are {len(leds)} LEDs, and the name does not say which is lit",
-            where=str(path),
-            remedy=f"Call it {path.stem}.{leds[0]}{path.suffix} or the like, one image an LED.",
-        )
-    return 0
-
-
-def _enter(table: dict[_K, Path], key: _K, path: Path) -> None:
-    if key in table:
-        raise SessionError(f"this is the same image as {table[key].name}", where=str(path), remedy="Keep one.")
-    table[key] = path
+            continue
+        if not last and len(leds) > 1:
+            what = f"there are {len(leds)} LEDs, and the name does not say which is lit"
+            remedy = f"Call it {path.stem}.{leds[0]}{path.suffix} or the like, one image an LED."
+            raise SessionError(what, where=str(path), remedy=remedy)
+        if (other := found.setdefault(Shot(pose, numbers[last]), path)) is not path:
+            raise SessionError(f"this is the same image as {other.name}", where=str(path), remedy="Keep one.")
+    lit = [(shot, path) for shot, path in sorted(found.items()) if shot.led >= 0]
+    return {shot: ImageFile(path, found.get(Shot(shot.pose, -1))) for shot, path in lit}, strangers

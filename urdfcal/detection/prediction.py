@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.rotations import rotation_vector_to_matrix, skew
+from urdfcal.cameras.rig import by_motion, small_motion
+from urdfcal.detection.spots.gaussian import Rows
 
 if TYPE_CHECKING:
     from urdfcal.arrays import Floats, Ints
@@ -29,7 +30,7 @@ _ROUNDS = 8
 
 
 @dataclass(frozen=True, eq=False)
-class Lights:
+class Lights(Rows):
     """What one camera saw: n lights in P images.
 
     Attributes:
@@ -92,12 +93,11 @@ def predict(camera: Camera, leds: tuple[Led, ...], T_base_tip: Floats, led: Ints
     )
     if not found or inliers is None or len(inliers) < max(_FEWEST, _MOST * len(first)):
         return None
-    T_cam_base = np.eye(4)
-    T_cam_base[:3, :3], T_cam_base[:3, 3] = rotation_vector_to_matrix(rotation.ravel()), translation.ravel()
+    T_cam_base = small_motion(np.concatenate([translation.ravel(), rotation.ravel()]))
     fit = _Fit(camera, T_base_tip, led, T_cam_base, places, places, np.maximum(sigma, 1e-4))
     gate = off * float(camera.intrinsics[:2].mean())
     for _ in range(_ROUNDS):
-        prediction = Prediction(fit.project(), gate)
+        prediction = Prediction(camera.project(fit.points()), gate)
         misses = prediction.misses(lights)
         nearest = _first(lights.image, misses)
         near = nearest[misses[nearest] < gate]
@@ -105,7 +105,7 @@ def predict(camera: Camera, leds: tuple[Led, ...], T_base_tip: Floats, led: Ints
             return None
         fit = fit.stepped(lights.image[near], lights.uv[near])
         gate = min(gate, _ALLOWANCE + _GATE * float(np.median(misses[near])))
-    return Prediction(fit.project(), gate)
+    return Prediction(camera.project(fit.points()), gate)
 
 
 def _first(image: Ints, key: Floats) -> Ints:
@@ -128,39 +128,25 @@ class _Fit:
     sigma: Floats
 
     def points(self) -> Floats:
-        """(P, 3) the LEDs in the base link's frame, m."""
-        R, p = self.T_base_tip[:, :3, :3], self.T_base_tip[:, :3, 3]
-        return np.asarray(p + (R @ self.leds[self.led][..., None])[..., 0])
-
-    def project(self) -> Floats:
-        """(P, 2) where they are seen, px."""
-        R, p = self.T_cam_base[:3, :3], self.T_cam_base[:3, 3]
-        return self.camera.project(self.points() @ R.T + p)
+        """(P, 3) the LEDs in the camera's frame, m."""
+        base = self.T_base_tip[:, :3, 3] + (self.T_base_tip[:, :3, :3] @ self.leds[self.led][..., None])[..., 0]
+        return np.asarray(base @ self.T_cam_base[:3, :3].T + self.T_cam_base[:3, 3])
 
     def stepped(self, image: Ints, uv: Floats) -> _Fit:
         """One robust Gauss-Newton step towards lights ``uv`` (m, 2) in images (m,)."""
-        R, p = self.T_cam_base[:3, :3], self.T_cam_base[:3, 3]
-        points = self.points()[image] @ R.T + p
+        points = self.points()[image]
         seen, J_point = self.camera.project_with_jacobian(points)
         r = uv - seen
         miss = np.linalg.norm(r, axis=1)
         scale = max(float(np.median(miss)), 0.1)
         weight = 1.0 / (scale * np.maximum(1.0, miss / (2.0 * scale)))
-        count = len(self.leds)
-        J = np.zeros((len(uv), 2, 6 + 3 * count))
-        J[:, :, :3] = J_point
-        J[:, :, 3:6] = -J_point @ skew(points)
-        turned = J_point @ (R @ self.T_base_tip[image, :3, :3])
-        for k in range(count):
-            J[:, :, 6 + 3 * k : 9 + 3 * k] = turned * (self.led[image] == k)[:, None, None]
-        J, r = J * weight[:, None, None], r * weight[:, None]
-        prior = np.zeros(6 + 3 * count)
-        prior[6:] = np.repeat(self.sigma**-2.0, 3)
-        pull = np.zeros(6 + 3 * count)
-        pull[6:] = prior[6:] * (self.declared - self.leds).ravel()
+        turned = J_point @ (self.T_cam_base[:3, :3] @ self.T_base_tip[image, :3, :3])
+        lit = self.led[image][:, None] == np.arange(len(self.leds))
+        J_leds = (turned[:, :, None] * lit[:, None, :, None]).reshape(len(uv), 2, -1)
+        J = np.concatenate([by_motion(J_point, points), J_leds], axis=-1) * weight[:, None, None]
+        prior = np.concatenate([np.zeros(6), np.repeat(self.sigma**-2.0, 3)])
+        pull = prior * np.concatenate([np.zeros(6), (self.declared - self.leds).ravel()])
         H = np.einsum("mdi,mdj->ij", J, J) + np.diag(prior + 1e-6)
-        step = np.linalg.solve(H, np.einsum("mdi,md->i", J, r) + pull)
-        motion = np.eye(4)
-        motion[:3, :3], motion[:3, 3] = rotation_vector_to_matrix(step[3:6]), step[:3]
-        T: Floats = motion @ self.T_cam_base
+        step = np.linalg.solve(H, np.einsum("mdi,md->i", J, r * weight[:, None]) + pull)
+        T = small_motion(step[:6]) @ self.T_cam_base
         return replace(self, T_cam_base=T, leds=self.leds + step[6:].reshape(-1, 3))

@@ -8,17 +8,20 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 import pinocchio as pin
 
-from urdfcal.errors import CalibrationError
 from urdfcal.estimation.blocks.arm import ARM, ArmBlock
-from urdfcal.estimation.blocks.cameras import camera_poses, has_cameras
+from urdfcal.estimation.blocks.cameras import camera_poses, camera_values, has_cameras
+from urdfcal.estimation.blocks.leds import LEDS, led_sigma
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from urdfcal.arrays import Floats
     from urdfcal.estimation.blocks.base import Block
+    from urdfcal.estimation.diagnosis.doctor import Finding
+    from urdfcal.estimation.evidence import Evidence, Regions
     from urdfcal.estimation.model_selection import Comparison
+    from urdfcal.estimation.noise import FoundNoise
     from urdfcal.estimation.problem import Problem
+    from urdfcal.estimation.scale import LengthScale
     from urdfcal.estimation.solver import Solution
     from urdfcal.estimation.state import Key
     from urdfcal.session.knowledge import Tolerances
@@ -31,15 +34,31 @@ Level: TypeAlias = Literal["good", "doubtful", "bad"]
 _ABSURD_NOISE = 20.0
 # Noise declared three times too small is a mistake in the session or an effect that the model does not have; either
 # way the standard deviations mean nothing.
-_MISFIT_CHI2 = 9.0
+MISFIT_CHI2 = 9.0
 # A reduced chi-square above this is no accident with a few dozen measurements: something is unmodelled.
-_DOUBTFUL_CHI2 = 2.0
-_MANY_OUTLIERS = 0.25
+DOUBTFUL_CHI2 = 2.0
+MANY_OUTLIERS = 0.25
 # Corrections of this many tolerances are either a wrong session or a very unusual arm; a misfit beside them means
 # that the arm is bent to explain what it is not to blame for.
 _FAR = 5.0
+# The elbow of one of five real Universal Robots is 13.5 mrad off: unusual is what no arm is known to have.
+_UNUSUAL = 8.0
 IMPLAUSIBLE = 20.0
 """No arm is made this many tolerances off its nominal geometry."""
+# A scale that far from none is a mistake; between the two it is one or a strange arm. Standard deviations of the common
+# factor under the tolerances: on common arms three are 0.35 to 0.7 %, 2 to 4 mm at the tip.
+_DOUBTFUL_SCALE, _IMPOSSIBLE_SCALE = 3.0, 5.0
+# Noise declared this many times off what is found for certain distorts weights and intervals beyond rounding.
+_NOISE_OFF = 1.5
+# An LED that was measured with a ruler comes out within this many of its standard deviations, all three coordinates
+# together: chance 1e-4 (chi-square, 3 degrees of freedom).
+_DISPLACED = 4.6
+# Twenty configurations determine an arm of six joints; below that, repeats that are half of the poses are missed.
+_FEW, _REPEATED = 20, 0.5
+# No lens is calibrated to a focal length so many times too long or too short.
+_OTHER_LENS = 1.25
+# Poses of a left-out region are extrapolated to: clean simulated sessions show up to 1.6 times the error among poses.
+_WORSE_ELSEWHERE = 2.0
 # Held-out residuals that shrink by this factor with free lenses refute the lenses as given: the arm would be bent to
 # make up for them (a measured session of a Motoman arm: 3.0 against 1.0 px, and an arm ten times worse).
 _REFUTED = 1.5
@@ -70,7 +89,7 @@ class Assessment:
             level, sentence = "bad", "Do not use it."
         elif warnings:
             counted = "a warning" if len(warnings) == 1 else f"{len(warnings)} warnings"
-            level, sentence = "doubtful", f"Better than the nominal arm, with {counted} to check first."
+            level, sentence = "doubtful", f"Do not trust it blindly: {counted} to check first."
         return cls(level, sentence, tuple(failures), tuple(warnings))
 
     @property
@@ -79,13 +98,14 @@ class Assessment:
         return (*self.failures, *self.warnings)
 
 
-def assess(session: Session, problem: Problem, comparison: Comparison) -> Assessment:
+def assess(session: Session, problem: Problem, comparison: Comparison, evidence: Evidence) -> Assessment:
     """Assess the chosen model's estimate by its own evidence.
 
     Args:
         session: what was measured, its warnings and its tolerances.
         problem: of its measurements.
         comparison: the models that were tried, and the chosen one.
+        evidence: on the chosen one.
 
     Raises:
         CalibrationError: all measurements are outliers.
@@ -101,12 +121,29 @@ def assess(session: Session, problem: Problem, comparison: Comparison) -> Assess
         *_unsettled(fit),
         *_unproven(session, comparison),
         *_refuted_lenses(comparison),
+        *(() if misfit else _scale(evidence.scale, _IMPOSSIBLE_SCALE, np.inf)),
     )
+    if evidence.suspicion is not None:  # whatever else is wrong follows from it
+        failures = (str(evidence.suspicion), *failures[:1])
+    # An effect that is not modelled looks like noise: it is named, not the noise. But noise that is declared too large
+    # bends the estimate by its weights, and leaves effects that are none.
+    overdeclared = any(of.ratio >= _NOISE_OFF for of in evidence.noise)
+    findings = () if overdeclared else evidence.findings
+    noise = () if findings else tuple(_declared_noise(evidence.noise))
     warnings = (
         *session.warnings,
-        *(() if misfit else _noise(fit.reduced_chi2)),
-        *(str(c) for c in moved if c.tolerances > _FAR and c not in implausible),
+        *(_found(finding) for finding in findings),
+        *(() if misfit else _scale(evidence.scale, _DOUBTFUL_SCALE, _IMPOSSIBLE_SCALE)),
+        *_bends(evidence),
+        *(noise if noise or misfit or findings else _noise(fit.reduced_chi2)),
+        *([evidence.undone] if evidence.undone else []),
+        *_repeats(problem),
+        *(str(c) for c in moved if c.tolerances > _UNUSUAL and c not in implausible),
+        *_displaced_leds(session, fit),
         *_displaced_mounts(session, fit),
+        *_other_lenses(session, fit),
+        *_elsewhere(comparison, evidence.regions),
+        *_unimproved(session, evidence.improvement),
     )
     return Assessment.of(failures, warnings)
 
@@ -164,9 +201,9 @@ def _misfit(chi2: float, moved: Sequence[Correction]) -> Iterator[str]:
             f"the residuals are {noise:.0f} times the declared noise: this is not a robot like the nominal one; check "
             "the tip link, the order and the signs of the joint columns, their units, and the cameras"
         )
-    elif chi2 > _MISFIT_CHI2:
+    elif chi2 > MISFIT_CHI2:
         yield f"the residuals are {noise:.1f} times the declared noise: the model does not explain them"
-    elif chi2 > _DOUBTFUL_CHI2 and far:
+    elif chi2 > DOUBTFUL_CHI2 and far:
         counted = "a correction is" if far == 1 else f"{far} corrections are"
         yield (
             f"{counted} more than {_FAR:g} tolerances long, and still the residuals are {noise:.1f} times the "
@@ -174,8 +211,96 @@ def _misfit(chi2: float, moved: Sequence[Correction]) -> Iterator[str]:
         )
 
 
+def _found(finding: Finding) -> str:
+    also = f"; {' and '.join(finding.alike)} would look the same" if finding.alike else ""
+    return f"{finding.sentence} ({finding.share:.0%} of the squared residuals{also})"
+
+
+def _scale(scale: LengthScale, least: float, most: float) -> Iterator[str]:
+    """All lengths come out longer or shorter by one factor, beyond what the tolerances allow."""
+    if least < scale.sigmas <= most:
+        yield (
+            f"all lengths come out {1e2 * abs(scale.factor):.2g} +- {1e2 * scale.sigma:.1g} % too "
+            f"{'long' if scale.factor > 0.0 else 'short'} for the arm's tolerances: check the stereo baseline, or the "
+            f"size of the board that it was calibrated with; 0.1 % is {1e3 * scale.tip_per_permille:.2g} mm at the tip"
+        )
+
+
+def _declared_noise(noise: Sequence[FoundNoise]) -> Iterator[str]:
+    """Noise declared too large makes any estimate look good, noise declared too small a good one bad."""
+    off = [of for of in noise if not 1.0 / _NOISE_OFF < of.ratio < _NOISE_OFF]
+    if off:
+        sizes = ", ".join(f"{of.name} {of.declared:.2g} {of.unit} for {of.found:.2g}" for of in off)
+        line = ", ".join(f"{of.name}: {of.found:.2g}" for of in noise if of.known)
+        yield f"noise is not declared as the residuals show it: {sizes}; enter noise: {{{line}}}"
+
+
+def _repeats(problem: Problem) -> Iterator[str]:
+    """Many poses that are few configurations."""
+    unit = problem.readings.unit[problem.poses]
+    distinct = len(np.unique(unit))
+    if distinct < _FEW and distinct <= _REPEATED * len(unit):
+        yield (
+            f"{len(unit)} poses are only {distinct} distinct configurations: repeats average the noise, but do not "
+            "determine the arm; measure others"
+        )
+
+
+def _displaced_leds(session: Session, fit: Solution) -> Iterator[str]:
+    """LEDs that come out far from where the session puts them."""
+    for k, led in enumerate(session.leds):
+        sigma = led_sigma(led)
+        if led.position is None or not 0.0 < sigma < np.inf:
+            continue
+        apart = float(np.linalg.norm(fit.state[LEDS][k] - led.position))
+        if apart > _DISPLACED * sigma:
+            link = led.link or session.chain.tip_link
+            yield (
+                f"LED {led.name!r} comes out {1e3 * apart:.0f} mm from where the session puts it on {link!r}, "
+                f"{apart / sigma:.0f} times its sigma: check the tip link, and position"
+            )
+
+
+def _other_lenses(session: Session, fit: Solution) -> Iterator[str]:
+    """Lenses that were set free and come out as those of another camera, or of images of another size."""
+    for given, found in zip(session.rig.cameras, camera_values(session.attachments, fit.state), strict=False):
+        ratio = float(np.sqrt(np.prod(found.intrinsics[:2] / given.intrinsics[:2])))
+        if not 1.0 / _OTHER_LENS < ratio < _OTHER_LENS:
+            yield (
+                f"camera {given.name!r} comes out with {ratio:.2g} times the focal length that is given: its images "
+                f"have {ratio:.2g} times the resolution that the camera file says, or it is another camera"
+            )
+
+
+def _elsewhere(comparison: Comparison, regions: Regions) -> Iterator[str]:
+    """Regions that were left out are predicted far worse than poses among the others."""
+    inside = comparison.chosen.rms("distance")
+    if regions.rms > _WORSE_ELSEWHERE * inside:
+        yield (
+            f"it does not hold elsewhere: {1e3 * regions.rms:.2g} mm rms in regions left out, {1e3 * inside:.2g} mm "
+            "among the measured poses: use it where it was measured, or measure where it will be used"
+        )
+
+
+def _bends(evidence: Evidence) -> Iterator[str]:
+    """What the joints do is estimated with the arm, and no URDF can hold it."""
+    if evidence.bends:
+        yield (
+            f"{'; '.join(evidence.bends)}: estimated with the arm, but a URDF cannot hold it: the corrected one is the "
+            f"rigid part, and its tip {1e3 * evidence.rigid_loss:.2g} mm rms off for it at the measured poses"
+        )
+
+
+def _unimproved(session: Session, improvement: tuple[float, float]) -> Iterator[str]:
+    if session.estimate.geometry != "none" and improvement[0] <= 0.0:
+        yield (
+            "no improvement over the nominal arm is shown: on held-out poses the difference is "
+            f"{1e3 * improvement[0]:.2g} to {1e3 * improvement[1]:.2g} mm (95 %)"
+        )
+
+
 def _noise(chi2: float) -> Iterator[str]:
-    if chi2 > _DOUBTFUL_CHI2:
+    if chi2 > DOUBTFUL_CHI2:
         yield (
             f"the residuals are {np.sqrt(chi2):.1f} times the declared noise: the noise is larger than declared, or "
             "camera intrinsics, units or the robot's stiffness are not what the model assumes"
@@ -183,8 +308,8 @@ def _noise(chi2: float) -> Iterator[str]:
 
 
 def _outliers(fit: Solution) -> Iterator[str]:
-    cut, kept = (sum(int(np.sum(part)) for part in parts) for parts in (fit.outlier, fit.kept))
-    if cut > _MANY_OUTLIERS * (cut + kept):
+    cut, kept = fit.counts
+    if cut > MANY_OUTLIERS * (cut + kept):
         yield (
             f"{cut} of {cut + kept} measurements had to be taken out as outliers: look at how LEDs were detected or "
             "points measured"
@@ -213,7 +338,7 @@ def _unproven(session: Session, comparison: Comparison) -> Iterator[str]:
     if session.estimate.geometry == "none":
         return
     chosen, nominal = comparison.chosen, comparison.nominal_arm
-    before, after = (1e3 * _rms(trial.residuals("distance")) for trial in (nominal, chosen))
+    before, after = (1e3 * trial.rms("distance") for trial in (nominal, chosen))
     if chosen.loss >= nominal.loss:
         yield (
             "the calibrated arm does not predict held-out poses better than the nominal one: more poses or less noise "
@@ -229,7 +354,7 @@ def _unproven(session: Session, comparison: Comparison) -> Iterator[str]:
 def _refuted_lenses(comparison: Comparison) -> Iterator[str]:
     if not comparison.chosen.spec.intrinsics:
         return
-    given, free = (_rms(trial.residuals("residual")) for trial in (comparison.chosen, comparison.best))
+    given, free = (trial.rms("residual") for trial in (comparison.chosen, comparison.best))
     if given > _REFUTED * free:
         yield (
             f"the cameras' intrinsics as given are refuted by the detections: held-out poses are predicted to "
@@ -252,9 +377,3 @@ def _displaced_mounts(session: Session, fit: Solution) -> Iterator[str]:
                 f"{1e3 * np.linalg.norm(motion[3:]):.0f} mrad from where the session puts it on {mount.link!r}, "
                 f"{sigmas:.0f} times its sigma: check position, rpy (rad) and link"
             )
-
-
-def _rms(values: Floats) -> float:
-    if values.size == 0:
-        raise CalibrationError("no measurement is left: all are outliers", remedy="Check how LEDs were detected.")
-    return float(np.sqrt(np.mean(values**2)))

@@ -7,8 +7,8 @@ from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import threadpoolctl
 
+from urdfcal.arrays import one_blas_thread
 from urdfcal.estimation.linearize import Tangent
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def identify(problem: Problem, state: State, parameters: Parameters) -> Identifi
     direction (as all lengths share the scale that one camera cannot identify): their tolerances then say more together
     than one nominal value.
     """
-    with threadpoolctl.threadpool_limits(1, user_api="blas"):  # two threads are slower at these sizes
+    with one_blas_thread():
         problem = problem.spread(_ENOUGH)
         R = _triangle(problem, state, parameters)
     rows = sum(observed.dimension * observed.count for observed in problem.observations)

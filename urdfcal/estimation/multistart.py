@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from urdfcal.arrays import numbered
 from urdfcal.errors import CalibrationError
 from urdfcal.estimation.alignment import kabsch
 from urdfcal.estimation.assessment import IMPLAUSIBLE, corrections
@@ -16,7 +17,7 @@ from urdfcal.estimation.joint_models import Readings
 from urdfcal.estimation.joint_models.time_offset import time_offsets
 from urdfcal.estimation.solver import solve
 from urdfcal.estimation.start import first_state
-from urdfcal.session.motion import AT_REST
+from urdfcal.session.trajectory import AT_REST
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -90,7 +91,7 @@ def _start(session: Session, problem: Problem, first: Solution, rng: np.random.G
         if not block.toleranced:
             continue
         step = np.zeros(len(block))
-        for k in np.flatnonzero(block.active):
+        for k in np.flatnonzero(block.active & np.isin(block.units, ("m", "rad"))):
             length = block.units[k] == "m"
             limit = _FAR_LENGTH * problem.arm.chain.reach if length else np.pi
             near = _NEAR * (session.tolerances.length if length else session.tolerances.zero)
@@ -137,15 +138,17 @@ def _same_arm(problem: Problem, a: Solution, b: Solution) -> bool:
     for observed in problem.observations:
         q = chain.random_values(len(observed.pose), np.random.default_rng(0))
         # Where an arm that moved happened to go must not decide.
-        elsewhere = replace(observed, readings=Readings(q, observed.pose, AT_REST))
+        same = observed.readings
+        elsewhere = replace(observed, readings=Readings(q, same.pose, AT_REST, same.part, same.torques))
         of_a, of_b = (
             elsewhere.table.points(elsewhere, problem.links(elsewhere.readings, of.state), of.state) for of in (a, b)
         )
         if of_a is None or of_b is None:
             continue
         (frames, p), (_, r) = of_a, of_b
-        for frame in np.unique(frames[observed.valid]):
-            here = observed.valid & (frames == frame)
+        places = numbered([frames, observed.readings.part[:, None]])
+        for place in np.unique(places[observed.valid]):
+            here = observed.valid & (places == place)
             T = kabsch(p[here], r[here])
             apart = np.linalg.norm(p[here] @ T[:3, :3].T + T[:3, 3] - r[here], axis=1)
             if np.sqrt(np.mean(apart**2)) > _SAME * chain.reach:

@@ -70,6 +70,10 @@ class Observations:
             self.covariance[poses],
         )
 
+    def even(self, most: int) -> Ints:
+        """Return indices of poses, at most so many, spread evenly over all."""
+        return evenly(np.arange(len(self.pose)), most)
+
     def spread(self, most: int) -> Ints:
         """Return indices of poses, at most so many for each combination of keys (LED, camera), spread evenly."""
         views = np.where(self.valid, numbered(self.index.values()), -1)
@@ -100,5 +104,5 @@ def arrange(session: Session, table: Measurement) -> Observations:
     value = np.zeros((*shape, D))
     covariance = np.broadcast_to(np.eye(D), (*shape, D, D)).copy()
     value[group, slot], covariance[group, slot] = table.values, table.covariances
-    readings = Readings(frozen(session.q[poses]), frozen(poses, np.intp), session.motion.at(poses))
+    readings = Readings.of(session).at(poses)
     return Observations(table, readings, frozen(row, np.intp), index, frozen(value), frozen(covariance))

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.estimation.blocks.arm import ARM
-from urdfcal.estimation.blocks.base_pose import BASE
-from urdfcal.estimation.joint_models import joint_models_of
+from urdfcal.estimation.joint_models import Readings, joint_models_of
 from urdfcal.estimation.links import Links
 from urdfcal.estimation.measurements import Measurement
 from urdfcal.estimation.observations import arrange
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
 
     from urdfcal.arrays import Bools, Floats, Ints
     from urdfcal.estimation.blocks.arm import ArmParameterization
-    from urdfcal.estimation.joint_models import JointModel, Readings
+    from urdfcal.estimation.joint_models import JointModel
     from urdfcal.estimation.observations import Observations
     from urdfcal.estimation.state import State
     from urdfcal.session.attachments import Attachments
@@ -35,6 +34,7 @@ class Problem:
         arm: the parameters of the arm's geometry.
         joint_models: between joint readings and true joint values.
         attachments: what LEDs and cameras are attached to.
+        readings: of the joints at all poses of the session.
         observations: the measurements, one for each kind.
         joint_sigma: standard deviation of the joint readings. [rad or m]
     """
@@ -42,6 +42,7 @@ class Problem:
     arm: ArmParameterization
     joint_models: tuple[JointModel, ...]
     attachments: Attachments
+    readings: Readings
     observations: tuple[Observations, ...]
     joint_sigma: float
 
@@ -54,8 +55,9 @@ class Problem:
             arm,
             joint_models_of(session),
             session.attachments,
+            Readings.of(session),
             tuple(arrange(session, table) for table in tables),
-            session.noise.joint,
+            session.noise.reading,
         )
 
     def with_observations(self, observations: Sequence[Observations]) -> Problem:
@@ -80,7 +82,7 @@ class Problem:
         """Return the joints' true values (N, n): the readings, and what the joint models add. [rad or m]."""
         q = readings.q
         for model in self.joint_models:
-            if model.key in state:
+            if model.key in state and np.any(state[model.key]):
                 q = q + model.values(readings, state[model.key])
         return q
 
@@ -88,7 +90,8 @@ class Problem:
         """Return where the frames of LEDs and cameras are."""
         q, tips = self.joint_values(readings, state), self.attachments.tips
         T = link_poses(self.arm.chain, q, tips, self.arm.placements(state[ARM]))
-        return Links.of(self.attachments, state[BASE], [of[:, :3, :3] for of in T], [of[:, :3, 3] for of in T])
+        R, p = [of[:, :3, :3] for of in T], [of[:, :3, 3] for of in T]
+        return Links.of(self.attachments, state, readings.part, R, p)
 
     def predict(self, observed: Observations, state: State) -> Floats:
         """Return what should be measured (N, m, D); NaN where it is impossible, as behind a camera."""

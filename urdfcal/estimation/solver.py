@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-import threadpoolctl
 
+from urdfcal.arrays import one_blas_thread
 from urdfcal.errors import CalibrationError, CameraError
 from urdfcal.estimation.linearize import Tangent
 from urdfcal.estimation.robust import REJECTED, HuberWeights, find_outliers, keep_weights, unit_weights
@@ -31,8 +31,7 @@ if TYPE_CHECKING:
 # (a few MB) stays in cache and memory does not grow with the session.
 _BLOCK = 1024
 # Ordinary sessions settle in ten; lenses that start a thousand pixels off need a hundred along a bent valley.
-_MAX_ITERATIONS = 300
-_MAX_CUTS = 5
+_MAX_ITERATIONS, _MAX_CUTS = 300, 5
 # A session of more poses than this is first solved on an even selection of some: the rest then need few passes.
 _MANY, _SOME = 1000, 300
 # Within this distance (rad, m, focal lengths, s) derivatives are the same to one part in a few thousand: steps taken
@@ -46,8 +45,7 @@ _CONVERGED, _CONVERGED_COARSE = 1e-6, 1e-2
 _SETTLED = 0.05
 # Rounding of a cost that no longer falls.
 _COST_ROUNDING = 1e-10
-# A chi-square this many of its standard deviations above expectation is a misfit; widening by less makes intervals
-# too wide on clean data (97 instead of 95 % at twenty poses).
+# A chi-square this many of its standard deviations above expectation is a misfit for certain (METHOD 12).
 _CERTAIN = 3.0
 
 
@@ -90,6 +88,7 @@ class Solution:
         observations: scalar measurements used.
         history: accepted steps.
         converged: whether the last step was small.
+        spread: (count, count) covariance over regions left out, which a misfit shows in; None where it is not known.
     """
 
     state: State
@@ -102,6 +101,7 @@ class Solution:
     observations: int
     history: tuple[Iteration, ...]
     converged: bool
+    spread: Floats | None = None
 
     @property
     def reduced_chi2(self) -> float:
@@ -114,12 +114,23 @@ class Solution:
         return self.observations + self.parameters.prior_count - self.parameters.count
 
     @property
+    def counts(self) -> tuple[int, int]:
+        """Numbers of outliers, and of measurements that the fit rests on."""
+        outliers, kept = (sum(int(np.sum(part)) for part in parts) for parts in (self.outlier, self.kept))
+        return outliers, kept
+
+    @property
     def covariance(self) -> Floats:
-        """(count, count) of the active parameters, widened where the misfit exceeds the declared noise for certain."""
+        """(count, count) of the active parameters, widened where there is a misfit: by its spread, if that is known."""
         scale = 1.0 / np.sqrt(np.diag(self.information))
         inverse: Floats = np.linalg.inv(self.information * np.outer(scale, scale)) * np.outer(scale, scale)
-        chance = 1.0 + _CERTAIN * np.sqrt(2.0 / max(self.freedom, 1))
-        return inverse * (self.reduced_chi2 if self.reduced_chi2 > chance else 1.0)
+        wide = inverse * self.reduced_chi2 if self.spread is None else inverse + self.spread
+        return wide if self.misfit else inverse
+
+    @property
+    def misfit(self) -> bool:
+        """Whether the residuals exceed the declared noise for certain."""
+        return bool(self.reduced_chi2 > 1.0 + _CERTAIN * np.sqrt(2.0 / max(self.freedom, 1)))
 
 
 def solve(problem: Problem, start: State, parameters: Parameters, progress: Progress | None = None) -> Solution:
@@ -139,7 +150,7 @@ def solve(problem: Problem, start: State, parameters: Parameters, progress: Prog
         CalibrationError: the start puts an LED behind a camera.
     """
     observations = problem.observations
-    with threadpoolctl.threadpool_limits(1, user_api="blas"):  # two threads are slower at these sizes
+    with one_blas_thread():
         whole = _LeastSquares(problem, parameters)
         robust = whole
         if max(len(observed.pose) for observed in observations) > _MANY:
@@ -149,7 +160,7 @@ def solve(problem: Problem, start: State, parameters: Parameters, progress: Prog
         history, at = list(descent.history), descent.at
         # Where the derivatives are no longer those of the start, the joint readings' noise may not be, either.
         if robust is not whole or at.J is not first.J:
-            at = whole.linearise(descent.state)
+            at = whole.linearise(descent.at.state)
         for _ in range(_MAX_CUTS):
             outlier = find_outliers(observations, at.norms)
             kept = [np.where(cut, REJECTED, 1.0) for cut in outlier]
@@ -162,7 +173,7 @@ def solve(problem: Problem, start: State, parameters: Parameters, progress: Prog
                 break
     used = tuple(observed.valid & ~cut for observed, cut in zip(observations, outlier, strict=True))
     return Solution(
-        state=descent.state,
+        state=descent.at.state,
         parameters=parameters,
         information=descent.normal.H,
         norms=descent.normal.norms,
@@ -185,10 +196,10 @@ def refit(problem: Problem, kept: Sequence[Bools], start: State, parameters: Par
         parameters: what to estimate, with priors.
     """
     weights = [np.where(keep, 1.0, REJECTED) for keep in kept]
-    with threadpoolctl.threadpool_limits(1, user_api="blas"):
+    with one_blas_thread():
         least_squares = _LeastSquares(problem, parameters)
         at = least_squares.linearise(start)
-        return _descend(least_squares, at, weights, keep_weights, _FIRST_DAMPING, _CONVERGED_COARSE, None).state
+        return _descend(least_squares, at, weights, keep_weights, _FIRST_DAMPING, _CONVERGED_COARSE, None).at.state
 
 
 def residual_norms(problem: Problem, state: State, parameters: Parameters) -> tuple[Floats, ...]:
@@ -318,10 +329,6 @@ class _Descent:
     history: tuple[Iteration, ...]
     converged: bool
 
-    @property
-    def state(self) -> State:
-        return self.at.state
-
 
 def _descend(
     least_squares: _LeastSquares,
@@ -341,11 +348,8 @@ def _descend(
     whitening = least_squares.whitening(at.noise, weights)
     normal = least_squares.evaluate(at, whitening)
     if not np.isfinite(normal.cost):
-        raise CalibrationError(
-            "the start puts an LED behind a camera",
-            remedy="Check the order of the cameras, where the eye-in-hand ones sit, the units of the joint readings "
-            "and the tip link.",
-        )
+        remedy = "Check the cameras' order and places, the units of the joint readings, and the tip link."
+        raise CalibrationError("the start puts an LED behind a camera", remedy=remedy)
     history: list[Iteration] = []
     growth, length, ahead, fresh = 2.0, np.inf, np.inf, False
     while damping < _MOST_DAMPING and len(history) < _MAX_ITERATIONS:
@@ -363,11 +367,11 @@ def _descend(
         try:
             candidate = least_squares.step(at, step)
             new = least_squares.evaluate(candidate, whitening)
+            cost = new.cost
         except CameraError:  # a trial lens that is none
-            damping, growth = damping * growth, 2.0 * growth
-            continue
+            cost = np.nan
         # NaN (an LED behind a camera) is no improvement either.
-        if not new.cost <= normal.cost * (1.0 + _COST_ROUNDING) + _COST_ROUNDING:
+        if not cost <= normal.cost * (1.0 + _COST_ROUNDING) + _COST_ROUNDING:
             damping, growth = damping * growth, 2.0 * growth
             continue
         before, length = length, float(np.sqrt(max(float(step @ normal.H @ step), 0.0)))
@@ -388,8 +392,7 @@ def _damped_step(normal: _NormalEquations, damping: float) -> Floats:
     diagonal = np.diag(normal.H)
     scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
     H = normal.H * np.outer(scale, scale)
-    step: Floats = -scale * np.linalg.solve(H + damping * np.eye(len(H)), scale * normal.g)
-    return step
+    return np.asarray(-scale * np.linalg.solve(H + damping * np.eye(len(H)), scale * normal.g))
 
 
 def _chunks(count: int) -> Iterator[slice]:

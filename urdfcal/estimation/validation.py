@@ -10,12 +10,13 @@ import numpy as np
 from urdfcal.estimation.solver import refit, residual_norms
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from urdfcal.arrays import Bools, Floats, Ints
     from urdfcal.estimation.observations import Observations
     from urdfcal.estimation.problem import Problem
     from urdfcal.estimation.solver import Solution
+    from urdfcal.estimation.state import State
 
 FOLDS = 5
 _RESAMPLES = 1000
@@ -44,7 +45,14 @@ def loss(norms: Sequence[Floats], observations: Sequence[Observations]) -> float
     return float(np.mean(np.concatenate(parts)))
 
 
-def hold_out(problem: Problem, fit: Solution, seed: int) -> HeldOut:
+def random_folds(problem: Problem, seed: int) -> Ints:
+    """Divide the session's poses (N,) into folds at random; what repeats a configuration stays with it."""
+    readings = problem.readings
+    distinct = len(np.unique(readings.unit[problem.poses]))
+    return readings.motion.folds(readings.q, min(FOLDS, distinct), seed)
+
+
+def hold_out(problem: Problem, fit: Solution, fold_of_pose: Ints) -> HeldOut:
     """Cross-validate an estimate over poses.
 
     Every fold is estimated anew without its poses, from the full estimate as a start: a start does not leak
@@ -53,32 +61,67 @@ def hold_out(problem: Problem, fit: Solution, seed: int) -> HeldOut:
     Args:
         problem: what was measured.
         fit: the estimate from all of it; its parameters are estimated in every fold.
-        seed: of the division into folds.
+        fold_of_pose: (poses of the session,) the fold that each is left out with.
     """
-    observations, poses = problem.observations, problem.poses
-    count = min(FOLDS, len(poses))
-    motion = max(observations, key=lambda observed: len(observed.pose)).readings.motion
-    fold_of_pose = motion.folds(len(poses), count, seed)
-    fold_of = [fold_of_pose[np.searchsorted(poses, observed.pose)] for observed in observations]
+    observations = problem.observations
     norms, residual, distance = ([np.zeros(observed.row.shape) for observed in observations] for _ in range(3))
-    for fold in range(count):
-        out = [of == fold for of in fold_of]
-        training = problem.with_observations([of.at(~left) for of, left in zip(observations, out, strict=True)])
+    folds = 0
+    for out, state in _without_each(problem, fit, fold_of_pose):
+        folds += 1
         unseen = problem.with_observations([of.at(left) for of, left in zip(observations, out, strict=True)])
-        kept = [keep[~left] for keep, left in zip(fit.kept, out, strict=True)]
-        state = refit(training, kept, fit.state, fit.parameters)
         for k, norm in enumerate(residual_norms(unseen, state, fit.parameters)):
             left, observed = out[k], unseen.observations[k]
             norms[k][left] = norm
             residual[k][left] = np.linalg.norm(unseen.residual(observed, state), axis=-1)
             distance[k][left] = residual[k][left] * unseen.metres_per_unit(observed, state)
-    return HeldOut(count, tuple(norms), tuple(residual), tuple(distance))
+    return HeldOut(folds, tuple(norms), tuple(residual), tuple(distance))
+
+
+def jackknife(problem: Problem, fit: Solution, fold_of_pose: Ints) -> Floats:
+    """Compute the covariance (count, count) of the active parameters from estimates without each of some folds.
+
+    Delete-a-group jackknife (Shao and Wu, Ann. Statist. 17, 1989): where errors are no noise, it shows how far the
+    estimate depends on where was measured.
+
+    Args:
+        problem: what was measured.
+        fit: the estimate from all of it.
+        fold_of_pose: (poses of the session,) the fold, or region, that each is left out with.
+    """
+    moved = np.array(
+        [fit.parameters.between(fit.state, state) for _, state in _without_each(problem, fit, fold_of_pose)]
+    )
+    result: Floats = (len(moved) - 1) / len(moved) * moved.T @ moved
+    return result
+
+
+def _without_each(problem: Problem, fit: Solution, fold_of_pose: Ints) -> Iterator[tuple[list[Bools], State]]:
+    """For each fold which poses (N,) of each kind are in it, and the estimate without them."""
+    observations = problem.observations
+    fold_of = [fold_of_pose[observed.pose] for observed in observations]
+    for fold in np.unique(fold_of_pose[problem.poses]):
+        out = [of == fold for of in fold_of]
+        training = problem.with_observations([of.at(~left) for of, left in zip(observations, out, strict=True)])
+        kept = [keep[~left] for keep, left in zip(fit.kept, out, strict=True)]
+        yield out, refit(training, kept, fit.state, fit.parameters)
 
 
 def rms_interval(
     observations: Sequence[Observations], kept: Sequence[Bools], distance: Sequence[Floats], unit: Ints, seed: int
 ) -> tuple[float, float]:
-    """Bootstrap the 95 % interval of a root mean square by resampling whole units.
+    """Bootstrap the 95 % interval of a root mean square by resampling whole units; see :func:`rms_samples`.
+
+    Returns:
+        2.5th and 97.5th percentile. [m]
+    """
+    low, high = np.percentile(rms_samples(observations, kept, distance, unit, seed), [2.5, 97.5])
+    return float(low), float(high)
+
+
+def rms_samples(
+    observations: Sequence[Observations], kept: Sequence[Bools], distance: Sequence[Floats], unit: Ints, seed: int
+) -> Floats:
+    """Bootstrap a root mean square by resampling whole units: (1000,) values of it.
 
     Args:
         observations: the measurements, one for each kind.
@@ -86,16 +129,48 @@ def rms_interval(
         distance: for each kind (N, m): the values. [m]
         unit: (poses,) which unit a pose belongs to; errors of different units are independent.
         seed: of the samples.
+    """
+    squares, counts = _sums(observations, kept, distance, unit)
+    seen = np.flatnonzero(counts)
+    sample = np.random.default_rng(seed).choice(seen, (_RESAMPLES, len(seen)))
+    result: Floats = np.sqrt(squares[sample].sum(axis=1) / counts[sample].sum(axis=1))
+    return result
+
+
+def region_interval(
+    observations: Sequence[Observations], kept: Sequence[Bools], distance: Sequence[Floats], region: Ints
+) -> tuple[float, float]:
+    """Compute the 95 % interval of the rms in a further region, from those in some that were left out.
+
+    The logarithms of the regions' rms are taken for normal; a further one scatters about their mean as they do.
+
+    Args:
+        observations: the measurements, one for each kind.
+        kept: for each kind (N, m): those that are no outliers.
+        distance: for each kind (N, m): the values. [m]
+        region: (poses,) of each pose.
 
     Returns:
-        2.5th and 97.5th percentile. [m]
+        Its ends, 0 and infinity where there is but one region. [m]
     """
+    from scipy.special import stdtrit
+
+    squares, counts = _sums(observations, kept, distance, region)
+    logs = 0.5 * np.log(np.maximum(squares[counts > 0] / counts[counts > 0], 1e-30))
+    if len(logs) < 2:
+        return 0.0, float("inf")
+    student = float(stdtrit(len(logs) - 1, 0.975))
+    half = student * float(np.std(logs, ddof=1)) * np.sqrt(1.0 + 1.0 / len(logs))
+    low, high = np.exp(np.mean(logs) + np.array([-half, half]))
+    return float(low), float(high)
+
+
+def _sums(
+    observations: Sequence[Observations], kept: Sequence[Bools], distance: Sequence[Floats], unit: Ints
+) -> tuple[Floats, Floats]:
+    """The sum of squares in each unit, and how many values it is of."""
     squares, counts = np.zeros(unit.max() + 1), np.zeros(unit.max() + 1)
     for observed, used, values in zip(observations, kept, distance, strict=True):
         np.add.at(squares, unit[observed.pose], np.sum(np.where(used, values, 0.0) ** 2, axis=1))
         np.add.at(counts, unit[observed.pose], np.sum(used, axis=1))
-    seen = np.flatnonzero(counts)
-    sample = np.random.default_rng(seed).choice(seen, (_RESAMPLES, len(seen)))
-    rms = np.sqrt(squares[sample].sum(axis=1) / counts[sample].sum(axis=1))
-    low, high = np.percentile(rms, [2.5, 97.5])
-    return float(low), float(high)
+    return squares, counts

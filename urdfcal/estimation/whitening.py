@@ -45,12 +45,17 @@ class JointNoise:
             covariance: (N, m, D, D) of the measurements alone, which is divided by the weight.
             weight: (N, m).
         """
-        N, m, D, _ = covariance.shape
-        pose = self.joint.reshape(N, m, D, m, D).copy()
-        each = np.arange(m)
-        pose[:, each, :, each, :] += np.moveaxis(covariance / weight[..., None, None], 1, 0)
-        W: Floats = np.linalg.inv(np.linalg.cholesky(pose.reshape(N, m * D, m * D)))
+        own = block_diagonal(covariance / weight[..., None, None])
+        W: Floats = np.linalg.inv(np.linalg.cholesky(self.joint + own))
         return W
+
+
+def block_diagonal(covariance: Floats) -> Floats:
+    """Return the covariance of whole poses (N, mD, mD) of measurements (N, m, D, D) that err independently."""
+    N, m, D, _ = covariance.shape
+    each, pose = np.arange(m), np.zeros((N, m, D, m, D))
+    pose[:, each, :, each, :] = np.moveaxis(covariance, 1, 0)
+    return pose.reshape(N, m * D, m * D)
 
 
 def joint_covariance(at: Linearization, reading_jacobian: Floats, sigma: float) -> Floats:

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from urdfcal.errors import CameraError
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from urdfcal.images.files import Image
 
 _MONO, _RGB, _BGR = [0], [0, 1, 2], [2, 1, 0]
@@ -33,7 +31,7 @@ class DamagedPictureError(CameraError):
     """One image that was not recorded whole; the next may be."""
 
 
-def decode_raw(encoding: str, size: tuple[int, int], step: int, data: NDArray[np.uint8], *, big_endian: bool) -> Image:
+def decode_raw(encoding: str, size: tuple[int, int], step: int, data: Image, *, big_endian: bool) -> Image:
     """The image in a sensor_msgs/Image: (h, w) or, red first, (h, w, 3); 8 or 16 bit.
 
     A transparency is left out. Bayer mosaics get their colours by OpenCV's bilinear interpolation.
@@ -56,10 +54,8 @@ def decode_raw(encoding: str, size: tuple[int, int], step: int, data: NDArray[np
     width, height = size
     row = width * values * bits // 8
     if min(size) <= 0 or step < row or len(data) != height * step:
-        raise CameraError(
-            f"{len(data)} bytes in rows of {step} are no {encoding} image of {width} x {height} pixels",
-            remedy=f"{height} rows of {max(row, 0)} bytes or more are expected.",
-        )
+        what = f"{len(data)} bytes in rows of {step} are no {encoding} image of {width} x {height} pixels"
+        raise CameraError(what, remedy=f"{height} rows of {max(row, 0)} bytes or more are expected.")
     rows = np.ascontiguousarray(data.reshape(height, step)[:, :row])
     kind = np.dtype(np.uint8) if bits == 8 else np.dtype(">u2" if big_endian else "<u2")
     pixels = rows.view(kind).reshape(height, width, values)[..., taken].astype(kind.newbyteorder("="))
@@ -102,7 +98,7 @@ def decode_compressed(format_: str, data: bytes) -> tuple[str, Image | None, tup
     return ".png", pixels if pixels.ndim == 2 else np.ascontiguousarray(pixels[..., 2::-1]), size
 
 
-def _demosaic(mosaic: NDArray[Any], pattern: str) -> Image:
+def _demosaic(mosaic: Image, pattern: str) -> Image:
     import cv2
 
     if min(mosaic.shape) < 3:

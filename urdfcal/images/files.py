@@ -1,28 +1,34 @@
-"""Image files and sequences of images as arrays: any depth, any number of channels, several at a time."""
+"""Image files and videos as arrays: any depth, any number of channels, several at a time, a video in its order."""
 
 from __future__ import annotations
 
 import os
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, get_args
 
 import numpy as np
 
 from urdfcal.errors import CameraError
+from urdfcal.files import replacing
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     Image: TypeAlias = NDArray[Any]
+    # Reading one image may take time, and is done where it is needed; of a video only a few are in memory at a time.
+    SequenceImage: TypeAlias = "ImageFile" | "VideoFrame"
+    ImageSequence: TypeAlias = Sequence["ImageFile"] | "Video"
 
 Colour: TypeAlias = Literal["any", "red", "green", "blue"]
 COLOURS: tuple[Colour, ...] = get_args(Colour)
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
+VIDEO_SUFFIXES = (".mp4", ".avi", ".mkv")
 
 # Depths of sensors whose values are stored in 16 bits as they are.
 _DEPTHS = (10, 12, 14, 16)
@@ -85,7 +91,7 @@ def channel(image: Image, colour: Colour) -> NDArray[np.float32]:
         return image.astype(np.float32)
     if colour == "any":
         return np.asarray(cv2.transform(image, np.full((1, 3), 1.0 / 3.0)).astype(np.float32))
-    return image[..., ("red", "green", "blue").index(colour)].astype(np.float32)
+    return image[..., COLOURS.index(colour) - 1].astype(np.float32)
 
 
 def saturation(image: Image) -> float:
@@ -96,29 +102,6 @@ def saturation(image: Image) -> float:
     if top >= _ALMOST * full and top < full and np.count_nonzero(image == top) >= _SHARED:
         full = top
     return float(_CLIPPED * full)
-
-
-class SequenceImage(Protocol):
-    """One image; reading it may take time, and is done where it is needed."""
-
-    def lit(self, resolution: tuple[int, int]) -> Image:
-        """The image, which must be of the size ``resolution`` (width, height) in px."""
-
-    def unlit(self, resolution: tuple[int, int]) -> Image | None:
-        """One from the same place with the LED off, to be subtracted, if there is one."""
-
-
-class ImageSequence(Protocol):
-    """Many of them, in order: a list of files, or a video, of which only a few are in memory at a time."""
-
-    def __len__(self) -> int:
-        """How many."""
-
-    def __iter__(self) -> Iterator[SequenceImage]:
-        """From the first to the last."""
-
-    def __getitem__(self, index: int, /) -> SequenceImage:
-        """One of them."""
 
 
 @dataclass(frozen=True)
@@ -157,12 +140,142 @@ def sized(image: Image, resolution: tuple[int, int], where: str) -> Image:
         CameraError: it has another.
     """
     if image.shape[1::-1] != resolution:
-        raise CameraError(
-            f"the image is {image.shape[1]} x {image.shape[0]} px, the camera {resolution[0]} x {resolution[1]}",
-            where=where,
-            remedy="Give the camera's resolution in the camera file, at which it was calibrated.",
-        )
+        what = f"the image is {image.shape[1]} x {image.shape[0]} px, the camera {resolution[0]} x {resolution[1]}"
+        remedy = "Give the camera's resolution in the camera file, at which it was calibrated."
+        raise CameraError(what, where=where, remedy=remedy)
     return image
+
+
+@dataclass(frozen=True, eq=False)
+class VideoFrame:
+    """An image of a video, decoded.
+
+    Attributes:
+        image: (h, w, 3) red first, 8 bit.
+        where: the video, and which of its images.
+    """
+
+    image: Image
+    where: str
+
+    def lit(self, resolution: tuple[int, int]) -> Image:
+        """The image.
+
+        Raises:
+            CameraError: it has another size than ``resolution`` (width, height).
+        """
+        return sized(self.image, resolution, self.where)
+
+    def unlit(self, resolution: tuple[int, int]) -> None:
+        """A video has no dark images."""
+        del resolution
+
+
+@dataclass(frozen=True)
+class Video:
+    """Some images of a video file.
+
+    Attributes:
+        path: the file.
+        rows: the images, from 0, in ascending order.
+        count: how many images the file must have in all.
+    """
+
+    path: Path
+    rows: tuple[int, ...]
+    count: int
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __iter__(self) -> Iterator[VideoFrame]:
+        """Decode from the first to the last; the others are passed over.
+
+        Raises:
+            CameraError: the file cannot be read, or has another number of images.
+        """
+        wanted = set(self.rows)
+        with _opened(self.path) as video:
+            for row in range(self.count):
+                if not video.grab():
+                    raise self._miscounted(row)
+                if row in wanted:
+                    yield self._retrieved(video, row)
+            if more := _rest(video):
+                raise self._miscounted(self.count + more)
+
+    def __getitem__(self, index: int) -> VideoFrame:
+        """Decode one; where the file has no index it may be a neighbour.
+
+        Raises:
+            CameraError: the file cannot be read, or has fewer images.
+        """
+        import cv2
+
+        with _opened(self.path) as video:
+            video.set(cv2.CAP_PROP_POS_FRAMES, self.rows[index])
+            if video.grab():
+                return self._retrieved(video, self.rows[index])
+        with _opened(self.path) as video:
+            raise self._miscounted(_rest(video))
+
+    def _retrieved(self, video: Any, row: int) -> VideoFrame:
+        done, image = video.retrieve()
+        if not done:
+            raise CameraError("an image is damaged", where=f"{self.path}, image {row + 1}")
+        return VideoFrame(np.ascontiguousarray(image[..., ::-1]), f"{self.path}, image {row + 1}")
+
+    def _miscounted(self, found: int) -> CameraError:
+        what = f"the video has {found} images, and the table of frames {self.count} of this camera"
+        remedy = "Every image has its row, in the same order; none may be lost or added in encoding."
+        return CameraError(what, where=str(self.path), remedy=remedy)
+
+
+def write_video(path: Path, images: Iterable[Image], resolution: tuple[int, int], rate: float) -> None:
+    """Write 8-bit images, (h, w) or red first (h, w, 3), as MPEG-4.
+
+    Args:
+        path: the file, .mp4.
+        images: one after the other.
+        resolution: (width, height) of them. [px]
+        rate: frames per second, for players.
+
+    Raises:
+        CameraError: this OpenCV cannot encode it.
+        OutputError: the folder cannot be written.
+    """
+    import cv2
+
+    with replacing(path) as temporary:
+        writer = cv2.VideoWriter(str(temporary), cv2.VideoWriter.fourcc(*"mp4v"), rate, resolution)
+        if not writer.isOpened():
+            raise CameraError("this installation of OpenCV writes no MPEG-4", where=str(path))
+        try:
+            for image in images:
+                colours = np.repeat(image[..., None], 3, axis=2) if image.ndim == 2 else image[..., ::-1]
+                writer.write(np.ascontiguousarray(colours))
+        finally:
+            writer.release()
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    import cv2
+
+    video = cv2.VideoCapture(str(path))
+    try:
+        if not video.isOpened():
+            raise CameraError("this is no video, or one that OpenCV cannot decode", where=str(path))
+        # A camera file knows nothing of how a phone was held.
+        video.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
+        yield video
+    finally:
+        video.release()
+
+
+def _rest(video: Any) -> int:
+    """How many images follow."""
+    return sum(1 for _ in iter(video.grab, False))
 
 
 def workers() -> int:
@@ -171,22 +284,34 @@ def workers() -> int:
     return max(1, len(affinity(0)) if affinity else os.cpu_count() or 1)
 
 
-def in_parallel(function: Callable[[_T], _R], items: Iterable[_T], threads: int | None = None) -> Iterator[_R]:
+def in_parallel(
+    function: Callable[[_T], _R],
+    items: Iterable[_T],
+    threads: int | None = None,
+    progress: Callable[[int], object] | None = None,
+) -> Iterator[_R]:
     """``map`` with threads, in order, that never runs more than two items a thread ahead of its reader.
 
     Decoding and filtering happen outside Python's lock, so threads are enough; memory is bounded by what
-    2 x threads results take.
+    2 x threads results take. ``progress`` is called with 1 for every result.
     """
     threads = threads or workers()
     with ThreadPoolExecutor(threads) as pool:
         waiting: deque[Any] = deque()
+
+        def next_one() -> _R:
+            result: _R = waiting.popleft().result()
+            if progress:
+                progress(1)
+            return result
+
         try:
             for item in items:
                 waiting.append(pool.submit(function, item))
                 if len(waiting) >= 2 * threads:
-                    yield waiting.popleft().result()
+                    yield next_one()
             while waiting:
-                yield waiting.popleft().result()
+                yield next_one()
         finally:
             for future in waiting:
                 future.cancel()

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import csv
+import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NoReturn
+from math import isfinite
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from urdfcal.errors import SessionError
+from urdfcal.files import Source
 from urdfcal.names import flaw, listed, suggest
-from urdfcal.source import Source
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
+    from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
     from pathlib import Path
 
     from urdfcal.arrays import Floats, Ints
@@ -55,11 +57,8 @@ class Table:
         while lines and not lines[-1].strip():
             lines.pop()
         if not lines:
-            raise SessionError(
-                "the file is empty",
-                where=str(path),
-                remedy=f"Its first line names the columns: {','.join(required)}.",
-            )
+            remedy = f"Its first line names the columns: {','.join(required)}."
+            raise SessionError("the file is empty", where=str(path), remedy=remedy)
         cells, widths = _split(path, lines)
         header = [name.strip() for name in cells[: widths[0]]]
         _check_header(path, header, required, optional, ignored)
@@ -80,17 +79,13 @@ class Table:
 
     def place(self, row: int, column: str) -> str:
         """Where a cell is: file:line:column, counted from 1."""
-        index, line = list(self.columns).index(column), self.lines[row + 1]
-        position = 0
-        for _ in range(index):
-            # A comma inside quotes separates nothing.
-            quoted = False
-            while quoted or line[position] != ",":
-                quoted ^= line[position] == '"'
-                position += 1
-            position += 1
-        position += len(line[position:]) - len(line[position:].lstrip(" "))
-        return f"{self.path}:{row + 2}:{position + 1}"
+        # A comma inside quotes separates nothing.
+        cells = list(re.finditer(r'(?:^|,) *((?:"[^"]*"|[^,])*)', self.lines[row + 1]))
+        return f"{self.path}:{row + 2}:{cells[list(self.columns).index(column)].start(1) + 1}"
+
+    def wrong(self, what: str, row: int, column: str, remedy: str = "") -> SessionError:
+        """The error to raise about a cell."""
+        return SessionError(what, where=self.place(row, column), remedy=remedy)
 
     def labels(self, column: str) -> tuple[str, ...]:
         """The cells of a column of names, without blanks around them.
@@ -101,50 +96,33 @@ class Table:
         labels = tuple(cell.strip() for cell in self.columns[column])
         for row, label in enumerate(labels):
             if problem := flaw(label):
-                what = problem if label else "the cell is empty"
-                raise SessionError(f"{column}: {what}", where=self.place(row, column))
+                raise self.wrong(f"{column}: {problem if label else 'the cell is empty'}", row, column)
         return labels
 
-    def numbers(self, columns: Sequence[str], remedy: str = "") -> Floats:
+    def numbers(self, columns: Sequence[str], remedy: str = "", *, positive: bool = False) -> Floats:
         """The cells of some columns as numbers, (rows, columns).
 
         Args:
             columns: their names.
             remedy: what to do about a number that is not there.
+            positive: whether they are standard deviations, which are.
 
         Raises:
-            SessionError: a cell is empty, no number, or not finite.
+            SessionError: a cell is empty, no number, not finite, or not positive where it has to be.
         """
-        result = np.empty((len(self.columns[columns[0]]), len(columns)))
+        result = np.empty((len(self.lines) - 1, len(columns)))
         for i, column in enumerate(columns):
             cells = self.columns[column]
             try:
                 result[:, i] = list(map(float, cells))
+                # Python reads 1_000 as a number; a table that has it is damaged.
+                good = np.isfinite(result[:, i]).all() and "_" not in "".join(cells)
             except ValueError:
-                self._refuse_text(column, remedy)
-            # Python reads 1_000 as a number; a table that has it is damaged.
-            if "_" in "".join(cells):
-                self._refuse_text(column, remedy)
-        bad = np.argwhere(~np.isfinite(result))
-        if bad.size:
-            row, column = int(bad[0, 0]), columns[bad[0, 1]]
-            cell = self.columns[column][row].strip()
-            raise SessionError(f"{column}: {cell} is not a finite number", where=self.place(row, column), remedy=remedy)
-        return result
-
-    def positive(self, column: str) -> Floats:
-        """The cells of a column of standard deviations, (rows,).
-
-        Raises:
-            SessionError: a cell is no positive number.
-        """
-        result: Floats = self.numbers([column])[:, 0]
-        bad = np.flatnonzero(result <= 0.0)
-        if bad.size:
-            row = int(bad[0])
-            raise SessionError(
-                f"{column}: {self.columns[column][row].strip()} is not positive", where=self.place(row, column)
-            )
+                good = False
+            if not good or (positive and result[:, i].min() <= 0.0):
+                problems = ((row, _problem(cell.strip(" "), positive)) for row, cell in enumerate(cells))
+                row, what = next((row, problem) for row, problem in problems if problem)
+                raise self.wrong(f"{column}: {what}", row, column, remedy)
         return result
 
     def indices(self, column: str, known: Sequence[str], kind: str) -> Ints:
@@ -162,29 +140,30 @@ class Table:
         try:
             found = [index[cell] for cell in self.columns[column]]
         except KeyError:
-            found = [index.get(label, -1) for label in self.labels(column)]
+            labels = self.labels(column)
+            found = [index.get(label, -1) for label in labels]
             if -1 in found:
                 row = found.index(-1)
-                name = self.columns[column][row].strip()
-                raise SessionError(
-                    f"there is no {column} {name!r}",
-                    where=self.place(row, column),
-                    remedy=suggest(name, known, kind),
-                ) from None
+                remedy = suggest(labels[row], known, kind)
+                raise self.wrong(f"there is no {column} {labels[row]!r}", row, column, remedy) from None
         return np.array(found, dtype=np.intp)
 
-    def _refuse_text(self, column: str, remedy: str) -> NoReturn:
-        for row, cell in enumerate(self.columns[column]):
-            text = cell.strip()
-            try:
-                if "_" not in text:
-                    float(text)
-                    continue
-            except ValueError:
-                pass
-            what = f"{text!r} is not a number" if text else "the cell is empty"
-            raise SessionError(f"{column}: {what}", where=self.place(row, column), remedy=remedy)
-        raise SessionError(f"{column}: there are cells that are not numbers", where=str(self.path))
+
+def repeats(rows: Iterable[Hashable]) -> list[tuple[int, int]]:
+    """Each row that is equal to an earlier one, behind the first of these."""
+    first: dict[Hashable, int] = {}
+    return [(first[row], i) for i, row in enumerate(rows) if first.setdefault(row, i) != i]
+
+
+def _problem(cell: str, positive: bool) -> str:
+    """What keeps a cell from being a number; empty if nothing does."""
+    try:
+        number = float(cell if "_" not in cell else "")
+    except ValueError:
+        return f"{cell!r} is not a number" if cell else "the cell is empty"
+    if not isfinite(number):
+        return f"{cell} is not a finite number"
+    return f"{cell} is not positive" if positive and number <= 0.0 else ""
 
 
 def _split(path: Path, lines: Sequence[str]) -> tuple[list[str], list[int]]:
@@ -192,31 +171,22 @@ def _split(path: Path, lines: Sequence[str]) -> tuple[list[str], list[int]]:
     # Without quotes a cell ends at a comma, and one split of the whole text is several times faster.
     if not any('"' in line for line in lines):
         return ",".join(lines).split(","), [line.count(",") + 1 for line in lines]
-    reader = csv.reader(lines, strict=True, skipinitialspace=True)
+    reader, rows, problem = csv.reader(lines, strict=True, skipinitialspace=True), [], "a cell goes over several lines"
     try:
         rows = list(reader)
     except csv.Error as error:
-        _check_quotes(path, lines)
-        raise SessionError(f"this is no CSV: {error}", where=f"{path}:{reader.line_num}") from error
+        problem = f"this is no CSV: {error}"
     if len(rows) != len(lines):
-        _check_quotes(path, lines)
+        for number, line in enumerate(lines, 1):
+            if line.count('"') % 2:
+                where = f"{path}:{number}"
+                raise SessionError("a quote is opened and not closed in this line", where=where, remedy="Close it.")
+        raise SessionError(problem, where=f"{path}:{reader.line_num}")
     return [cell for row in rows for cell in row], [len(row) for row in rows]
 
 
-def _check_quotes(path: Path, lines: Sequence[str]) -> None:
-    for number, line in enumerate(lines, 1):
-        if line.count('"') % 2:
-            raise SessionError(
-                "a quote is opened and not closed in this line", where=f"{path}:{number}", remedy="Close it."
-            )
-
-
 def _check_header(
-    path: Path,
-    header: Sequence[str],
-    required: Sequence[str],
-    optional: Sequence[str],
-    ignored: Collection[str] | None,
+    path: Path, header: Sequence[str], required: Sequence[str], optional: Sequence[str], ignored: Collection[str] | None
 ) -> None:
     where = f"{path}:1"
     expected = [*required, *optional]
@@ -232,7 +202,5 @@ def _check_header(
             raise SessionError(f"unknown column {name!r}", where=where, remedy=suggest(name, expected, "columns"))
     missing = [name for name in required if name not in header]
     if missing:
-        plural = "columns are" if len(missing) > 1 else "column is"
-        raise SessionError(
-            f"the {plural} missing: {', '.join(repr(name) for name in missing)}", where=where, remedy=needs
-        )
+        plural, names = "columns are" if len(missing) > 1 else "column is", ", ".join(map(repr, missing))
+        raise SessionError(f"the {plural} missing: {names}", where=where, remedy=needs)

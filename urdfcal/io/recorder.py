@@ -4,24 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
+from urdfcal.arrays import finite_array
 from urdfcal.errors import SessionError
 from urdfcal.estimation.measurements import Detections, Points
 from urdfcal.io.checks.plausibility import OVERRUN
-from urdfcal.names import flaw, suggest
-from urdfcal.session.finite import finite_array
+from urdfcal.names import check_known, flaw, suggest
 from urdfcal.session.model import Positions, Session, Setup
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import ArrayLike
 
     from urdfcal.arrays import Floats
     from urdfcal.estimation.measurements import Measurement
+
+    _Value: TypeAlias = tuple[Floats, float]
+
+_PLURALS = {"pose": "poses", "camera": "cameras", "led": "LEDs"}
 
 
 class Recorder:
@@ -47,30 +49,40 @@ class Recorder:
         self._setup = setup
         self._readings: dict[str, Floats] = {}
         self._times: list[float] = []
-        self._detections: dict[tuple[int, ...], tuple[Floats, float]] = {}  # by pose, camera, LED
-        self._points: dict[tuple[int, ...], tuple[Floats, float]] = {}  # by pose, LED
+        self._torques: list[Floats] = []
+        # By kind, and the indices of its keys: values and sigma.
+        self._measured: dict[type[Measurement], dict[tuple[int, ...], tuple[Floats, float]]] = {
+            Detections: {},
+            Points: {},
+        }
 
     def __len__(self) -> int:
         """Return the number of poses."""
         return len(self._readings)
 
     def pose(
-        self, joints: Mapping[str, float] | ArrayLike, *, label: str | None = None, time: float | None = None
+        self,
+        joints: Mapping[str, float] | ArrayLike,
+        *,
+        label: str | None = None,
+        time: float | None = None,
+        torques: Mapping[str, float] | ArrayLike | None = None,
     ) -> str:
-        """Add a pose in which the arm stands still.
+        """Add a pose in which the arm stands still; one in which nothing is measured tells where it came from.
 
         Args:
             joints: a reading [rad or m] of every actuated joint, by name, or (k,) in the order of ``chain.actuated``.
                 Joints of the robot that are not actuated joints of the chain are left out.
             label: what to call the pose; counted from 0 by default.
             time: when it was. [s]
+            torques: measured, [N m or N], of the same joints in the same way.
 
         Returns:
             The label, by which measurements refer to the pose.
 
         Raises:
             SessionError: a joint is missing or unknown, a reading is no finite number or beyond its limits, the label
-                is taken, or some poses have a time and others have not.
+                is taken, or some poses have a time or torques and others have not.
         """
         name = str(len(self)) if label is None else str(label)
         where = f"pose {name!r}"
@@ -80,15 +92,21 @@ class Recorder:
             raise SessionError("there is a pose of this label", where=where, remedy="Give every pose its own.")
         by_order = self._by_order(joints, where) if isinstance(joints, Mapping) else joints
         readings = finite_array(by_order, (len(self._setup.chain.actuated),), "joints", where)
-        self._check_limits(readings, where)
-        if len(self) and (time is None) != (not self._times):
-            raise SessionError(
-                "it has no time, and others have" if time is None else "it has a time, and others have none",
-                where=where,
-                remedy="Give all poses a time, or none.",
-            )
-        if time is not None:
-            self._times.append(float(finite_array([time], (1,), "time", where)[0]))
+        for violation in self._setup.chain.outside_limits(readings[None], OVERRUN)[:1]:
+            raise SessionError(str(violation), where=where, remedy="Readings are in radians and metres.")
+        for value, others, one, what in (
+            (time, self._times, "a time", "time"),
+            (torques, self._torques, "torques", "torques"),
+        ):
+            if len(self) and (value is None) != (not others):
+                said = f"no {what}, and others have" if value is None else f"{one}, and others have none"
+                raise SessionError(f"it has {said}", where=where, remedy=f"Give all poses {one}, or none.")
+        moment = None if time is None else float(finite_array([time], (1,), "time", where)[0])
+        if torques is not None:
+            by_order = self._by_order(torques, where) if isinstance(torques, Mapping) else torques
+            self._torques.append(finite_array(by_order, readings.shape, "torques", where))
+        if moment is not None:
+            self._times.append(moment)
         self._readings[name] = readings
         return name
 
@@ -110,18 +128,13 @@ class Recorder:
         rig = self._setup.rig
         if not rig.cameras:
             raise SessionError("the setup has no cameras", where=where, remedy="Give it a rig, or add points.")
-        key = (
-            self._index(pose, tuple(self._readings), "poses"),
-            self._index(camera, rig.names, "cameras"),
-            self._index(led, self._setup.led_names, "LEDs"),
-        )
-        place = finite_array(uv, (2,), "uv", where)
+        key, place = self._indices(pose=pose, camera=camera, led=led), finite_array(uv, (2,), "uv", where)
         if not rig.cameras[key[1]].in_image(place):
             width, height = rig.cameras[key[1]].resolution
             raise SessionError(f"({place[0]:g}, {place[1]:g}) is outside the {width} x {height} image", where=where)
-        if key in self._detections:
+        if key in self._measured[Detections]:
             raise SessionError("it was seen there already", where=where, remedy="Keep one detection.")
-        self._detections[key] = place, _positive(self._setup.noise.pixel if sigma is None else sigma, where)
+        self._add(Detections, key, place, sigma, where)
 
     def point(self, pose: str, led: str, xyz: ArrayLike, *, sigma: float | None = None) -> None:
         """Add where a tracker measured an LED.
@@ -136,14 +149,10 @@ class Recorder:
             SessionError: a name is unknown, a number is not finite, sigma is not positive, or it was measured already.
         """
         where = f"pose {pose!r}, LED {led!r}"
-        key = (
-            self._index(pose, tuple(self._readings), "poses"),
-            self._index(led, self._setup.led_names, "LEDs"),
-        )
-        place = finite_array(xyz, (3,), "xyz", where)
-        if key in self._points:
+        key, place = self._indices(pose=pose, led=led), finite_array(xyz, (3,), "xyz", where)
+        if key in self._measured[Points]:
             raise SessionError("it was measured already", where=where, remedy="Keep one point.")
-        self._points[key] = place, _positive(self._setup.noise.point if sigma is None else sigma, where)
+        self._add(Points, key, place, sigma, where)
 
     def session(self) -> Session:
         """What was recorded so far, validated; recording may go on.
@@ -155,16 +164,28 @@ class Recorder:
         if isinstance(self._setup, Positions):
             # Files and images of what was measured then are not what is measured now.
             setup |= {"sha256": {}, "folder": None}
+        measurements = []
+        for kind, rows in self._measured.items():
+            if rows:
+                columns: dict[str, Any] = dict(zip(kind.keys, np.array(list(rows), dtype=np.intp).T, strict=True))
+                columns[kind.array], columns["sigma"] = map(np.array, zip(*rows.values(), strict=True))
+                measurements.append(kind(**columns))
         return Session(
             **setup,
             poses=tuple(self._readings),
             q=self._setup.chain.joint_values(np.array(list(self._readings.values())).reshape(len(self), -1)),
             time=np.array(self._times) if self._times else None,
-            measurements=(
-                *([Detections(**_columns(self._detections, Detections))] if self._detections else ()),
-                *([Points(**_columns(self._points, Points))] if self._points else ()),
-            ),
+            torques=self._all_torques(),
+            measurements=tuple(measurements),
         )
+
+    def _all_torques(self) -> Floats | None:
+        """Those of all joints in all poses: of mimic joints none, their master's has them."""
+        own = [joint.mimic is None for joint in self._setup.chain.joints]
+        torques = np.zeros((len(self._torques), len(own)))
+        if self._torques:
+            torques[:, own] = self._torques
+        return torques if self._torques else None
 
     def _by_order(self, joints: Mapping[str, float], where: str) -> list[float]:
         """The chain's readings out of those of a whole robot."""
@@ -172,35 +193,25 @@ class Recorder:
         known = {*chain.names, *(urdf.joints if urdf else ())}
         for name in joints:
             if name not in known:
-                raise SessionError(
-                    f"there is no joint {name!r}", where=where, remedy=suggest(name, chain.actuated, "joints")
-                )
+                check_known(name, chain.actuated, "joints", where)
         missing = [name for name in chain.actuated if name not in joints]
         if missing:
             raise SessionError(f"there is no reading of {', '.join(missing)}", where=where)
         return [joints[name] for name in chain.actuated]
 
-    def _check_limits(self, readings: Floats, where: str) -> None:
-        for violation in self._setup.chain.outside_limits(readings[None], OVERRUN)[:1]:
-            raise SessionError(str(violation), where=where, remedy="Readings are in radians and metres.")
+    def _add(
+        self, kind: type[Measurement], key: tuple[int, ...], values: Floats, sigma: float | None, where: str
+    ) -> None:
+        spread = float(finite_array([self._setup.noise.of(kind) if sigma is None else sigma], (1,), "sigma", where)[0])
+        if spread <= 0.0:
+            raise SessionError(f"sigma is {spread:g}; it must be positive", where=where)
+        self._measured[kind][key] = values, spread
 
-    def _index(self, name: str, known: Sequence[str], kind: str) -> int:
-        if name not in known:
-            raise SessionError(f"{name!r} is none of the {kind}", remedy=suggest(str(name), known, kind))
-        return known.index(name)
-
-
-def _positive(sigma: float, where: str) -> float:
-    value = float(finite_array([sigma], (1,), "sigma", where)[0])
-    if value <= 0.0:
-        raise SessionError(f"sigma is {value:g}; it must be positive", where=where)
-    return value
-
-
-def _columns(table: Mapping[tuple[int, ...], tuple[Floats, float]], kind: type[Measurement]) -> dict[str, Any]:
-    indices = np.array(list(table), dtype=np.intp)
-    return {
-        **{key: indices[:, i] for i, key in enumerate(kind.keys)},
-        kind.array: np.array([place for place, _ in table.values()]),
-        "sigma": np.array([sigma for _, sigma in table.values()]),
-    }
+    def _indices(self, **names: str) -> tuple[int, ...]:
+        """What is named by each key of a kind of measurement, by its index."""
+        known = {"pose": tuple(self._readings), "camera": self._setup.rig.names, "led": self._setup.led_names}
+        for key, name in names.items():
+            if name not in known[key]:
+                kind = _PLURALS[key]
+                raise SessionError(f"{name!r} is none of the {kind}", remedy=suggest(str(name), known[key], kind))
+        return tuple(known[key].index(name) for key, name in names.items())

@@ -11,8 +11,8 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
+    WrapValidator,
     create_model,
-    field_validator,
     model_validator,
 )
 
@@ -22,7 +22,17 @@ from urdfcal.names import flaw
 from urdfcal.robot.dh import Parameter  # noqa: TC001  # pydantic needs it at run time
 from urdfcal.rotations import rpy_to_matrix
 from urdfcal.session.attachments import CameraMount
-from urdfcal.session.knowledge import ArmGeometry, Estimate, Freedom, Led, LedDistance, Noise, TimeOffset, Tolerances
+from urdfcal.session.knowledge import (
+    ArmGeometry,
+    Estimate,
+    Freedom,
+    Led,
+    LedDistance,
+    Noise,
+    Payload,
+    TimeOffset,
+    Tolerances,
+)
 
 
 def _named(name: str) -> str:
@@ -111,11 +121,11 @@ class CamerasKeys(_Keys):
         return tuple(keys.mount(camera) for camera, keys in self.__pydantic_extra__.items())
 
 
-def _file_alone(value: Any) -> Any:
-    return {"file": value} if isinstance(value, str) else value
-
+_Cameras = Annotated[CamerasKeys, BeforeValidator(lambda value: {"file": value} if isinstance(value, str) else value)]
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     NoiseKeys: TypeAlias = _Keys
     JointModelName: TypeAlias = str
 else:
@@ -123,10 +133,23 @@ else:
         "NoiseKeys",
         __base__=_Keys,
         __doc__="Standard deviations of the joint readings, and of each kind of measurement.",
-        joint=(NotNegative, Noise.joint),
+        joint=(NotNegative, 0.0),
         **{kind.noise: (Positive, kind.usual) for kind in MEASUREMENTS},
     )
     JointModelName = Literal[tuple(model.name for model in JOINT_MODELS)]
+
+
+def _by_joint(value: Any, on_or_off: Callable[[Any], bool]) -> bool | dict[str, bool]:
+    """Read what switches a model on or off, for all joints or for each by name."""
+    if isinstance(value, dict):
+        return {str(joint): on_or_off(said) for joint, said in value.items()}
+    return on_or_off(value)
+
+
+_JointModels = Annotated[
+    dict[JointModelName, Annotated[bool, WrapValidator(_by_joint)]],
+    BeforeValidator(lambda value: {} if value == "auto" else value),
+]
 
 
 class EstimateKeys(_Keys):
@@ -136,6 +159,9 @@ class EstimateKeys(_Keys):
     intrinsics: Freedom | dict[str, Freedom] | None = None
     extrinsics: Freedom | dict[str, Freedom] | None = None
     time_offset: TimeOffset | None = None
+
+
+_Estimate = Annotated[EstimateKeys, BeforeValidator(lambda value: {} if value == "auto" else value)]
 
 
 class TolerancesKeys(_Keys):
@@ -148,10 +174,28 @@ class TolerancesKeys(_Keys):
     angle: NotNegative = Tolerances.angle
     zero: NotNegative = Tolerances.zero
 
-    @property
-    def joints(self) -> dict[str, dict[str, float]]:
-        """The exceptions, by joint and parameter."""
-        return {joint: {str(k): value for k, value in of.items()} for joint, of in self.__pydantic_extra__.items()}
+
+class ScaleKeys(_Keys):
+    """How well the unit of the cameras' baselines, or of a tracker's points, is known: a share of any length."""
+
+    sigma: NotNegative
+
+
+class PayloadKeys(_Keys):
+    """What the arm carried: on which link, its mass in kg, and its centre there in m."""
+
+    link: Name
+    mass: Positive
+    center: Vector
+
+
+def _known_direction(gravity: Any) -> Any:
+    if isinstance(gravity, dict):
+        raise ValueError(  # noqa: TRY004  # pydantic's way
+            "the direction of gravity cannot be estimated: measure how the base leans, and write [x, y, z] in the base "
+            "link's frame, in m/s^2"
+        )
+    return gravity
 
 
 class StandKeys(_Keys):
@@ -160,75 +204,88 @@ class StandKeys(_Keys):
     position: Vector
     look_at: Vector
 
+    @model_validator(mode="after")
+    def _looks_somewhere(self) -> StandKeys:
+        if self.position == self.look_at:
+            raise ValueError("position and look_at are the same place")
+        return self
 
-def _noise(keys: dict[str, float]) -> Noise:
-    own = {name: keys.pop(name) for name in ("pixel", "point", "joint") if name in keys}
-    return Noise(**own, other=keys)
+
+def _at_least_one(leds: dict[str, LedKeys]) -> dict[str, LedKeys]:
+    if not leds:
+        raise ValueError("there is no LED: name at least one")
+    return leds
 
 
-def _nothing_is_empty(value: Any) -> Any:
-    # "led:" with nothing behind it is the natural way to write an LED of unknown place.
-    return {} if value is None else value
+def _at_rest(estimate: EstimateKeys) -> EstimateKeys:
+    if estimate.time_offset is not None:
+        raise ValueError("time_offset belongs into a session with frames")
+    return estimate
+
+
+def _texts(value: Any) -> Any:
+    """A list of one where a name stands alone, and of texts whatever YAML made of them."""
+    listed = [] if value is None else value if isinstance(value, list) else [value]
+    return [item if item is None or isinstance(item, (list, dict)) else str(item) for item in listed]
+
+
+_Names = Annotated[list[Name], BeforeValidator(_texts)]
+
+
+class ExcludeKeys(_Keys):
+    """What does not count; of poses ranges, too."""
+
+    poses: _Names = []
+    cameras: _Names = []
+    leds: _Names = []
 
 
 class SetupFile(_Keys):
     """What rig.yaml and session.yaml share."""
 
     robot: RobotKeys
-    leds: dict[Name, Annotated[LedKeys, BeforeValidator(_nothing_is_empty)]]
+    # "led:" with nothing behind it is the natural way to write an LED of unknown place.
+    leds: Annotated[
+        dict[Name, Annotated[LedKeys, BeforeValidator(lambda value: {} if value is None else value)]],
+        AfterValidator(_at_least_one),
+    ]
     led_distances: list[LedDistanceKeys] = []
-    cameras: Annotated[CamerasKeys, BeforeValidator(_file_alone)] | None = None
+    cameras: _Cameras | None = None
     noise: NoiseKeys = NoiseKeys()
-    estimate: EstimateKeys = EstimateKeys()
+    estimate: _Estimate = EstimateKeys()
     tolerances: TolerancesKeys = TolerancesKeys()
-    joint_models: dict[JointModelName, bool] = {}
-
-    @field_validator("leds")
-    @classmethod
-    def _one_led(cls, leds: dict[str, LedKeys]) -> dict[str, LedKeys]:
-        if not leds:
-            raise ValueError("there is no LED: name at least one")
-        return leds
-
-    @field_validator("estimate", mode="before")
-    @classmethod
-    def _auto(cls, value: Any) -> Any:
-        return {} if value == "auto" else value
+    joint_models: _JointModels = {}
+    scale: ScaleKeys | None = None
+    payload: PayloadKeys | None = None
+    gravity: Annotated[Vector | None, BeforeValidator(_known_direction)] = None
+    gear_ratio: dict[Name, Positive] = {}
 
     def setup(self) -> dict[str, Any]:
         """The parts that need no other file, as arguments of :class:`~urdfcal.session.model.Setup`."""
+        noise, tolerances = self.noise.model_dump(exclude_unset=True), self.tolerances
+        own = {name: noise.pop(name) for name in ("pixel", "point", "joint") if name in noise}
+        exceptions: Any = tolerances.__pydantic_extra__
         return {
-            "leds": tuple(Led(name, led.position, led.sigma, led.link) for name, led in self.leds.items()),  # type: ignore[arg-type]
+            "leds": tuple(Led(name, **dict(led)) for name, led in self.leds.items()),
             "mounts": self.cameras.mounts if self.cameras is not None else (),
-            "led_distances": tuple(LedDistance(d.leds, d.distance, d.sigma) for d in self.led_distances),
-            "noise": _noise(self.noise.model_dump(exclude_unset=True)),
-            "estimate": Estimate(**self.estimate.model_dump()),
-            "tolerances": Tolerances(
-                self.tolerances.length, self.tolerances.angle, self.tolerances.zero, self.tolerances.joints
-            ),
+            "led_distances": tuple(LedDistance(**dict(distance)) for distance in self.led_distances),
+            "noise": Noise(**own, other=noise),
+            "estimate": Estimate(**dict(self.estimate)),
+            "tolerances": Tolerances(tolerances.length, tolerances.angle, tolerances.zero, exceptions),
             "joint_models": self.joint_models,
+            "scale_sigma": None if self.scale is None else self.scale.sigma,
+            "payload": None if self.payload is None else Payload(**dict(self.payload)),
+            "gear_ratio": self.gear_ratio,
+            **({} if self.gravity is None else {"gravity": np.array(self.gravity)}),
         }
 
 
 class RigFile(SetupFile):
     """rig.yaml."""
 
-    cameras: Annotated[CamerasKeys, BeforeValidator(_file_alone)]
+    cameras: _Cameras
+    estimate: Annotated[_Estimate, AfterValidator(_at_rest)] = EstimateKeys()
     stand: StandKeys | None = None
-
-    @field_validator("stand")
-    @classmethod
-    def _looks_somewhere(cls, stand: StandKeys | None) -> StandKeys | None:
-        if stand is not None and stand.position == stand.look_at:
-            raise ValueError("position and look_at are the same place")
-        return stand
-
-    @field_validator("estimate")
-    @classmethod
-    def _has_no_time_offset(cls, estimate: EstimateKeys) -> EstimateKeys:
-        if estimate.time_offset is not None:
-            raise ValueError("time_offset belongs into a session with frames")
-        return estimate
 
 
 if TYPE_CHECKING:
@@ -242,6 +299,9 @@ class SessionFile(_Tables):
 
     joints: Name
     frames: Name | None = None
+    torques: Name | None = None
+    exclude: ExcludeKeys = ExcludeKeys()
+    moved: dict[Name, _Names] = Field(default_factory=dict)
 
     @property
     def tables(self) -> dict[type[Measurement], str]:
@@ -255,9 +315,10 @@ class SessionFile(_Tables):
             if "camera" in kind.keys and self.cameras is None:
                 raise ValueError(f"{kind.kind} are named, but no cameras")
             if self.frames is not None and "camera" not in kind.keys:
-                raise ValueError(
-                    f"frames and {kind.kind} are both named: {kind.kind} belong to an arm that stands still"
-                )
+                both = f"frames and {kind.kind} are both named"
+                raise ValueError(f"{both}: {kind.kind} belong to an arm that stands still")
+        if self.frames is not None and self.torques is not None:
+            raise ValueError("frames and torques are both named: torques belong to an arm that stands still")
         if self.frames is not None and self.cameras is None:
             raise ValueError("frames are named, but no cameras")
         if self.frames is None and self.estimate.time_offset is not None:

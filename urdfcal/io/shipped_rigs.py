@@ -1,7 +1,5 @@
 """The rigs that come with urdfcal, and where to find any other."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from urdfcal.errors import SessionError
@@ -35,8 +33,6 @@ def find_rig(name_or_path: str | Path) -> Path:
         return path.parent
     if (path / _FILE).is_file():
         return path
-    raise SessionError(
-        f"this folder has no {_FILE}" if path.is_dir() else "there is no such rig",
-        where=str(name_or_path),
-        remedy=f"Shipped rigs are: {', '.join(shipped)}. Or name a folder with a {_FILE}.",
-    )
+    what = f"this folder has no {_FILE}" if path.is_dir() else "there is no such rig"
+    remedy = f"Shipped rigs are: {', '.join(shipped)}. Or name a folder with a {_FILE}."
+    raise SessionError(what, where=str(name_or_path), remedy=remedy)

@@ -1,16 +1,18 @@
-"""The tables of a session: joint readings, and measurements of every kind."""
+"""The tables of a session: joint readings, frames of a moving arm, and measurements of every kind."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import Floats, Ints, frozen
+from urdfcal.arrays import Bools, Floats, Ints, frozen
 from urdfcal.errors import SessionError
-from urdfcal.io.csv_table import Table
+from urdfcal.io.csv_table import Table, repeats
+from urdfcal.names import listed, suggest
 from urdfcal.session.model import MIN_POSES
+from urdfcal.session.trajectory import LONGEST_GAP, MARGIN, JointLog, Trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
@@ -22,166 +24,304 @@ if TYPE_CHECKING:
 _MISSING = "Leave the row out where nothing was measured."
 # What is named elsewhere: in joints.csv, the camera file and session.yaml.
 _KNOWN = {"pose": "poses of joints.csv", "camera": "cameras", "led": "LEDs"}
+_UNITS = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
+# Robots report their joints at 10 Hz to 1 kHz: in milliseconds that is 1 to 100 a reading.
+_FASTEST = 0.9e-3
+# Most frames of a camera lie within the log once their unit is right.
+_MOST = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class JointTable:
-    """joints.csv.
+    """joints.csv, of an arm at rest by pose and of a moving one by time.
 
     Attributes:
         table: its text.
-        poses: (N) labels.
         readings: (N, k) of the chain's actuated joints, in the chain's order. [rad or m]
-        time: (N,) where recorded. [s]
         warnings: columns that were ignored.
+        poses: (N) labels; none of a moving arm.
+        time: (N,) where recorded. [s]
     """
 
     table: Table
-    poses: tuple[str, ...]
     readings: Floats
-    time: Floats | None
     warnings: tuple[str, ...]
+    poses: tuple[str, ...] = ()
+    time: Floats | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class FrameTable:
+    """frames.csv, with the joint values of its frames.
+
+    Attributes:
+        table: its text.
+        trajectory: the frames for which there are joint values.
+        pose: which of them each frame of the table is, by camera and label; -1 if none.
+        warnings: of the others.
+    """
+
+    table: Table
+    trajectory: Trajectory
+    pose: Mapping[tuple[int, str], int]
+    warnings: tuple[str, ...]
+
+    def poses(self, table: Table, camera: Ints, cameras: Sequence[str]) -> Ints:
+        """The pose of each row (S,) of a table that has a column of frames.
+
+        Args:
+            table: with a column ``pose`` of labels.
+            camera: (S,) of each row.
+            cameras: their names.
+
+        Raises:
+            SessionError: there is no such frame, or there are joint values for none, with the place in the file.
+        """
+        poses = []
+        for row, key in enumerate(zip(camera.tolist(), table.labels("pose"), strict=True)):
+            if key not in self.pose:
+                c, name = key
+                known = [frame for of, frame in self.pose if of == c]
+                remedy = suggest(name, known, f"frames in {self.table.path.name}")
+                raise table.wrong(f"camera {cameras[c]!r} has no frame {name!r}", row, "pose", remedy)
+            poses.append(self.pose[key])
+        if max(poses) < 0:
+            what = "no LED was seen in a frame for which there are joint readings"
+            remedy = "Do the times of cameras and robot count from the same moment?"
+            raise SessionError(what, where=str(table.path), remedy=remedy)
+        return np.array(poses, dtype=np.intp)
 
 
 @dataclass(frozen=True, eq=False)
 class MeasurementTable:
-    """A table of measurements of one kind, sorted by its keys.
+    """A table of measurements of one kind.
 
     Attributes:
-        kind: of what was measured.
         table: its text.
         rows: (S,) row of the table that each measurement comes from.
-        index: the indices by column: pose, camera, led, ..., each (S,).
-        names: what the indices stand for, by column.
-        values: (S, D) what was measured. [unit of the kind]
-        sigma: (S,) of each number; where the table has none, the same for all. [unit of the kind]
+        measurements: sorted by their keys.
+        names: what their indices stand for, by column.
     """
 
-    kind: type[Measurement]
     table: Table
     rows: Ints
-    index: Mapping[str, Ints]
-    names: Mapping[str, tuple[str, ...]]
-    values: Floats
-    sigma: Floats
+    measurements: Measurement
+    names: Mapping[str, Sequence[str]]
 
     def place(self, measurement: int, column: str) -> str:
         """Where a cell of a measurement is: file:line:column."""
         return self.table.place(int(self.rows[measurement]), column)
 
-    @property
-    def measurements(self) -> Measurement:
-        """The measurements of the table."""
-        own = {key: names for key, names in self.names.items() if key not in _KNOWN}
-        values = {self.kind.array: self.values} if self.kind.array else {}
-        return self.kind(**{**self.index, **values, "sigma": self.sigma, "names": own})  # type: ignore[arg-type]
+    def only(self, kept: Bools) -> MeasurementTable:
+        """Return some of the measurements, by a mask (S,) that is true somewhere."""
+        return self if kept.all() else replace(self, rows=self.rows[kept], measurements=self.measurements.rows(kept))
+
+    def first(self, measurements: Ints) -> int:
+        """Which of some measurements comes first in the file."""
+        return int(measurements[np.argmin(self.rows[measurements])])
 
 
-def read_joints(path: Path, chain: Mechanism, robot_joints: Collection[str]) -> JointTable:
+def read_joints(path: Path, chain: Mechanism, robot_joints: Collection[str], *, moving: bool = False) -> JointTable:
     """Read joints.csv.
 
     Args:
         path: the file.
         chain: whose actuated joints must each have a column.
         robot_joints: names of all joints of the robot; columns of those off the chain are ignored, with a warning.
+        moving: whether the arm moved: its readings have times instead of poses.
 
     Raises:
         SessionError: with the place in the file.
     """
-    names = chain.actuated
-    others = set(robot_joints) - set(names)
-    table = Table.read(path, ["pose", *names], ["time"], others)
-    poses = table.labels("pose")
-    first: dict[str, int] = {}
-    for row, pose in enumerate(poses):
-        if first.setdefault(pose, row) != row:
-            raise SessionError(
-                f"pose {pose!r} is already in line {first[pose] + 2}",
-                where=table.place(row, "pose"),
-                remedy="Give every pose its own label.",
-            )
-    if len(poses) < MIN_POSES:
-        raise SessionError(
-            f"{len(poses)} poses are too few",
-            where=str(path),
-            remedy=f"Measure at least {MIN_POSES}, better 30 or more.",
-        )
-    return JointTable(
-        table,
-        poses,
-        frozen(table.numbers(names)),
-        frozen(table.numbers(["time"])[:, 0]) if "time" in table.columns else None,
-        ignored_columns(table, chain, others),
-    )
-
-
-def ignored_columns(table: Table, chain: Mechanism, others: Collection[str]) -> tuple[str, ...]:
-    """Say which columns of joint readings do not matter, those of ``others``, and why."""
-    following = {joint.name: joint.mimic.joint for joint in chain.joints if joint.mimic}
-    return tuple(
-        f"{table.path}: the column {name!r} is ignored: "
-        + (
-            f"the joint follows {following[name]!r}"
-            if name in following
-            else f"the joint is not between {chain.base_link!r} and {chain.tip_link!r}"
-        )
+    others = set(robot_joints) - set(chain.actuated)
+    table = Table.read(path, ["time" if moving else "pose", *chain.actuated], () if moving else ["time"], others)
+    follow = {joint.name: f"follows {joint.mimic.joint!r}" for joint in chain.joints if joint.mimic}
+    elsewhere = f"is not between {chain.base_link!r} and {chain.tip_link!r}"
+    warnings = tuple(
+        f"{path}: the column {name!r} is ignored: the joint {follow.get(name, elsewhere)}"
         for name in table.columns
         if name in others
     )
+    poses = () if moving else table.labels("pose")
+    for first, row in repeats(poses)[:1]:
+        what = f"pose {poses[row]!r} is already in line {first + 2}"
+        raise table.wrong(what, row, "pose", "Give every pose its own label.")
+    if not moving and len(poses) < MIN_POSES:
+        remedy = f"Measure at least {MIN_POSES}, better 30 or more."
+        raise SessionError(f"{len(poses)} poses are too few", where=str(path), remedy=remedy)
+    time = frozen(table.numbers(["time"])[:, 0]) if "time" in table.columns else None
+    return JointTable(table, frozen(table.numbers(chain.actuated)), warnings, poses, time)
+
+
+def read_torques(
+    path: Path, chain: Mechanism, robot_joints: Collection[str], poses: Sequence[str]
+) -> tuple[Table, Ints, Floats]:
+    """Read torques.csv.
+
+    Args:
+        path: the file.
+        chain: whose actuated joints must each have a column.
+        robot_joints: names of all joints of the robot; columns of those off the chain are ignored.
+        poses: labels of joints.csv.
+
+    Returns:
+        The table, the pose (R,) of each row, and its torques (R, n); of mimic joints none, their master's has them.
+        [N m or N]
+
+    Raises:
+        SessionError: a pose is unknown or has two rows, or a number is none, with the place in the file.
+    """
+    table = Table.read(path, ["pose", *chain.actuated], (), set(robot_joints) - set(chain.actuated))
+    rows = table.indices("pose", poses, _KNOWN["pose"])
+    for first, row in repeats(rows.tolist())[:1]:
+        what = f"pose {poses[rows[row]]!r} is already in line {first + 2}"
+        raise table.wrong(what, row, "pose", "Keep one.")
+    torques = np.zeros((len(rows), len(chain.joints)))
+    torques[:, [joint.mimic is None for joint in chain.joints]] = table.numbers(chain.actuated)
+    return table, rows, torques
 
 
 def read_measurements(
-    path: Path, kind: type[Measurement], known: Mapping[str, Sequence[str]], sigma: float
+    path: Path,
+    kind: type[Measurement],
+    known: Mapping[str, Sequence[str]],
+    sigma: float,
+    frames: FrameTable | None = None,
 ) -> MeasurementTable:
-    """Read a table of measurements.
+    """Read a table of measurements, and sort it.
 
     Args:
         path: the file.
         kind: of the measurements.
         known: the names that there are, by column; columns without an entry take those in the file, as they come.
         sigma: standard deviation where the table has no such column. [unit of the kind]
+        frames: of a moving arm, which its poses are; what was seen in those without joint values is left out.
 
     Raises:
-        SessionError: with the place in the file.
+        SessionError: a name is unknown, a number is none, or there are two measurements of the same, with the place
+            in the file.
     """
     table = Table.read(path, [*kind.keys, *kind.columns], ["sigma"])
     names = {key: tuple(known[key] if key in known else dict.fromkeys(table.labels(key))) for key in kind.keys}
-    index = {key: table.indices(key, names[key], _KNOWN.get(key, f"{key}s")) for key in kind.keys}
-    return sorted_measurements(table, kind, index, names, sigma)
+    looked_up = [key for key in kind.keys if frames is None or key != "pose"]
+    index = {key: table.indices(key, names[key], _KNOWN.get(key, f"{key}s")) for key in looked_up}
+    if frames is not None:
+        index["pose"] = frames.poses(table, index["camera"], names["camera"])
+    numbers = table.numbers(kind.columns, _MISSING)
+    own = "sigma" in table.columns
+    spread = table.numbers(["sigma"], positive=True)[:, 0] if own else np.full(len(numbers), sigma)
+    order = np.lexsort([index[key] for key in reversed(kind.keys)])
+    order = order[index["pose"][order] >= 0]
+    # lexsort is stable: of equal measurements the second comes later in the file.
+    same = np.logical_and.reduce([np.diff(column[order]) == 0 for column in index.values()])
+    for first, second in zip(order[:-1][same].tolist(), order[1:][same].tolist(), strict=True):
+        what = ", ".join(f"{key} {table.columns[key][second].strip()!r}" for key in kind.keys)
+        raise table.wrong(f"{what} is already in line {first + 2}", second, "pose", "Keep one.")
+    columns = {key: column[order] for key, column in index.items()} | {"sigma": spread[order]}
+    if kind.array:
+        columns[kind.array] = numbers[order]
+    own_names = {key: of for key, of in names.items() if key not in _KNOWN}
+    return MeasurementTable(table, frozen(order, np.intp), kind(**columns, names=own_names), names)  # type: ignore[arg-type]
 
 
-def sorted_measurements(
-    table: Table,
-    kind: type[Measurement],
-    index: Mapping[str, Ints],
-    names: Mapping[str, tuple[str, ...]],
-    sigma: float,
-) -> MeasurementTable:
-    """Read the numbers of a table of measurements, and sort it.
+def read_log(path: Path, chain: Mechanism, robot_joints: Collection[str]) -> tuple[JointTable, JointLog]:
+    """Read joints.csv of a moving arm.
 
     Args:
-        table: the file.
-        kind: of the measurements.
-        index: what is measured, by column, each of all rows; rows with a negative one are left out.
-        names: what the indices stand for.
-        sigma: standard deviation where the table has no such column. [unit of the kind]
+        path: the file.
+        chain: whose actuated joints must each have a column.
+        robot_joints: names of all joints of the robot; columns of those off the chain are ignored, with a warning.
+
+    Returns:
+        The table, and the motion of all joints of the chain, those without limits without jumps of a turn.
 
     Raises:
-        SessionError: a number is none, or there are two measurements of the same, with the place in the file.
+        SessionError: with the place in the file: time that repeats, runs backward, or is not in seconds.
     """
-    count = len(table.lines) - 1
-    numbers = table.numbers(kind.columns, _MISSING) if kind.columns else np.zeros((count, kind.dimension))
-    spread = table.positive("sigma") if "sigma" in table.columns else np.full(count, sigma)
-    order = np.lexsort([index[key] for key in reversed(list(index))])
-    order = order[np.logical_and.reduce([index[key][order] >= 0 for key in index])]
-    index = {key: frozen(column[order], np.intp) for key, column in index.items()}
-    twice = np.flatnonzero(np.logical_and.reduce([np.diff(column) == 0 for column in index.values()]))
-    if twice.size:
-        # lexsort is stable: of equal measurements the second comes later in the file.
-        first, second = int(order[twice[0]]), int(order[twice[0] + 1])
-        what = ", ".join(f"{key} {table.columns[key][second].strip()!r}" for key in index)
-        raise SessionError(
-            f"{what} is already in line {first + 2}", where=table.place(second, "pose"), remedy="Keep one."
+    joints = read_joints(path, chain, robot_joints, moving=True)
+    table, time = joints.table, np.asarray(joints.time)
+    if len(time) < 2:
+        raise SessionError("one reading is no motion", where=str(path), remedy="Record the joints at their own rate.")
+    _check_increasing(table, time, np.arange(len(time)), "the joints")
+    usual = float(np.median(np.diff(time)))
+    if usual > LONGEST_GAP:
+        unit = next((name for name, factor in _UNITS.items() if _FASTEST <= usual * factor <= LONGEST_GAP), None)
+        if unit is not None:
+            what = f"time: it advances by {usual:g} a reading, which looks like {unit}"
+            raise table.wrong(what, 1, "time", f"Write seconds, with a reading every {LONGEST_GAP:g} s or more often.")
+        what = f"the joints were read every {usual:g} s, which is too seldom to interpolate between"
+        raise SessionError(what, where=str(path), remedy=f"Record them every {LONGEST_GAP:g} s or more often.")
+    endless = [joint.type == "continuous" for joint in chain.joints if joint.mimic is None]
+    readings = np.where(endless, np.unwrap(joints.readings, axis=0), joints.readings)
+    return joints, JointLog(time, chain.joint_values(readings))
+
+
+def read_frames(path: Path, cameras: Sequence[str], joints: JointTable, log: JointLog) -> FrameTable:
+    """Read frames.csv, and find the joint values of every frame, as far as they were recorded.
+
+    Args:
+        path: the file.
+        cameras: names that there are.
+        joints: the joint readings.
+        log: the motion that they tell.
+
+    Raises:
+        SessionError: with the place in the file: a label that comes twice, time that repeats or runs backward, or
+            there are joint values for next to none.
+    """
+    table = Table.read(path, ["camera", "frame", "time"])
+    camera, frame = table.indices("camera", cameras, "cameras"), table.labels("frame")
+    time = table.numbers(["time"])[:, 0]
+    row, labels = np.empty(len(time), dtype=np.intp), []
+    for c, name in enumerate(cameras):
+        mine = np.flatnonzero(camera == c)
+        row[mine] = np.arange(len(mine))
+        labels.append(tuple(frame[i] for i in mine))
+        _check_increasing(table, time[mine], mine, f"camera {name!r}")
+    keys = list(zip(camera.tolist(), frame, strict=True))
+    for first, i in repeats(keys)[:1]:
+        what = f"frame {frame[i]!r} of camera {cameras[camera[i]]!r} is already in line {first + 2}"
+        raise table.wrong(what, i, "frame", "Give every frame of a camera its own label.")
+    covered = log.covers(time)
+    if np.count_nonzero(covered) < MIN_POSES:
+        raise _apart(table, time, log, int(np.count_nonzero(covered)))
+    trajectory = Trajectory(log, tuple(labels), camera[covered], row[covered], time[covered])
+    pose = np.where(covered, np.cumsum(covered) - 1, -1).tolist()
+    warnings = []
+    outside = (time < log.time[0] + MARGIN) | (time > log.time[-1] - MARGIN)
+    if count := int(np.count_nonzero(outside)):
+        names = listed(sorted({cameras[c] for c in camera[outside]}))
+        warnings.append(
+            f"{path}: {count} of {len(outside)} frames ({names}) lie outside of the joint readings' time, "
+            f"or within {MARGIN:g} s of its ends, and were left out"
         )
-    numbers, spread = frozen(numbers[order]), frozen(spread[order])
-    return MeasurementTable(kind, table, frozen(order, np.intp), index, names, numbers, spread)
+    step = np.diff(log.time)
+    for gap in np.flatnonzero(step > LONGEST_GAP)[:1]:
+        warnings.append(
+            f"{joints.table.place(int(gap) + 1, 'time')}: {np.count_nonzero(step > LONGEST_GAP)} gaps of up to "
+            f"{step.max():.3g} s in the joint readings: {np.count_nonzero(~covered & ~outside)} frames in or beside "
+            "them were left out"
+        )
+    return FrameTable(table, trajectory, dict(zip(keys, pose, strict=True)), tuple(warnings))
+
+
+def _check_increasing(table: Table, time: Floats, rows: Ints, whose: str) -> None:
+    step = np.diff(time)
+    for i in np.flatnonzero(step <= 0.0)[:1]:
+        what = "is the same as" if step[i] == 0.0 else f"is {-step[i]:g} s before that"
+        what = f"time: that of {whose} {what} in line {rows[i] + 2}"
+        raise table.wrong(what, int(rows[i + 1]), "time", "Rows come in the order of time, each time once.")
+
+
+def _apart(table: Table, time: Floats, log: JointLog, count: int) -> SessionError:
+    """Why frames and joint readings do not belong together: another unit, or another clock."""
+    first, last = log.time[[0, -1]]
+    for unit, factor in _UNITS.items():
+        if np.mean((time * factor >= first) & (time * factor <= last)) > _MOST:
+            return table.wrong(f"time: {time[0]:g} looks like {unit}", 0, "time", "Write seconds.")
+    return SessionError(
+        f"for {count} of {len(time)} frames there are joint readings: frames are from {time.min():.10g} "
+        f"to {time.max():.10g} s, readings from {first:.10g} to {last:.10g} s",
+        where=str(table.path),
+        remedy="Both times must count from the same moment, give or take a second, and overlap.",
+    )

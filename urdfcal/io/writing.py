@@ -5,35 +5,39 @@ from __future__ import annotations
 import csv
 import secrets
 import shutil
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from urdfcal.errors import OutputError
+from urdfcal.files import told
 from urdfcal.names import check_names
+from urdfcal.robot.gravity import STANDARD_GRAVITY
 from urdfcal.rotations import matrix_to_rpy
-from urdfcal.session.model import Session
+from urdfcal.session.exclusion import restored
+from urdfcal.session.model import Session, before
 from urdfcal.session.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
+    from urdfcal.arrays import Floats
     from urdfcal.robot.urdf.urdf import Urdf
     from urdfcal.session.attachments import CameraMount
-    from urdfcal.session.knowledge import Led
-    from urdfcal.session.measurement import Measurements
-    from urdfcal.session.model import Positions, Setup
+    from urdfcal.session.measurements import Measurements
+    from urdfcal.session.model import Positions
 
 _SESSION = "session.yaml"
-_CAMERAS, _JOINTS, _FRAMES = "cameras.yaml", "joints.csv", "frames.csv"
+_CAMERAS, _JOINTS, _FRAMES, _TORQUES = "cameras.yaml", "joints.csv", "frames.csv", "torques.csv"
 
 
 def write_session(folder: str | Path, session: Positions) -> None:
     """Write a session so that reading it gives the same one; all of it or nothing.
 
-    One without measurements is for images to be put beside it.
+    One without measurements is for images to be put beside it. What was left out when it was read is written, too, and
+    that it is excluded.
 
     A URDF named as ``package://`` stays in its package; any other is copied beside the tables.
 
@@ -42,16 +46,20 @@ def write_session(folder: str | Path, session: Positions) -> None:
         session: what to write.
 
     Raises:
-        OutputError: one of the files is already there, the folder cannot be written, or the session has no URDF, or
-            a camera's pose is known differently well in different directions.
+        OutputError: one of the files is already there, the folder cannot be written, or the session has no URDF, is
+            several in one, or a camera's pose is known differently well in different directions.
     """
     folder = Path(folder)
     urdf = session.urdf
     if urdf is None:
         raise OutputError("the session has no URDF to write", where=str(folder), remedy="Build its chain from a URDF.")
+    if len(session.parts) > 1:
+        raise OutputError("it is several sessions in one", where=str(folder), remedy="Write each of them.")
     if (folder / _SESSION).exists():
         raise _already_there(folder / _SESSION)
     check_names("cameras", session.rig.names)
+    if isinstance(session, Session):
+        session = restored(session)
     with put_into(folder) as partial:
         _write_files(partial, session, urdf)
 
@@ -67,17 +75,13 @@ def put_into(folder: Path) -> Iterator[Path]:
         OutputError: one of the files is already there, or the folder cannot be written.
     """
     partial = folder.parent / f".{folder.name}.{secrets.token_hex(4)}.partial"
-    try:
+    with told(folder, "Name a folder that can be written."):
         partial.mkdir()
         try:
             yield partial
             _move(partial, folder)
         finally:
             shutil.rmtree(partial, ignore_errors=True)
-    except OSError as error:
-        raise OutputError(
-            f"cannot write here: {error.strerror}", where=str(folder), remedy="Name a folder that can be written."
-        ) from error
 
 
 def write_measurements(path: Path, positions: Positions, table: Measurements) -> None:
@@ -110,14 +114,11 @@ def _move(partial: Path, folder: Path) -> None:
     for name in names:
         if (folder / name).exists():
             raise _already_there(folder / name)
-    moved: list[Path] = []
-    try:
+    with ExitStack() as undo:
         for name in names:
-            moved.append((partial / name).rename(folder / name))
-    except OSError:
-        for path in moved:
-            shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
-        raise
+            moved = (partial / name).rename(folder / name)
+            undo.callback(moved.rename, partial / name)
+        undo.pop_all()
 
 
 def _write_files(folder: Path, session: Positions, urdf: Urdf) -> None:
@@ -125,90 +126,91 @@ def _write_files(folder: Path, session: Positions, urdf: Urdf) -> None:
 
     from urdfcal.cameras.io.formats import write_kalibr
 
-    reference, chain = session.urdf_reference, session.chain
+    reference, chain, motion = session.urdf_reference, session.chain, session.motion
     if not reference.startswith("package://"):
         reference = Path(reference).name or f"{chain.name}.urdf"
         (folder / reference).write_bytes(urdf.data)
     content: dict[str, Any] = {
         "robot": {"urdf": reference, "base_link": chain.base_link, "tip_link": chain.tip_link},
-        "leds": {led.name: _led_keys(led) for led in session.leds},
+        "leds": {led.name: _said(link=led.link, position=led.position, sigma=led.sigma) for led in session.leds},
+        "led_distances": [vars(of) | {"leds": list(of.leds)} for of in session.led_distances],
     }
-    if session.led_distances:
-        content["led_distances"] = [
-            {"leds": list(d.leds), "distance": d.distance, "sigma": d.sigma} for d in session.led_distances
-        ]
     if session.rig.cameras:
         mounts = {mount.camera: _mount_keys(mount) for mount in session.mounts}
         content["cameras"] = {"file": _CAMERAS, **mounts} if mounts else _CAMERAS
         write_kalibr(folder / _CAMERAS, session.rig)
     content["joints"] = _JOINTS
-    if isinstance(session.motion, Trajectory):
+    if isinstance(motion, Trajectory):
+        readings = chain.readings(motion.log.values).T.tolist()
+        write_table(folder / _JOINTS, ["time", *chain.actuated], [motion.log.time.tolist(), *readings])
         content["frames"] = _FRAMES
-        _write_trajectory(folder, session, session.motion)
+        labels = [motion.label(k) for k in range(len(motion.time))]
+        columns = [[session.rig.names[c] for c in motion.camera], labels, motion.time.tolist()]
+        write_table(folder / _FRAMES, ["camera", "frame", "time"], columns)
     else:
-        time = [] if session.time is None else [session.time.tolist()]
-        header = ["pose", *chain.actuated, *(["time"] if time else [])]
-        write_table(folder / _JOINTS, header, [session.poses, *session.readings.T.tolist(), *time])
-    for table in session.measurements if isinstance(session, Session) else ():
-        content[table.kind] = f"{table.kind}.csv"
-        write_measurements(folder / f"{table.kind}.csv", session, table)
-    content.update(_expectations(session))
+        poses, readings, time = _with_moves(session)
+        own = {} if time is None else {"time": time.tolist()}
+        write_table(folder / _JOINTS, ["pose", *chain.actuated, *own], [poses, *readings.T.tolist(), *own.values()])
+    if session.torques is not None:
+        content["torques"] = _TORQUES
+        columns = [session.poses, *chain.readings(session.torques).T.tolist()]
+        write_table(folder / _TORQUES, ["pose", *chain.actuated], columns)
+    if isinstance(session, Session):
+        for table in session.measurements:
+            content[table.kind] = f"{table.kind}.csv"
+            write_measurements(folder / f"{table.kind}.csv", session, table)
+        content["exclude"] = session.excluded.named
+        content["moved"] = {what: list(labels) for what, labels in session.moved.items()}
+    estimate = _said(**vars(session.estimate))
+    content |= {
+        "noise": _said(**{**vars(session.noise), "other": None}, **session.noise.other),
+        "estimate": {key: value if isinstance(value, str) else dict(value) for key, value in estimate.items()},
+        "tolerances": _said(**{**vars(session.tolerances), "joints": None}),
+        "joint_models": {
+            name: said if isinstance(said, bool) else dict(said) for name, said in session.joint_models.items()
+        },
+        "scale": _said(sigma=session.scale_sigma),
+        "payload": {} if session.payload is None else _said(**vars(session.payload)),
+        "gravity": [] if np.array_equal(session.gravity, STANDARD_GRAVITY) else session.gravity.tolist(),
+        "gear_ratio": dict(session.gear_ratio),
+    }
+    content["tolerances"] |= {name: dict(values) for name, values in session.tolerances.joints.items()}
+    content = {key: value for key, value in content.items() if value}
     text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None, width=110)
     (folder / _SESSION).write_text(text, encoding="utf-8")
 
 
-def _write_trajectory(folder: Path, session: Positions, trajectory: Trajectory) -> None:
-    """Write joints.csv by time, and frames.csv: the frames that are used."""
-    chain, log = session.chain, trajectory.log
-    write_table(
-        folder / _JOINTS, ["time", *chain.actuated], [log.time.tolist(), *chain.readings(log.values).T.tolist()]
-    )
-    names = session.rig.names
-    labels = [trajectory.label(k) for k in range(len(trajectory.time))]
-    columns = [[names[c] for c in trajectory.camera], labels, trajectory.time.tolist()]
-    write_table(folder / _FRAMES, ["camera", "frame", "time"], columns)
+def _with_moves(session: Positions) -> tuple[list[str], Floats, Floats | None]:
+    """Return labels, readings and times of joints.csv's rows: poses, and where the arm came from if from no pose."""
+    poses, q, time = list(session.poses), session.q, session.time
+    from_elsewhere = np.flatnonzero((session.came_from != before(q, time)).any(axis=1))
+    if time is not None:
+        last = before(time, time)
+        came = np.where(last < time, (last + time) / 2.0, time - 1.0)
+        time = np.insert(time, from_elsewhere, came[from_elsewhere])
+    q = np.insert(q, from_elsewhere, session.came_from[from_elsewhere], axis=0)
+    for k in reversed(from_elsewhere.tolist()):
+        label = f"before {poses[k]}"
+        while label in poses:
+            label = f"before {label}"
+        poses.insert(k, label)
+    return poses, session.chain.readings(q), time
 
 
-def _led_keys(led: Led) -> dict[str, Any]:
-    keys = {
-        "link": led.link,
-        "position": None if led.position is None else led.position.tolist(),
-        "sigma": led.sigma,
-    }
-    return {key: value for key, value in keys.items() if value is not None}
+def _said(**keys: Any) -> dict[str, Any]:
+    """What is not None, arrays as lists."""
+    given = {key: value for key, value in keys.items() if value is not None}
+    return {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in given.items()}
 
 
 def _mount_keys(mount: CameraMount) -> dict[str, Any]:
-    keys: dict[str, Any] = {"link": mount.link}
-    if mount.T_link_camera is not None:
-        keys["position"] = mount.T_link_camera[:3, 3].tolist()
-        keys["rpy"] = matrix_to_rpy(mount.T_link_camera[:3, :3]).tolist()
-    if mount.sigma is not None:
-        if not np.array_equal(mount.sigma, np.repeat(mount.sigma[::3], 3)):
-            raise OutputError(
-                f"the standard deviations of its place differ by direction: {mount.sigma.tolist()}",
-                where=f"camera {mount.camera!r}",
-                remedy="session.yaml has one for its position and one for its turn: give three and three alike.",
-            )
-        keys["sigma"] = mount.sigma[::3].tolist()
-    return keys
-
-
-def _expectations(setup: Setup) -> dict[str, Any]:
-    """Noise, estimate and tolerances, as far as they say anything."""
-    tolerances = setup.tolerances
-    content: dict[str, Any] = {
-        "noise": {name: getattr(setup.noise, name) for name in ("pixel", "point", "joint")} | dict(setup.noise.other),
-        "estimate": {
-            key: value if isinstance(value, str) else dict(value)
-            for key, value in vars(setup.estimate).items()
-            if value is not None
-        },
-        "tolerances": {key: getattr(tolerances, key) for key in ("length", "angle", "zero")},
-    }
-    content["joint_models"] = dict(setup.joint_models)
-    content["tolerances"] |= {name: dict(values) for name, values in tolerances.joints.items()}
-    return {key: value for key, value in content.items() if value}
+    T, sigma = mount.T_link_camera, mount.sigma
+    if sigma is not None and not np.array_equal(sigma, np.repeat(sigma[::3], 3)):
+        what = f"the standard deviations of its place differ by direction: {sigma.tolist()}"
+        remedy = "session.yaml has one for its position and one for its turn: give three and three alike."
+        raise OutputError(what, where=f"camera {mount.camera!r}", remedy=remedy)
+    place = {} if T is None else {"position": T[:3, 3], "rpy": matrix_to_rpy(T[:3, :3])}
+    return _said(link=mount.link, **place, sigma=None if sigma is None else sigma[::3])
 
 
 def write_table(path: Path, header: Sequence[str], columns: Iterable[Sequence[object]]) -> None:

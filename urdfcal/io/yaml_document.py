@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import reprlib
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
@@ -11,18 +12,16 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from urdfcal.errors import SessionError
+from urdfcal.files import Source
 from urdfcal.names import listed, suggest
-from urdfcal.source import Source
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from pydantic_core import ErrorDetails
 
 _Model = TypeVar("_Model", bound=BaseModel)
-_KEY_OF_MAPPING = "[key]"
-# A few anchors in a YAML file can stand for a list of billions: a message shows its beginning.
 _SHORT = reprlib.Repr()
 _SHORT.maxstring, _SHORT.maxlist, _SHORT.maxdict, _SHORT.maxlevel = 60, 4, 4, 1
 
@@ -78,6 +77,28 @@ class Document:
         named = f", key {path!r}" if path else ""
         return f"{self.source.path}:{mark.line + 1}:{mark.column + 1}{named}"
 
+    def texts(self, *keys: str) -> list[str]:
+        """The items of a list behind some keys as they are written: 007 is a label, and to YAML the number 7."""
+        node = self.node
+        for key in keys:
+            inner = _child(node, key)
+            if inner is None:
+                return []
+            node, _ = inner
+        items = node.value if isinstance(node, yaml.SequenceNode) else [node]
+        return [str(item.value) for item in items if item.value != ""]
+
+    @contextmanager
+    def placing(self) -> Iterator[None]:
+        """Say of what is refused meanwhile where it stands: the key that is named as its place, else the file."""
+        try:
+            yield
+        except SessionError as error:
+            keys = error.where.split(".", 1) if error.where else []
+            if keys and keys[0] not in self.data:
+                raise
+            raise SessionError(error.what, where=self.place(*keys), remedy=error.remedy) from None
+
     def validate(self, model: type[_Model]) -> _Model:
         """Check the data against ``model``.
 
@@ -87,26 +108,30 @@ class Document:
         try:
             return model.model_validate(self.data)
         except ValidationError as error:
-            raise self._translated(model, error.errors()) from None
-
-    def _translated(self, model: type[BaseModel], errors: Sequence[ErrorDetails]) -> SessionError:
+            errors = error.errors()
         # A misspelt key is unknown and, under its right name, missing: the first says more.
         first = min(errors, key=lambda error: error["type"] != "extra_forbidden")
-        keys = [key for key in first["loc"] if key != _KEY_OF_MAPPING]
+        keys = [key for key in first["loc"] if key != "[key]"]  # of a mapping, pydantic's
         what, remedy = _explained(first, _allowed(model, keys))
         if len(errors) > 1:
             what += f" (and {len(errors) - 1} more to put right)"
-        return SessionError(what, where=self.place(*keys), remedy=remedy)
+        raise SessionError(what, where=self.place(*keys), remedy=remedy)
 
 
-_NEEDED = {
-    "bool_type": "on or off",
-    "float_type": "a number",
-    "string_type": "text",
-    "model_type": "a mapping of keys to values",
-    "dict_type": "a mapping of keys to values",
-    "list_type": "a list of numbers",
-    "tuple_type": "a list of two: [m, rad], or two names",
+_WRONG = {
+    "bool_type": "{} stands where on or off belongs",
+    "float_type": "{} stands where a number belongs",
+    "string_type": "{} stands where text belongs",
+    "model_type": "{} stands where a mapping of keys to values belongs",
+    "dict_type": "{} stands where a mapping of keys to values belongs",
+    "list_type": "{} stands where a list of numbers belongs",
+    "tuple_type": "{} stands where a list of two: [m, rad], or two names belongs",
+    "literal_error": "{} is not {expected}",
+    "too_short": "{} has {actual_length} values, not 3",
+    "too_long": "{} has {actual_length} values, not 3",
+    "greater_than": "{} is not greater than {gt:g}",
+    "greater_than_equal": "{} is less than {ge:g}",
+    "finite_number": "{} is not a finite number",
 }
 
 
@@ -118,25 +143,10 @@ def _explained(error: ErrorDetails, allowed: Sequence[str]) -> tuple[str, str]:
         return f"unknown key {key!r}", suggest(key, allowed, "keys")
     if kind == "missing":
         return f"the key {key!r} is missing", f"The keys are: {listed(allowed)}."
-    if kind in _NEEDED:
-        return f"{_shown(value)} stands where {_NEEDED[kind]} belongs", ""
-    if kind == "literal_error":
-        return f"{_shown(value)} is not {context['expected']}", ""
-    if kind in ("too_short", "too_long"):
-        return f"{_shown(value)} has {context['actual_length']} values, not 3", ""
-    if kind == "greater_than":
-        return f"{_shown(value)} is not greater than {context['gt']:g}", ""
-    if kind == "greater_than_equal":
-        return f"{_shown(value)} is less than {context['ge']:g}", ""
-    if kind == "finite_number":
-        return f"{_shown(value)} is not a finite number", ""
+    if kind in _WRONG:
+        # A few anchors in a YAML file can stand for a list of billions: a message shows its beginning.
+        return _WRONG[kind].format("nothing" if value is None else _SHORT.repr(value), **context), ""
     return str(context.get("error", error["msg"])), ""
-
-
-def _shown(value: Any) -> str:
-    if value is None:
-        return "nothing"
-    return _SHORT.repr(value)
 
 
 def _allowed(model: type[BaseModel], keys: Sequence[str | int]) -> list[str]:
@@ -159,7 +169,7 @@ def _child(node: yaml.Node, key: str | int) -> tuple[yaml.Node, yaml.Mark] | Non
     if isinstance(node, yaml.MappingNode):
         pairs = ((value, name.start_mark) for name, value in reversed(node.value) if name.value == str(key))
         return next(pairs, None)
-    if isinstance(node, yaml.SequenceNode) and isinstance(key, int):
+    if isinstance(node, yaml.SequenceNode) and isinstance(key, int) and key < len(node.value):
         return node.value[key], node.value[key].start_mark
     return None
 

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from urdfcal.output.scene import CalibrationScene
     from urdfcal.robot.dh import DHTable
     from urdfcal.robot.mechanism import Mechanism
-    from urdfcal.robot.tree_dh import TreeTable
     from urdfcal.session.model import Session
 
 Tint = tuple[int, ...]
@@ -75,7 +74,7 @@ def log_arms(layer: Layer, session: Session, scene: CalibrationScene) -> tuple[s
     return warnings
 
 
-def log_dh(layer: Layer, table: DHTable | TreeTable, scene: CalibrationScene) -> None:
+def log_dh(layer: Layer, table: DHTable, scene: CalibrationScene) -> None:
     """Log the DH frames as axes, and each row's way from one to the next, with d and a as labels.
 
     Rows are numbered as in the table beside them, from 1.

@@ -86,7 +86,7 @@ def _log_camera(base: Layer, index: int, camera: Camera, link: str | None, scene
     views = scene.views[index]
     distance = float(np.median(np.linalg.norm(scene.leds.measured - views[scene.leds.pose, :3, 3], axis=1)))
     body = base.at("cameras", camera.name)
-    body.placed(views, moves=link is not None)
+    body.placed(views, moves=link is not None or np.ptp(views[:, :3], axis=0).max() > 0.0)
     body.fixed(rr.TransformAxes3D(axis_length=0.05 * distance))
     label = camera.name if link is None else f"{camera.name}, on {link}"
     body.at("name").fixed(rr.Points3D([[0, 0, 0]], radii=_SMALL_DOT, labels=label, colors=palette.INK))

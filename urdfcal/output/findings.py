@@ -20,6 +20,7 @@ from urdfcal.output.palette import SIGMA_LEGEND
 from urdfcal.output.scene import CalibrationScene, build_scene
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.robot.tree_dh import MOUNT
+from urdfcal.session.exclusion import summary
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -119,6 +120,31 @@ def headline(document: ResultData) -> str:
     return f"{validation['rms_nominal_mm']:.3g} -> {validation['rms_mm']:.3g} mm"
 
 
+def claims(document: ResultData) -> tuple[str, ...]:
+    """What error of the tip is claimed, and what that is conditional on; nothing in files that do not say it."""
+    if "tip" not in document:
+        return ()
+    tip, regions, scale = document["tip"], document["regions"], document["scale"]
+    low, high = tip["interval_mm"]
+    expected = (
+        f"tip {tip['rms_mm']:.2g} mm rms expected over the workspace (95 %: {low:.2g} to {high:.2g}), "
+        f"{regions['rms_mm']:.2g} mm found in regions left out"
+    )
+    permille = scale["tip_mm_per_permille"]
+    if not permille:
+        return (
+            expected,
+            "lengths are those of the nominal arm within its tolerances: nothing measured has one",
+        )
+    factor = ""
+    if scale["factor_sigma"] is not None:
+        factor = f"; all lengths come out {1e2 * scale['factor']:+.2g} +- {1e2 * scale['factor_sigma']:.1g} %"
+    if (declared := scale["declared_sigma"]) is not None:
+        known = f"the scale is known to {1e2 * declared:.2g} %, which is in the interval"
+        return expected, f"{known}: 0.1 % of it is {permille:.2g} mm at the tip{factor}"
+    return expected, f"if the scale is right: 0.1 % of it is {permille:.2g} mm at the tip{factor}"
+
+
 def look_up(document: ResultData, key: str | Sequence[str]) -> Any:
     """The value at a key such as ``fit.rms_px`` or ``dh.3.offset``, or at its parts where names have dots."""
     parts = key.split(".") if isinstance(key, str) else key
@@ -213,12 +239,13 @@ def listed(names: Sequence[str]) -> str:
     return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
 
 
-def write_report(path: Path, overview: Overview) -> None:
+def write_report(path: Path, overview: Overview, *, refused: bool = False) -> None:
     """Write a calibration as one HTML page: verdict first, figures inside, no scripts, nothing fetched.
 
     Args:
         path: the file; replaced in one step.
         overview: what to report.
+        refused: whether nothing else is written of it.
 
     Raises:
         OutputError: the file cannot be written.
@@ -237,7 +264,9 @@ def write_report(path: Path, overview: Overview) -> None:
         """
         path = tuple(key.split(".")) if isinstance(key, str) else tuple(map(str, key))
         value = look_up(document, path)
-        if digits is None:
+        if value is None:
+            text = "unknown"
+        elif digits is None:
             text = f"{scale * value:.3g}"
         else:  # rounding first, or tiny negative numbers print as -0.000
             text = f"{round(scale * value, digits) + 0.0:{'+' if signed else ''}.{digits}f}"
@@ -245,7 +274,7 @@ def write_report(path: Path, overview: Overview) -> None:
             json.dumps(value), "/".join(path), text.replace("-", _MINUS)
         )
 
-    outliers = document["outliers"]
+    outliers, chi2 = document["outliers"], document["fit"]["reduced_chi2"]
     largest = sorted(range(len(outliers)), key=lambda i: -outliers[i]["sigmas"])[:_OUTLIERS_SHOWN]
     rows: dict[str, list[int]] = {}  # joint by joint, which entries of the DH list are its parameters
     for i, entry in enumerate(document["dh"]):
@@ -258,7 +287,8 @@ def write_report(path: Path, overview: Overview) -> None:
         document,
         n=number,
         meaning=HEADLINE,
-        misfit=f"{np.sqrt(document['fit']['reduced_chi2']):.2g}",
+        claims=claims(document),
+        misfit="of unknown size in" if chi2 is None else f"{np.sqrt(chi2):.2g} times",
         figures={name: Markup(svg) for name, svg in charts.figures(overview).items()},  # noqa: S704  # made by us, labels escaped
         sigma_legend=SIGMA_LEGEND,
         rows=list(rows.items()),
@@ -268,10 +298,12 @@ def write_report(path: Path, overview: Overview) -> None:
         is_dh=calibration.geometry is calibration.table,
         tips=listed([tip.link for tip in calibration.chain.tips]),
         fastened=" ".join(fastening_sentences(calibration.session)),
+        excluded=summary(calibration.session.excluded.named),
         mounts=MOUNTS if any(label.endswith(MOUNT) for label in calibration.geometry.labels) else "",
         fixed=fixed_parameters(document),
         largest=largest,
         shown=_OUTLIERS_SHOWN,
+        refused=refused,
         urdf_name=calibration.urdf_name,
         date=f"{datetime.now(timezone.utc):%Y-%m-%d}",
     )

@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from urdfcal.arrays import Floats, inverse
-from urdfcal.robot.dh import PARAMETERS, DHTable, row_transform
+from urdfcal.arrays import Floats, Ints, inverse
+from urdfcal.robot.dh import DHTable, row_transform
 from urdfcal.robot.kinematics import link_poses
 from urdfcal.robot.mechanism import BASE, Mechanism, Tip
-from urdfcal.robot.tree_dh import Branch, TreeTable
-from urdfcal.session.attachments import WORLD
+from urdfcal.session.moves import poses_of_camera
 
 if TYPE_CHECKING:
     from urdfcal.estimation.snapshot import Snapshot
     from urdfcal.result.fitted import FittedCalibration
+    from urdfcal.session.model import Session
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,15 +39,19 @@ class RobotPoses:
 
     @classmethod
     def of(cls, calibration: FittedCalibration, arm: Snapshot, q: Floats) -> RobotPoses:
-        """Run the forward kinematics of one of a calibration's arms at joint values (N, n), in rad or m."""
-        fastened, table = calibration.session.attachments, calibration.table
+        """Run one of a calibration's arms' kinematics at joint values (N, n): the session's, or others. [rad, m]."""
+        session, table = calibration.session, calibration.table
+        fastened, T_base_world = session.attachments, inverse(arm.T_world_bases)
         frames = joint_frames(calibration.chain, calibration.geometry.placements(arm.offsets), q)
-        # The world is a link of the base here: it moves with no joint.
-        tips = (Tip(WORLD, BASE, inverse(arm.T_world_base)), *fastened.tips)
-        T_base_frame = np.array([link_frames(frames, tip) for tip in tips])
+        part = session.part if len(q) == len(session.part) else np.zeros(len(q), np.intp)
+        T_base_frame = np.array([T_base_world[part], *(link_frames(frames, tip) for tip in fastened.tips)])
         T_base_carrier = np.swapaxes(T_base_frame[fastened.led], 0, 1)
         leds = (T_base_carrier[..., :3, :3] @ arm.leds[..., None])[..., 0] + T_base_carrier[..., :3, 3]
-        T_base_cam = T_base_frame[fastened.camera[: len(arm.cameras)]] @ inverse(arm.T_cam_frame)[:, None]
+        seats = [
+            T_base_frame[frame] if frame else T_base_world[_parts_of(session, c, part)]
+            for c, frame in enumerate(fastened.camera[: len(arm.cameras)])
+        ]
+        T_base_cam = np.array(seats).reshape(-1, len(q), 4, 4) @ inverse(arm.T_cam_frame)[:, None]
         offsets = arm.offsets if calibration.geometry is table else np.zeros_like(table.nominal)
         return cls(frames, T_base_frame, leds, T_base_cam, place_rows(table, offsets, frames))
 
@@ -69,6 +73,12 @@ class PlacedRows(NamedTuple):
     values: Floats
 
 
+def _parts_of(session: Session, camera: int, part: Ints) -> Ints:
+    """In whose world (N,) a standing camera is at each pose: of a part in which it saw nothing, in another's."""
+    used = np.unique(session.part[poses_of_camera(session, camera)])
+    return np.where(np.isin(part, used), part, used[0]) if len(used) else part
+
+
 def joint_frames(mechanism: Mechanism, placements: Floats, q: Floats) -> Floats:
     """T_base_joint (N, n + 1, 4, 4) of the base link and every joint at every pose, in m."""
     frames = [Tip("", joint, np.eye(4)) for joint in range(BASE, len(mechanism.joints))]
@@ -81,14 +91,7 @@ def link_frames(frames: Floats, tip: Tip) -> Floats:
     return result
 
 
-def branches_of(table: DHTable | TreeTable) -> tuple[Branch, ...]:
-    """The serial parts of a table; a serial one has one."""
-    if isinstance(table, DHTable):
-        return (Branch(tuple(range(len(table.rows))), table, None),)
-    return table.branches
-
-
-def place_rows(table: DHTable | TreeTable, offsets: Floats, frames: Floats) -> PlacedRows:
+def place_rows(table: DHTable, offsets: Floats, frames: Floats) -> PlacedRows:
     """Find the DH frames at every pose, and the rows between them.
 
     F_i moves with its joint's link: F_i = L_i K_i^-1 B_i, the joint variable's own offset being part of L_i already. A
@@ -99,33 +102,27 @@ def place_rows(table: DHTable | TreeTable, offsets: Floats, frames: Floats) -> P
         offsets: (R, 5) added to them.
         frames: (N, n + 1, 4, 4) joint frames.
     """
-    values = table.nominal + offsets
-    dh: list[Floats] = []
-    corners: list[Floats] = []
-    lines: list[Floats] = []
-
-    def row_between(start: Floats, end: Floats) -> Floats:
-        """Add the next row's corners, (N, 3, 3); the last two are its way along the line."""
-        foot = end @ inverse(row_transform([0.0, 0.0, *values[len(corners), 2:]]))
-        corners.append(np.stack([T[:, :3, 3] for T in (start, foot, end)], axis=1))
-        return corners[-1][:, 1:]
-
-    for branch in branches_of(table):
+    values, chain = table.nominal + offsets, table.chain
+    carried = table.start_frames(frames)
+    moved = carried @ row_transform(table.shape(offsets)) @ table.ends
+    dh = np.concatenate([frames[:, :1] @ table.base, moved], axis=1)
+    starts, ends = dh[:, :-1].copy(), dh[:, 1:].copy()
+    mounts = [row.mount for row in table.rows]
+    starts[:, mounts] = carried[:, mounts]
+    ends[:, mounts] = starts[:, mounts] @ row_transform(values[mounts])
+    back = np.array([inverse(row_transform([0.0, 0.0, *row[2:]])) for row in values])
+    corners = np.stack([T[..., :3, 3] for T in (starts, ends @ back, ends)], axis=2)
+    lines, first = [], 0
+    for branch in chain.branches:
         # The link's origin is where a mount starts; its foot and end come before F_0.
-        carrier = frames[:, table.chain.parents[branch.joints[0]] + 1]
-        line = [carrier[:, None, :3, 3]]
-        if branch.mount is None:
-            dh.append(carrier @ branch.table.base)
-        else:
-            start = carrier @ branch.mount.T_link_start
-            end = start @ row_transform(values[len(corners)])
-            line.append(row_between(start, end))
-            dh.append(end @ branch.mount.T_end_F0)
-        line.append(dh[-1][:, None, :3, 3])
-        for joint, row, K in zip(branch.joints, branch.table.rows, branch.table.K, strict=True):
-            own = np.where([p == row.variable for p in PARAMETERS], row.values, values[len(corners)])
-            dh.append(frames[:, joint + 1] @ inverse(K) @ row_transform(own))
-            line.append(row_between(dh[-2], dh[-1]))
-        line.append((frames[:, branch.joints[-1] + 1] @ branch.table.chain.T_last_tip)[:, None, :3, 3])
+        line = [frames[:, chain.parents[branch[0]] + 1, None, :3, 3]]
+        if mounts[first]:
+            line.append(corners[:, first, 1:])
+            first += 1
+        last = first + len(branch)
+        line.append(dh[:, first, None, :3, 3])
+        line.append(corners[:, first:last, 1:].reshape(len(dh), -1, 3))
+        line.append((frames[:, branch[-1] + 1] @ chain.end_on(branch[-1]))[:, None, :3, 3])
         lines.append(np.concatenate(line, axis=1))
-    return PlacedRows(np.stack(dh, axis=1), np.stack(corners, axis=1), lines, values)
+        first = last
+    return PlacedRows(dh, corners, lines, values)

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 ROOT = "base"
 """Entity of the base link; all of a recording is in its frame."""
 REPORT = "report.html"
+REFUSED = "refused"
+"""Folder, in that of the results, of the report on a calibration that failed its checks."""
 # rerun's eye opens 55 degrees high; on a laptop's screen the view is at least so much wider than high.
 _HALF_VIEW = np.radians(55 / 2)
 _ASPECT = 1.2
@@ -38,12 +40,15 @@ _ASPECT = 1.2
 _ELSEWHERE = ("plots", "charts", "banner", "texts", "workspace")
 
 
-def write_results(overview: Overview, folder: Path) -> tuple[tuple[Path, ...], tuple[str, ...]]:
+def write_results(
+    calibration: FittedCalibration, folder: Path, overview: Overview | None
+) -> tuple[tuple[Path, ...], tuple[str, ...]]:
     """Write corrected URDF, calibration.json, report and recording, all of them or nothing.
 
     Args:
-        overview: of the result.
-        folder: where to; made if need be. Results of an earlier run are replaced.
+        calibration: the result.
+        folder: where to; made if need be. Results of an earlier run are replaced, and a report on a refused one goes.
+        overview: what report and recording show; without it neither is written, and those of an earlier run go.
 
     Returns:
         The files written, and notes such as meshes that the recording could not find.
@@ -51,15 +56,49 @@ def write_results(overview: Overview, folder: Path) -> tuple[tuple[Path, ...], t
     Raises:
         OutputError: the folder cannot be written, or the corrected URDF fails its checks.
     """
-    calibration = overview.calibration
     urdf = calibration.calibrated_urdf()
+    notes: tuple[str, ...] = ()
     with files.staged(folder) as stage:
         files.write_bytes(stage / calibration.urdf_name, urdf)
         calibration.save(stage / FILE_NAME)
-        write_report(stage / REPORT, overview)
-        notes = write_recording(stage / RECORDING, overview)
+        if overview is not None:
+            write_report(stage / REPORT, overview)
+            notes = write_recording(stage / RECORDING, overview)
         names = sorted(path.name for path in stage.iterdir())
+    _forget_refused(folder)
+    for name in (REPORT, RECORDING) if overview is None else ():
+        (folder / name).unlink(missing_ok=True)
     return tuple(folder / name for name in names), notes
+
+
+def write_refused(calibration: FittedCalibration, folder: Path) -> Path:
+    """Write the report on a calibration that is refused, apart from the results of an earlier one, and nothing else.
+
+    Args:
+        calibration: the result, which fails its assessment.
+        folder: where results would go; made if need be.
+
+    Returns:
+        The report.
+
+    Raises:
+        CalibrationError: it is so far off that not even its errors are numbers.
+        OutputError: the folder cannot be written.
+    """
+    overview, refused = Overview.of(calibration), folder / REFUSED
+    with files.told(folder):
+        folder.mkdir(exist_ok=True)
+    with files.staged(refused) as stage:
+        write_report(stage / REPORT, overview, refused=True)
+    return refused / REPORT
+
+
+def _forget_refused(folder: Path) -> None:
+    refused = folder / REFUSED
+    with files.told(refused):
+        (refused / REPORT).unlink(missing_ok=True)
+        if refused.is_dir() and not any(refused.iterdir()):
+            refused.rmdir()
 
 
 def write_recording(path: Path, overview: Overview) -> tuple[str, ...]:

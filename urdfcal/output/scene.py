@@ -9,6 +9,7 @@ import numpy as np
 
 from urdfcal.arrays import Bools, Floats, Ints, inverse
 from urdfcal.cameras.rig import Rig
+from urdfcal.estimation.measurements import Points
 from urdfcal.output.placing import PlacedRows, RobotPoses
 from urdfcal.rotations import matrix_to_rotation_vector, rotation_vector_to_matrix
 
@@ -25,7 +26,7 @@ class Residuals:
     Attributes:
         pose: (S,) index of the pose.
         led: (S,) index of the LED.
-        measured: (S, D) in px of the camera, or m.
+        measured: (S, D) in px of the camera, m in the world, or the kind's own unit.
         predicted: (S, D) by the calibrated arm.
         nominal: (S, D) by the nominal arm.
         size: (S,) rms of the whitened residual's components after calibration: about 1 where the noise is as declared.
@@ -61,7 +62,8 @@ class ResidualTable(Residuals):
         unit: of residuals: px for pixels, mm for points.
         scale: what residuals are multiplied by to be in that unit.
         components: the name of each component.
-        by_camera: whether cameras measured; else it is in the world.
+        by_camera: whether cameras measured.
+        in_world: whether the numbers are the LED's position in the world.
         camera: (S,) index of the camera; -1 for points.
         sigma: (S,) standard deviation of each component.
     """
@@ -70,6 +72,7 @@ class ResidualTable(Residuals):
     scale: float
     components: tuple[str, ...]
     by_camera: bool
+    in_world: bool
     camera: Ints
     sigma: Floats
 
@@ -109,6 +112,7 @@ def measurements_of(calibration: FittedCalibration) -> tuple[ResidualTable, ...]
                 scale=scale,
                 components=block.table.columns,
                 by_camera="camera" in block.index,
+                in_world=isinstance(block.table, Points),
                 pose=np.broadcast_to(block.pose[:, None], rows.shape)[rows],
                 led=block.index["led"][rows],
                 camera=block.index.get("camera", np.full_like(block.row, -1))[rows],
@@ -255,11 +259,13 @@ def _leds(
     keys, row = np.unique(np.ravel_multi_index((block.pose, block.led, view), shape), return_inverse=True)
     pose, led, view = np.unravel_index(keys, shape)
     # A tracker measures every LED once a pose: the keys are in its table's order.
-    if not block.by_camera:
+    if block.in_world:
         T_base_world = poses.T_base_frame[0, pose]
         measured, covariance = _moved(T_base_world, block.measured, block.sigma[:, None, None] ** 2 * np.eye(3))
-    else:
+    elif block.by_camera:
         measured, covariance = _triangulated(block, arm, fastened, poses, row, pose, view)
+    else:  # what was measured does not say where the LED was: it is shown where it is predicted
+        measured, covariance = poses.leds[pose, led], np.zeros((len(pose), 3, 3))
     # Where a single camera sees an LED there is no distance: its ray is taken at the predicted distance.
     alone = np.isnan(measured[row]).any(axis=1)
     if alone.any():
@@ -297,7 +303,8 @@ def _triangulated(
         T_cam_first = (np.eye(4), *(arm.T_cam_frame[c] @ inverse(arm.T_cam_frame[first]) for c in cameras[1:]))
         rig = Rig(tuple(arm.cameras[c] for c in cameras), T_cam_first)
         found = rig.triangulate(uv[mine][:, cameras], sigma[mine][:, cameras])
-        points[mine], covariances[mine] = _moved(poses.T_base_cam[first, pose[mine]], found.points, found.covariances)
+        T_base_first = poses.T_base_frame[frame, pose[mine]] @ inverse(arm.T_cam_frame[first])
+        points[mine], covariances[mine] = _moved(T_base_first, found.points, found.covariances)
     return points, covariances
 
 

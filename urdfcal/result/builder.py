@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
-from urdfcal.arrays import Floats, inverse
+from urdfcal.arrays import Bools, Floats, inverse
 from urdfcal.estimation.blocks.arm import LENGTHS
-from urdfcal.estimation.blocks.base_pose import BASE
+from urdfcal.estimation.blocks.base_pose import BASE, base_keys
 from urdfcal.estimation.blocks.cameras import lens_key, pose_key
 from urdfcal.estimation.blocks.leds import LEDS
 from urdfcal.estimation.joint_models.time_offset import TIME_OFFSETS
@@ -23,8 +23,10 @@ from urdfcal.result.document import FORMAT, ResultDocument
 from urdfcal.robot.mechanism import BASE as BASE_LINK
 from urdfcal.robot.urdf.origins import origins_of
 from urdfcal.rotations import matrix_to_rpy
+from urdfcal.session.moves import BASE_LINK as BASE_PART
 
 if TYPE_CHECKING:
+    from urdfcal.estimation.observations import Observations
     from urdfcal.result.fitted import FittedCalibration
 
 Plain = dict[str, Any]
@@ -44,12 +46,13 @@ def build_document(of: FittedCalibration) -> ResultDocument:
         "fit": _fit(of),
         "verdict": _of(of.assessment, "level", "sentence", "reasons"),
         "validation": _validation(of),
+        **_evidence(of),
         "models": [
             {
                 "model": str(attempt.spec),
                 "parameters": attempt.fit.parameters.count,
                 "seen_loss": attempt.seen_loss,
-                "held_out_loss": attempt.loss if isinstance(attempt, Trial) else None,
+                "held_out_loss": _known(attempt.loss) if isinstance(attempt, Trial) else None,
                 "chosen": attempt is of.comparison.chosen,
             }
             for attempt in of.comparison.attempts
@@ -69,20 +72,30 @@ def build_document(of: FittedCalibration) -> ResultDocument:
             "sha256": of.session.sha256,
         },
     }
+    # Keys are absent where there is nothing to say.
     if parameters := _parameters(of):
         data["parameters"] = parameters
+    if len(sessions := _sessions(of)) > 1:
+        data["sessions"] = sessions
+    if excluded := of.session.excluded.named:
+        data["provenance"]["excluded"] = excluded
     return ResultDocument.model_validate(_plain(data))
 
 
 def _plain(value: Any) -> Any:
-    """Values as JSON has them: arrays as lists, and None where a number is not finite."""
+    """Values as JSON has them: arrays as lists, in these None where a number is not finite."""
     if isinstance(value, Mapping):
         return {key: _plain(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple, np.ndarray)):
+    if isinstance(value, np.ndarray):
+        return [_plain(entry) if isinstance(entry, np.ndarray) else _known(entry.item()) for entry in value]
+    if isinstance(value, (list, tuple)):
         return [_plain(entry) for entry in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    return None if isinstance(value, float) and not np.isfinite(value) else value
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _known(value: float) -> float | None:
+    """A number that may be missing: a limit, or the standard deviation of what was fixed."""
+    return value if np.isfinite(value) else None
 
 
 def _of(thing: object, *names: str) -> Plain:
@@ -98,7 +111,9 @@ def _robot(of: FittedCalibration) -> Plain:
         "urdf": of.session.urdf_reference,
         "joints": {
             joint.name: {
-                **_of(joint, "type", "axis", "lower", "upper"),
+                **_of(joint, "type", "axis"),
+                "lower": _known(joint.lower),
+                "upper": _known(joint.upper),
                 "parent": names[parent],
                 "mimic": joint.mimic and vars(joint.mimic),
                 "nominal": nominal,
@@ -150,6 +165,37 @@ def _parameters(of: FittedCalibration) -> list[Plain]:
     ]
 
 
+def _sessions(of: FittedCalibration) -> Plain:
+    """Where each of several sessions has its base, and how well it fits."""
+    session, entries = of.session, {}
+    for k, (name, key) in enumerate(zip(session.parts, base_keys(session.parts), strict=True)):
+        residuals, things = [], {"led": set[int](), "camera": set[int]()}
+        for block, kept in zip(of.observations, of.fit.kept, strict=True):
+            used = kept & (block.readings.part == k)[:, None]
+            for kind in things.keys() & block.index.keys():
+                things[kind].update(np.unique(block.index[kind][used]).tolist())
+            if used.any():
+                residuals.append(_residual(of, block, used))
+        entries[name or BASE_PART] = {
+            "T_world_base": of.fit.state[key],
+            "T_world_base_sigma": of.sigmas_of(key),
+            "poses": np.count_nonzero(session.part == k),
+            "leds": [session.led_names[i] for i in sorted(things["led"])],
+            "cameras": [session.rig.names[i] for i in sorted(things["camera"])],
+            "residuals": residuals,
+        }
+    return entries
+
+
+def _residual(of: FittedCalibration, block: Observations, used: Bools) -> Plain:
+    """The rms of some residuals of one kind of measurement, nominal and calibrated."""
+    unit, scale = block.table.report
+    nominal, calibrated = (
+        scale * _rms(of.problem.residual(block, solution.state)[used]) for solution in (of.nominal_fit, of.fit)
+    )
+    return {"kind": block.table.kind, "unit": unit, "rms_nominal": nominal, "rms": calibrated}
+
+
 def _leds(of: FittedCalibration) -> Plain:
     attachments, sigmas = of.session.attachments, of.sigmas_of(LEDS).reshape(-1, 3)
     return {
@@ -178,22 +224,22 @@ def _camera(of: FittedCalibration, c: int) -> Plain:
         "sigma": sigma,
     }
     if len(of.estimate.time_offsets):
-        clocks = of.sigmas_of(TIME_OFFSETS)
-        entry["time_offset"] = {"value": of.estimate.time_offsets[c], "sigma": clocks[c] if len(clocks) else None}
+        clocks, value = of.sigmas_of(TIME_OFFSETS), of.estimate.time_offsets[c]
+        entry["time_offset"] = {"value": value, "sigma": _known(clocks[c]) if len(clocks) else None}
     return entry
 
 
 def _fit(of: FittedCalibration) -> Plain:
     fit, rms = of.fit, {}
     found = triangulate(of.session) if of.estimate.cameras else None
-    points = arrange(of.session, found) if found is not None else None
-    for prefix, solution in (("nominal_", of.nominal_fit), ("", fit)):
-        for block, kept in zip(of.observations, fit.kept, strict=True):
-            unit, scale = block.table.report
-            rms[f"rms_{prefix}{unit}"] = scale * _rms(of.problem.residual(block, solution.state)[kept])
-        if points is not None:
-            used = points.valid & ~of.problem.suspect(points, fit.outlier)
-            rms[f"rms_{prefix}mm"] = 1e3 * _rms(of.problem.residual(points, solution.state)[used])
+    if found is not None:
+        points = arrange(of.session, found)
+        space = _residual(of, points, points.valid & ~of.problem.suspect(points, fit.outlier))
+        rms = {"rms_nominal_mm": space["rms_nominal"], "rms_mm": space["rms"]}
+    residuals = [_residual(of, block, kept) for block, kept in zip(of.observations, fit.kept, strict=True)]
+    for each in residuals:
+        if each["unit"] in ("px", "mm"):
+            rms = {f"rms_nominal_{each['unit']}": each["rms_nominal"], f"rms_{each['unit']}": each["rms"]} | rms
     return {
         "poses": len(of.session.poses),
         **_of(fit, "observations", "converged"),
@@ -201,6 +247,7 @@ def _fit(of: FittedCalibration) -> Plain:
         "rank": of.identifiability.rank,
         "iterations": len(fit.history),
         "reduced_chi2": fit.reduced_chi2 if fit.freedom > 0 else None,
+        "residuals": residuals,
         **rms,
     }
 
@@ -212,7 +259,7 @@ def _validation(of: FittedCalibration) -> Plain:
     """
     chosen, nominal = of.comparison.chosen, of.comparison.nominal_arm
     distance = 1e3 * chosen.residuals("distance")
-    unit = of.session.motion.independent(len(of.session.poses))
+    unit = of.problem.readings.unit
     low, high = rms_interval(of.observations, chosen.fit.kept, chosen.held_out.distance, unit, of.seed)
     trials = (("nominal_", nominal), ("", chosen)) if of.estimate.cameras else ()
     return {
@@ -223,6 +270,37 @@ def _validation(of: FittedCalibration) -> Plain:
         "max_mm": distance.max(),
         "p95_mm": np.percentile(distance, 95),
         **{f"rms_{prefix}px": _rms(trial.residuals("residual")[:, None]) for prefix, trial in trials},
+    }
+
+
+def _evidence(of: FittedCalibration) -> Plain:
+    """What speaks for and against the estimate beside its residuals."""
+    evidence, session = of.evidence, of.session
+    regions, scale = evidence.regions, evidence.scale
+    q, names = session.chain.readings(session.q), session.chain.actuated
+    return {
+        "tip": {"rms_mm": 1e3 * evidence.tip.rms, "interval_mm": [1e3 * end for end in evidence.tip.interval]},
+        "regions": {
+            "count": regions.count,
+            "rms_nominal_mm": 1e3 * regions.rms_nominal,
+            "rms_mm": 1e3 * regions.rms,
+            "interval_mm": [_known(1e3 * end) for end in regions.interval],
+        },
+        "scale": {
+            "tip_mm_per_permille": 1e3 * scale.tip_per_permille,
+            "factor": scale.factor,
+            "factor_sigma": _known(scale.sigma),
+            "declared_sigma": scale.declared,
+        },
+        "noise": {noise.name: _of(noise, "unit", "declared", "found", "relative_sigma") for noise in evidence.noise},
+        "findings": [
+            {
+                **_of(finding, "name", "sentence", "share", "alike"),
+                "pose": None if finding.pose is None else session.label(finding.pose),
+            }
+            for finding in evidence.findings
+        ],
+        "domain": {"joints": {name: [q[:, k].min(), q[:, k].max()] for k, name in enumerate(names)}},
     }
 
 

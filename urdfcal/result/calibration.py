@@ -73,9 +73,8 @@ class Calibration:
         parents = tuple(index[joint.parent] for joint in robot.joints.values())
         tips = tuple(Tip(link, index[tip.joint], frozen(tip.T_joint_link)) for link, tip in robot.tips.items())
         nominal = frozen([joint.nominal for joint in robot.joints.values()])
-        if len(tips) == 1:
-            return Chain(robot.name, robot.base_link, tips[0].link, joints, nominal, tips[0].T_joint_link)
-        return Tree(robot.name, robot.base_link, joints, parents, nominal, tips)
+        kind = Chain if len(tips) == 1 else Tree
+        return kind(robot.name, robot.base_link, joints, parents, nominal, tips)
 
     @cached_property
     def placements(self) -> Floats:

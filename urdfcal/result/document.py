@@ -5,44 +5,30 @@ from __future__ import annotations
 import json
 from typing import Annotated, Any, Literal
 
-import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from urdfcal.errors import OutputError
+from urdfcal.result.evidence_sections import (
+    DomainSection,
+    FindingEntry,
+    Interval,
+    NoiseEntry,
+    RegionsSection,
+    Row,
+    ScaleSection,
+    Section,
+    Sigmas,
+    TipSection,
+    Transform,
+    Triple,
+)
 from urdfcal.robot.tree_dh import MOUNT
 
 FORMAT, FORMAT_1 = "urdfcal/2", "urdfcal/1"
 """What is written, and what earlier versions wrote."""
 
-# Rotations are written with all their digits.
-_RIGID = 1e-9
 
-
-def _rigid(T: list[list[float]]) -> list[list[float]]:
-    M = np.array(T)
-    if (
-        not np.allclose(M[:3, :3].T @ M[:3, :3], np.eye(3), rtol=0.0, atol=_RIGID)
-        or np.linalg.det(M[:3, :3]) < 0.0
-        or M[3].tolist() != [0.0, 0.0, 0.0, 1.0]
-    ):
-        raise ValueError("it is no rigid transform")
-    return T
-
-
-Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
-Row = Annotated[list[float], Field(min_length=4, max_length=4)]
-Transform = Annotated[list[Row], Field(min_length=4, max_length=4), AfterValidator(_rigid)]
-Sigmas = list[float | None]
-"""Standard deviations; None where a value is fixed."""
-
-
-class _Section(BaseModel):
-    """Keys that are absent from the file stay absent: ``model_dump(exclude_unset=True)`` gives what was read."""
-
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class MimicEntry(_Section):
+class MimicEntry(Section):
     """The joint that another one follows."""
 
     joint: str
@@ -50,7 +36,7 @@ class MimicEntry(_Section):
     offset: float
 
 
-class JointEntry(_Section):
+class JointEntry(Section):
     """A joint with its nominal and its calibrated placement in the frame of its parent joint, or of the base link."""
 
     parent: str | None
@@ -63,14 +49,14 @@ class JointEntry(_Section):
     calibrated: Transform
 
 
-class TipEntry(_Section):
+class TipEntry(Section):
     """A link that carries something, in the frame of the last joint before it."""
 
     joint: str | None
     T_joint_link: Transform
 
 
-class RobotSection(_Section):
+class RobotSection(Section):
     """The joints that were calibrated."""
 
     name: str
@@ -99,7 +85,7 @@ class RobotSection(_Section):
         return self
 
 
-class DHEntry(_Section):
+class DHEntry(Section):
     """One parameter of one row; sigma where it was estimated, else the reason why not."""
 
     joint: str
@@ -112,14 +98,14 @@ class DHEntry(_Section):
     reason: str | None = None
 
 
-class OriginEntry(_Section):
+class OriginEntry(Section):
     """An origin as the corrected URDF has it."""
 
     xyz: Triple
     rpy: Triple
 
 
-class LedEntry(_Section):
+class LedEntry(Section):
     """The position of an LED on its link, or in the world."""
 
     link: str
@@ -127,23 +113,23 @@ class LedEntry(_Section):
     sigma: Sigmas
 
 
-class TimeOffsetEntry(_Section):
+class TimeOffsetEntry(Section):
     """The time offset of a camera's clock, in s; sigma is None where it was fixed."""
 
     value: float
     sigma: float | None
 
 
-class CameraSigmas(_Section):
+class CameraSigmas(Section):
     """Standard deviations of what was estimated of a camera; its pose's of a small motion in its own frame."""
 
-    intrinsics: Sigmas = []
-    distortion: Sigmas = []
-    T_cam_world: Sigmas = []
-    T_link_camera: Sigmas = []
+    intrinsics: Sigmas = Field(default_factory=list)
+    distortion: Sigmas = Field(default_factory=list)
+    T_cam_world: Sigmas = Field(default_factory=list)
+    T_link_camera: Sigmas = Field(default_factory=list)
 
 
-class CameraEntry(_Section):
+class CameraEntry(Section):
     """A camera: its lens, and its pose in the world or on its link."""
 
     intrinsics: Row
@@ -162,16 +148,26 @@ class CameraEntry(_Section):
         return self
 
 
-class ParameterEntry(_Section):
+class ParameterEntry(Section):
     """A coordinate of an unknown that has no section of its own."""
 
     name: str
     unit: str
+    nominal: float | None = None
     offset: float
     sigma: float | None
 
 
-class FitSection(_Section):
+class ResidualEntry(Section):
+    """The rms residual of one kind of measurement, outliers left out, nominal and calibrated, in its own unit."""
+
+    kind: str
+    unit: str
+    rms_nominal: float
+    rms: float
+
+
+class FitSection(Section):
     """Numbers of the fit; residuals of the measurements that are no outliers, nominal and calibrated. [px, mm]."""
 
     poses: int
@@ -185,9 +181,21 @@ class FitSection(_Section):
     rms_nominal_mm: float | None = None
     rms_px: float | None = None
     rms_mm: float | None = None
+    residuals: list[ResidualEntry] = Field(default_factory=list)
 
 
-class VerdictSection(_Section):
+class SessionEntry(Section):
+    """One of several sessions, or what was measured between two moves of the base: its base, and what it rests on."""
+
+    T_world_base: Transform
+    T_world_base_sigma: Sigmas
+    poses: int
+    leds: list[str]
+    cameras: list[str]
+    residuals: list[ResidualEntry]
+
+
+class VerdictSection(Section):
     """Whether to trust the calibration, and what speaks against it, the gravest first."""
 
     level: Literal["good", "doubtful", "bad"]
@@ -195,20 +203,20 @@ class VerdictSection(_Section):
     reasons: list[str]
 
 
-class ValidationSection(_Section):
+class ValidationSection(Section):
     """Prediction errors on held-out poses, nominal and calibrated arm with the same cameras. [mm, px]."""
 
     folds: int
     rms_nominal_mm: float
     rms_mm: float
-    interval_mm: Annotated[list[float], Field(min_length=2, max_length=2)]
+    interval_mm: Interval
     max_mm: float
     p95_mm: float
     rms_nominal_px: float | None = None
     rms_px: float | None = None
 
 
-class ModelEntry(_Section):
+class ModelEntry(Section):
     """One of the models that were compared; without a held-out loss where it could not be the best."""
 
     model: str
@@ -218,7 +226,7 @@ class ModelEntry(_Section):
     chosen: bool
 
 
-class IdentifiabilitySection(_Section):
+class IdentifiabilitySection(Section):
     """What the measurements identify: condition number, observability indices, unidentifiable directions."""
 
     condition_number: float
@@ -230,7 +238,7 @@ class IdentifiabilitySection(_Section):
     lost: list[str]
 
 
-class SolutionEntry(_Section):
+class SolutionEntry(Section):
     """A minimum that another start led to; without a cost where there was no start."""
 
     cost: float | None
@@ -238,7 +246,7 @@ class SolutionEntry(_Section):
     reason: str
 
 
-class OutlierEntry(_Section):
+class OutlierEntry(Section):
     """A measurement taken out of the fit; residual in px, or in mm without a camera."""
 
     pose: str
@@ -248,20 +256,22 @@ class OutlierEntry(_Section):
     sigmas: float
 
 
-class ProvenanceSection(_Section):
-    """Versions, random seed and hashes of the input files."""
+class ProvenanceSection(Section):
+    """Versions, random seed, hashes of the input files, and by name what of them was left out, if anything."""
 
     urdfcal: str
     pinocchio: str
     seed: int
     sha256: dict[str, str]
+    excluded: dict[Literal["poses", "cameras", "leds"], list[str]] = Field(default_factory=dict)
 
 
-class ResultDocument(_Section):
+class ResultDocument(Section):
     """Everything a calibration says: the contract of ``calibration.json``.
 
     Lengths in m, angles in rad. ``T_world_base_sigma`` are standard deviations of a small motion x, y, z, rx, ry, rz
-    after ``T_world_base``; ``warnings`` are those of the verdict's reasons that are no failures.
+    after ``T_world_base``. Of several ``sessions`` it is the first one's; ``T_cam_world`` is in the camera's own world.
+    ``warnings`` are those of the verdict's reasons that are no failures.
     """
 
     format: Literal["urdfcal/2"]
@@ -270,12 +280,19 @@ class ResultDocument(_Section):
     placements: dict[str, OriginEntry]
     T_world_base: Transform
     T_world_base_sigma: Sigmas
+    sessions: dict[str, SessionEntry] = Field(default_factory=dict)
     leds: dict[str, LedEntry]
     cameras: dict[str, CameraEntry]
     parameters: list[ParameterEntry] = Field(default_factory=list)
     fit: FitSection
     verdict: VerdictSection
     validation: ValidationSection
+    tip: TipSection | None = None
+    regions: RegionsSection | None = None
+    scale: ScaleSection | None = None
+    noise: dict[str, NoiseEntry] = Field(default_factory=dict)
+    findings: list[FindingEntry] = Field(default_factory=list)
+    domain: DomainSection | None = None
     models: list[ModelEntry]
     identifiability: IdentifiabilitySection
     solutions: list[SolutionEntry]

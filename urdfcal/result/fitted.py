@@ -10,19 +10,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from urdfcal.arrays import Floats, frozen
-from urdfcal.errors import OutputError
+from urdfcal.errors import CalibrationError, OutputError
 from urdfcal.estimation.blocks.arm import ArmBlock, ArmParameterization, zero_rows
 from urdfcal.estimation.joint_models.zero_offset import ZERO_OFFSETS
 from urdfcal.estimation.snapshot import Snapshot
 from urdfcal.estimation.uncertainty import tip_covariance
 from urdfcal.result.calibration import Calibration, corrected_name
-from urdfcal.robot.chain import read_mechanism
-from urdfcal.robot.dh import DHTable
+from urdfcal.robot.chain import Chain, read_mechanism
 from urdfcal.robot.kinematics import link_poses
 from urdfcal.robot.urdf.urdf import Urdf
 
 if TYPE_CHECKING:
     from urdfcal.estimation.assessment import Assessment
+    from urdfcal.estimation.evidence import Evidence
     from urdfcal.estimation.identifiability import Identifiability
     from urdfcal.estimation.model_selection import Comparison
     from urdfcal.estimation.multistart import Minimum
@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from urdfcal.estimation.solver import Solution
     from urdfcal.estimation.state import Key, State
     from urdfcal.result.document import ResultDocument
+    from urdfcal.robot.dh import DHTable
     from urdfcal.robot.mechanism import Mechanism
-    from urdfcal.robot.tree_dh import TreeTable
     from urdfcal.session.model import Session
 
 # Forward kinematics of the URDF that was written against the estimate. [m, entries of the rotation]
@@ -51,15 +51,17 @@ class FittedCalibration(Calibration):
         comparison: the models that were tried, and the chosen one.
         solutions: minima reached from other starts, if any were asked for; the kept one first.
         seed: random seed of the folds and of the check configurations.
+        evidence: on the chosen model, beside its residuals.
         assessment: whether to trust the result, and what speaks against it.
     """
 
     session: Session
-    table: DHTable | TreeTable
+    table: DHTable
     problem: Problem
     comparison: Comparison
     solutions: tuple[Minimum, ...]
     seed: int
+    evidence: Evidence
     assessment: Assessment = field()  # the inherited one is no default
 
     @property
@@ -123,10 +125,21 @@ class FittedCalibration(Calibration):
 
     @cached_property
     def document(self) -> ResultDocument:
-        """Everything the calibration says: what ``calibration.json`` holds."""
+        """Everything the calibration says: what ``calibration.json`` holds.
+
+        Raises:
+            CalibrationError: it is so far off that not even its errors are numbers.
+        """
+        from pydantic import ValidationError
+
         from urdfcal.result.builder import build_document
 
-        return build_document(self)
+        try:
+            return build_document(self)
+        except ValidationError as error:
+            key = ".".join(map(str, error.errors()[0]["loc"]))
+            what = f"{'; '.join(self.failures)}; there is no result to write: {key} is no finite number"
+            raise CalibrationError(what, where="not written") from error
 
     def tip_sigma(self, q: Floats) -> Floats:
         """Predict the standard deviation of the calibrated tip's position, after base alignment.
@@ -161,7 +174,7 @@ class FittedCalibration(Calibration):
         expected = np.array(link_poses(chain, q, chain.tips, self.placements))
         again = read_mechanism(Urdf.parse(data), [tip.link for tip in chain.tips], chain.base_link)
         tips = {"Pinocchio": np.array(link_poses(again, q, again.tips)), "yourdfpy": _yourdfpy_links(data, chain, q)}
-        if self.geometry is table and isinstance(table, DHTable):
+        if self.geometry is table and isinstance(chain, Chain):
             tips["the DH rows"] = np.array([[table.forward(q_k, self.estimate.offsets) for q_k in q]])
         for reader, T in tips.items():
             error = float(np.abs(T - expected).max())

@@ -56,9 +56,9 @@ def apply_to_model(model: pin.Model, chain: Mechanism, calibrated: Floats) -> No
             carriers.append((index, np.eye(4), np.eye(4)))
             continue
         # A reduced model keeps a locked joint as a frame.
-        if not model.existFrame(joint.name, pin.FrameType.FIXED_JOINT):
-            raise _missing(joint.name, model.name)
         frame = model.getFrameId(joint.name, pin.FrameType.FIXED_JOINT)
+        if frame == model.nframes:
+            raise _missing(joint.name, model.name)
         before = model.frames[frame].placement.homogeneous
         turned = inverse(nominal_T) @ before
         if model.frames[frame].parentJoint != support or not _is_motion_of(joint, turned):
@@ -67,9 +67,14 @@ def apply_to_model(model: pin.Model, chain: Mechanism, calibrated: Floats) -> No
         locked[frame] = after @ inverse(before)
         carriers.append((support, before, after))
     frames = dict(_moved_frames(model, locked))
-    others = [index for index in range(1, model.njoints) if index not in joints]
-    for index, correction in _moved_joints(model, others, locked, frames):
-        joints[index] = correction @ model.jointPlacements[index].homogeneous
+    for index in (index for index in range(1, model.njoints) if index not in joints):
+        own = model.getFrameId(model.names[index], pin.FrameType.JOINT)
+        # A joint that was added by hand may have no frame, which alone says what the joint hangs on.
+        if own == model.nframes:
+            if model.parents[index] in {model.frames[frame].parentJoint for frame in locked}:
+                raise _unknown_support(model.names[index], model.name)
+        elif model.frames[own].parentFrame in frames:
+            joints[index] = frames[model.frames[own].parentFrame] @ model.jointPlacements[index].homogeneous
     for index, T in joints.items():
         model.jointPlacements[index] = se3(T)
     for index, correction in frames.items():
@@ -101,12 +106,7 @@ def apply_to_urdf(urdf: Urdf, chain: Mechanism, calibrated: Floats) -> bytes:
         chain.joints, other.joints, chain.placements, calibrated, other.placements, strict=True
     ):
         _check_same(found, nominal_k, calibrated_k, mine.name, where)
-        if (mine.prismatic, mine.mimic) != (theirs.prismatic, theirs.mimic) or not _close(mine.axis, theirs.axis):
-            raise RobotError(
-                f"joint {mine.name!r} does not move as the one that was calibrated",
-                where=where,
-                remedy="Its type, axis or mimic differs: calibrate this robot.",
-            )
+        _check_motion(mine, theirs, where)
     for tip, same in zip(chain.tips, other.tips, strict=True):
         if tip.joint != same.joint or not _close(tip.T_joint_link, same.T_joint_link):
             carrier = f"link {chain.base_link!r}" if tip.joint == BASE else f"joint {chain.names[tip.joint]!r}"
@@ -118,10 +118,42 @@ def apply_to_urdf(urdf: Urdf, chain: Mechanism, calibrated: Floats) -> bytes:
     return rewrite_origins(urdf, origins_of(urdf, other, calibrated))
 
 
+def apply_to_mechanism(other: Mechanism, chain: Mechanism, calibrated: Floats, where: str) -> Mechanism:
+    """Give another reading of a robot's joints the calibrated placements; those that have them already keep them.
+
+    Args:
+        other: joints of the same robot, to the same links or others, nominal or already corrected.
+        chain: the nominal joints that were calibrated.
+        calibrated: (n, 4, 4) each joint's placement in the frame of the one it hangs on. [m]
+        where: ``other`` is from, for messages.
+
+    Raises:
+        RobotError: a joint was not calibrated, or does not hang where it did, or moves otherwise.
+    """
+    placements = np.array(other.placements)
+    for i, (joint, parent) in enumerate(zip(other.joints, other.parents, strict=True)):
+        if joint.name not in chain.names:
+            raise RobotError(
+                f"joint {joint.name!r} was not calibrated",
+                where=where,
+                remedy=f"Calibrated are {', '.join(chain.names)}: name the result of this robot.",
+            )
+        k = chain.names.index(joint.name)
+        above = BASE if chain.parents[k] == BASE else chain.names[chain.parents[k]]
+        if above != (BASE if parent == BASE else other.names[parent]):
+            raise _other_robot(joint.name, where)
+        _check_motion(chain.joints[k], joint, where)
+        if not _close(placements[i], calibrated[k]):
+            _check_same(placements[i], chain.placements[k], calibrated[k], joint.name, where)
+        placements[i] = calibrated[k]
+    return other.with_placements(placements)
+
+
 def _base(model: pin.Model, chain: Mechanism) -> tuple[int, Floats, Floats]:
     """The joint that the chain hangs on, and its base link's frame there; a model without that link is trusted."""
-    if model.existFrame(chain.base_link, pin.FrameType.BODY):
-        frame = model.frames[model.getFrameId(chain.base_link, pin.FrameType.BODY)]
+    base = model.getFrameId(chain.base_link, pin.FrameType.BODY)
+    if base < model.nframes:
+        frame = model.frames[base]
         T = frame.placement.homogeneous
         return frame.parentJoint, T, T
     first = chain.names[0]
@@ -149,21 +181,6 @@ def _moved_frames(model: pin.Model, locked: dict[int, Floats]) -> Iterator[tuple
             yield index, locked[above]
 
 
-def _moved_joints(
-    model: pin.Model, joints: list[int], locked: dict[int, Floats], frames: dict[int, Floats]
-) -> Iterator[tuple[int, Floats]]:
-    """Those of the joints that hang on a moved frame, with that frame's correction."""
-    supports = {model.frames[frame].parentJoint for frame in locked}
-    for index in joints:
-        own = model.getFrameId(model.names[index], pin.FrameType.JOINT)
-        # A joint that was added by hand may have no frame, which alone says what the joint hangs on.
-        if own == model.nframes:
-            if model.parents[index] in supports:
-                raise _unknown_support(model.names[index], model.name)
-        elif model.frames[own].parentFrame in frames:
-            yield index, frames[model.frames[own].parentFrame]
-
-
 def _is_motion_of(joint: Joint, T: Floats) -> bool:
     """Whether a joint can carry its frame there."""
     turn, slide = T[:3, :3] @ joint.axis - joint.axis, T[:3, 3]
@@ -174,6 +191,16 @@ def _is_motion_of(joint: Joint, T: Floats) -> bool:
 
 def _close(found: Floats, expected: Floats) -> bool:
     return np.allclose(found, expected, rtol=0.0, atol=_SAME)
+
+
+def _check_motion(calibrated: Joint, found: Joint, where: str) -> None:
+    same = (calibrated.prismatic, calibrated.mimic) == (found.prismatic, found.mimic)
+    if not same or not _close(calibrated.axis, found.axis):
+        raise RobotError(
+            f"joint {calibrated.name!r} does not move as the one that was calibrated",
+            where=where,
+            remedy="Its type, axis or mimic differs: calibrate this robot.",
+        )
 
 
 def _check_same(found: Floats, nominal: Floats, calibrated: Floats, joint: str, where: str) -> None:

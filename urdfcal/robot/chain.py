@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,106 +18,21 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from typing_extensions import Self
+
     from urdfcal.robot.urdf.urdf import UrdfJoint
 
 
-@dataclass(frozen=True, eq=False)
-class Chain(Mechanism):
-    """A serial chain of one-degree-of-freedom joints from a base link down to a tip link.
-
-    Attributes:
-        name: the robot's.
-        base_link: link whose frame the chain starts from; anywhere in the tree.
-        tip_link: link whose frame it ends in.
-        joints: from base to tip.
-        placements: (n, 4, 4) T_previous_joint at zero joint value; the first in the base link's frame. [m]
-        T_last_tip: (4, 4) the tip link's frame in the last joint's frame. [m]
-    """
-
-    name: str
-    base_link: str
-    tip_link: str
-    joints: tuple[Joint, ...]
-    placements: Floats
-    T_last_tip: Floats
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        object.__setattr__(self, "T_last_tip", frozen(self.T_last_tip))
-
-    @classmethod
-    def from_urdf(cls, urdf: Urdf | str | Path, tip_link: str, base_link: str | None = None) -> Chain:
-        """Read the chain from a URDF, through Pinocchio.
-
-        Args:
-            urdf: a parsed URDF, or its path or ``package://`` reference.
-            tip_link: link at the end of the chain.
-            base_link: link at its start, an ancestor of the tip; the root link by default.
-
-        Raises:
-            RobotError: the file is no valid URDF, a link is unknown, the base is not above the tip, or a
-                joint in between cannot be calibrated (floating, planar, zero axis, mimic of a joint off the chain).
-        """
-        return cls._of(Tree.from_urdf(urdf, [tip_link], base_link))
-
-    @classmethod
-    def from_model(cls, model: pin.Model, tip_link: str, base_link: str | None = None) -> Chain:
-        """Copy the chain between two links out of a Pinocchio model; the model is left alone.
-
-        Args:
-            model: any model; joints off the chain do not matter.
-            tip_link: body frame at the end of the chain.
-            base_link: body frame at its start, an ancestor of the tip; the universe's first body by default.
-
-        Raises:
-            RobotError: a link is unknown, the base is not above the tip, or a joint in between has not
-                exactly one degree of freedom, no axis, or is a mimic joint.
-        """
-        return cls._of(Tree.from_model(model, [tip_link], base_link))
-
-    @classmethod
-    def _of(cls, tree: Tree) -> Chain:
-        (tip,) = tree.tips
-        return cls(tree.name, tree.base_link, tip.link, tree.joints, tree.placements, tip.T_joint_link)
-
-    @property
-    def parents(self) -> tuple[int, ...]:  # type: ignore[override]  # nobody writes to it
-        """The index of the joint before each joint, ``BASE`` for the first."""
-        return tuple(range(-1, len(self.joints) - 1))
-
-    @cached_property
-    def tips(self) -> tuple[Tip, ...]:  # type: ignore[override]
-        """The tip link alone."""
-        return (Tip(self.tip_link, len(self.joints) - 1, self.T_last_tip),)
-
-
-@dataclass(frozen=True, eq=False)
 class Tree(Mechanism):
-    """One-degree-of-freedom joints between a base link and several tip links.
-
-    Attributes:
-        name: the robot's.
-        base_link: link whose frame everything starts from; anywhere in the URDF's tree.
-        joints: those to the first tip, from the base outwards, then those to the second that are new, and so on.
-        parents: index of the joint that each hangs on, ``BASE`` for the base link.
-        placements: (n, 4, 4) T_parent_joint at zero joint value; of those that hang on the base link in its frame. [m]
-        tips: the tip links.
-    """
-
-    name: str
-    base_link: str
-    joints: tuple[Joint, ...]
-    parents: tuple[int, ...]
-    placements: Floats
-    tips: tuple[Tip, ...]
+    """Joints between a base link and several tip links."""
 
     @classmethod
-    def from_urdf(cls, urdf: Urdf | str | Path, tip_links: Sequence[str], base_link: str | None = None) -> Tree:
+    def from_urdf(cls, urdf: Urdf | str | Path, tip_link: str | Sequence[str], base_link: str | None = None) -> Self:
         """Read the joints between a base link and tip links from a URDF, through Pinocchio.
 
         Args:
             urdf: a parsed URDF, or its path or ``package://`` reference.
-            tip_links: the most important one first.
+            tip_link: link at the end of a chain; those of a tree, the most important one first.
             base_link: an ancestor of them all; the root link by default.
 
         Raises:
@@ -128,17 +42,13 @@ class Tree(Mechanism):
         if not isinstance(urdf, Urdf):
             urdf = Urdf.read(urdf)
         where = str(urdf.path or urdf.name)
-        base_link = base_link or urdf.root
+        tip_links, base_link = [tip_link] if isinstance(tip_link, str) else tip_link, base_link or urdf.root
         paths = [_joint_path(urdf, link, base_link, where) for link in tip_links]
         _check(list(dict.fromkeys(joint for path in paths for joint in path)), base_link, tip_links, urdf, where)
         try:
-            text = urdf.data.decode("utf-8-sig")
-        except UnicodeDecodeError:
-            text = urdf.data.decode("latin-1")
-        try:
             # Mimic joints are loaded as ordinary ones: multiplier and offset are applied to the readings, and each
             # has a placement of its own to calibrate.
-            model = pin.buildModelFromXML(text)
+            model = pin.buildModelFromXML(urdf.text)
         except (ValueError, RuntimeError) as error:
             raise RobotError(f"Pinocchio cannot load it: {error}", where=where) from error
         tree = cls.from_model(model, tip_links, base_link)
@@ -146,12 +56,12 @@ class Tree(Mechanism):
         return replace(tree, name=urdf.name, joints=joints)
 
     @classmethod
-    def from_model(cls, model: pin.Model, tip_links: Sequence[str], base_link: str | None = None) -> Tree:
+    def from_model(cls, model: pin.Model, tip_link: str | Sequence[str], base_link: str | None = None) -> Self:
         """Copy the joints between a base link and tip links out of a Pinocchio model; the model is left alone.
 
         Args:
             model: any model; other joints do not matter.
-            tip_links: body frames, the most important one first.
+            tip_link: body frame at the end of a chain; those of a tree, the most important one first.
             base_link: body frame above them all; the universe's first body by default.
 
         Raises:
@@ -165,18 +75,16 @@ class Tree(Mechanism):
         parents: list[int] = []
         placements: list[Floats] = []
         tips: list[Tip] = []
-        for link in tip_links:
+        for link in [tip_link] if isinstance(tip_link, str) else tip_link:
             tip = _body(model, link)
-            path: list[int] = []
-            joint_id = tip.parentJoint
-            while joint_id not in index and joint_id:
-                path.insert(0, joint_id)
-                joint_id = model.parents[joint_id]
-            if joint_id not in index:
+            support = list(model.supports[tip.parentJoint])
+            if base.parentJoint not in support:
                 raise RobotError(
                     f"base link {base.name!r} is not above tip link {link!r} in the tree", where=model.name
                 )
-            for joint_id in path:
+            for joint_id in support[support.index(base.parentJoint) + 1 :]:
+                if joint_id in index:
+                    continue
                 parent, T = index[model.parents[joint_id]], model.jointPlacements[joint_id].homogeneous
                 index[joint_id] = len(joints)
                 joints.append(_joint(model, data, joint_id))
@@ -186,16 +94,20 @@ class Tree(Mechanism):
             tips.append(Tip(link, carrier, T_base_universe @ T if carrier == BASE else T))
         return cls(model.name, base.name, tuple(joints), tuple(parents), np.array(placements), tuple(tips))
 
+
+class Chain(Tree):
+    """A serial chain of joints from a base link down to one tip link."""
+
     @property
-    def tip_link(self) -> str:  # type: ignore[override]  # nobody writes to it
-        """The first tip's name."""
-        return self.tips[0].link
+    def T_last_tip(self) -> Floats:
+        """The tip link's frame in the last joint's frame, (4, 4). [m]."""
+        return self.tips[0].T_joint_link
 
 
 def read_mechanism(urdf: Urdf, tip_links: Sequence[str], base_link: str | None = None) -> Mechanism:
     """Read a chain where one link is asked for, else a tree; see :meth:`Tree.from_urdf`."""
     links = list(dict.fromkeys(tip_links))
-    return Chain.from_urdf(urdf, links[0], base_link) if len(links) == 1 else Tree.from_urdf(urdf, links, base_link)
+    return (Chain if len(links) == 1 else Tree).from_urdf(urdf, links, base_link)
 
 
 def _joint_path(urdf: Urdf, tip_link: str, base_link: str, where: str) -> list[UrdfJoint]:
@@ -248,8 +160,9 @@ def _bodies(model: pin.Model) -> list[str]:
 
 
 def _body(model: pin.Model, link: str) -> pin.Frame:
-    if model.existFrame(link, pin.FrameType.BODY):
-        return model.frames[model.getFrameId(link, pin.FrameType.BODY)]
+    index = model.getFrameId(link, pin.FrameType.BODY)
+    if index < model.nframes:
+        return model.frames[index]
     if link == "universe":
         return model.frames[0]
     raise RobotError(f"there is no link {link!r}", where=model.name, remedy=suggest(link, _bodies(model), "links"))
@@ -275,11 +188,10 @@ def _joint(model: pin.Model, data: pin.Data, joint_id: int) -> Joint:
     if not np.any(axis) or not np.all(np.isfinite(axis)):
         raise RobotError("the joint's axis is zero", where=where, remedy="Give <axis xyz=...> the joint's direction.")
     continuous = jmodel.nq == 2
-    limits = slice(jmodel.idx_q, jmodel.idx_q + 1)
     return Joint(
         name=name,
         type="prismatic" if prismatic else "continuous" if continuous else "revolute",
         axis=frozen(axis),
-        lower=-np.inf if continuous else float(model.lowerPositionLimit[limits][0]),
-        upper=np.inf if continuous else float(model.upperPositionLimit[limits][0]),
+        lower=-np.inf if continuous else float(model.lowerPositionLimit[jmodel.idx_q]),
+        upper=np.inf if continuous else float(model.upperPositionLimit[jmodel.idx_q]),
     )

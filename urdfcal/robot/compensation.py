@@ -71,9 +71,15 @@ def compensate(nominal: Mechanism, calibrated: Mechanism, q: ArrayLike) -> Compe
     Raises:
         RobotError: a command is not finite, or beyond the joint's limits.
     """
-    given = np.array(q, dtype=float)
-    _check(nominal, given)
-    lower, upper = nominal.limits
+    given, (lower, upper) = np.array(q, dtype=float), nominal.limits
+    if given.shape[-1:] != lower.shape:
+        raise RobotError(f"commands of shape {given.shape} are not (..., {len(lower)})", where=nominal.name)
+    if outside := nominal.outside_limits(given):
+        raise RobotError(
+            str(outside[0]),
+            where=f"command {outside[0].pose}",
+            remedy="Commands are in radians and metres, of the robot that was calibrated.",
+        )
     commands = given.reshape(-1, len(lower))
     found, position, angle = np.empty_like(commands), np.empty(len(commands)), np.empty(len(commands))
     for first in range(0, len(commands), _BLOCK):
@@ -81,21 +87,9 @@ def compensate(nominal: Mechanism, calibrated: Mechanism, q: ArrayLike) -> Compe
         T = tip_poses(nominal, nominal.joint_values(commands[poses]))
         least, most = np.maximum(lower, commands[poses] - _FURTHEST), np.minimum(upper, commands[poses] + _FURTHEST)
         found[poses], error = _approach(calibrated, T, commands[poses], least, most)
-        position[poses], angle[poses] = np.linalg.norm(error[:, :3], axis=1), np.linalg.norm(error[:, 3:], axis=1)
+        position[poses], angle[poses] = np.linalg.norm(error.reshape(-1, 2, 3), axis=2).T
     shape = given.shape[:-1]
     return Compensation(found.reshape(given.shape), position.reshape(shape), angle.reshape(shape))
-
-
-def _check(chain: Mechanism, q: Floats) -> None:
-    joints = len(chain.actuated)
-    if not q.ndim or q.shape[-1] != joints:
-        raise RobotError(f"commands of shape {q.shape} are not (..., {joints})", where=chain.name)
-    if outside := chain.outside_limits(q):
-        raise RobotError(
-            str(outside[0]),
-            where=f"command {outside[0].pose}",
-            remedy="Commands are in radians and metres, of the robot that was calibrated.",
-        )
 
 
 def _approach(chain: Mechanism, T: Floats, start: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
@@ -161,7 +155,6 @@ def _inverse(J: Floats, damping: Floats) -> Floats:
 
 def _error_size(error: Floats, chain: Mechanism) -> Floats:
     """The size of an error, position first: an unreachable orientation must not outweigh a reachable position."""
-    result: Floats = np.linalg.norm(error[:, :3], axis=1) / chain.reach + _ORIENTATION * np.linalg.norm(
-        error[:, 3:], axis=1
-    )
+    position, angle = np.linalg.norm(error.reshape(-1, 2, 3), axis=2).T
+    result: Floats = position / chain.reach + _ORIENTATION * angle
     return result

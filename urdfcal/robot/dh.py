@@ -1,4 +1,4 @@
-"""Denavit-Hartenberg rows of a chain, and joint placements from row offsets (METHOD 2 to 4).
+"""Denavit-Hartenberg rows of a chain or a tree, and joint placements from row offsets (METHOD 2 to 4).
 
 Standard (distal) rows extended by Hayati's beta for parallel axes,
 
@@ -13,21 +13,21 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from functools import cached_property, reduce
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
-from urdfcal.arrays import Bools, Floats, frozen, inverse
+from urdfcal.arrays import Bools, Floats, Ints, frozen, inverse
 from urdfcal.errors import RobotError
-from urdfcal.rotations import skew, turn_z_to
+from urdfcal.rotations import skew
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from numpy.typing import ArrayLike
+    from typing_extensions import Self
 
-    from urdfcal.robot.chain import Chain
-    from urdfcal.robot.mechanism import JointType
+    from urdfcal.robot.mechanism import JointType, Mechanism
 
 Parameter = Literal["theta", "d", "a", "alpha", "beta"]
 Convention = Literal["standard", "modified"]
@@ -35,15 +35,8 @@ Convention = Literal["standard", "modified"]
 PARAMETERS: tuple[Parameter, ...] = ("theta", "d", "a", "alpha", "beta")
 """Column order of every offsets array."""
 
-# Below this angle between consecutive axes a row is Hayati's. Real UR arms deviate from parallel by up to
-# 13 mrad, and the common normal of axes that are almost parallel lies hundreds of metres away; at 0.1 rad
-# it lies within ten arm lengths.
-PARALLEL_ANGLE = 0.1
-
-# Axes closer than this coincide: the direction of their normal is rounding.
-_COINCIDENT = 1e-12
-# theta this close to +-pi/2 leaves both signs of x equally small: the sign of a (or alpha) decides.
-_TIE = 1e-6
+MOUNT = ".mount"
+"""Suffix of a mount's label, after the name of the branch's first joint."""
 
 _COLUMN: dict[str, int] = {name: column for column, name in enumerate(PARAMETERS)}
 # The twist (linear, angular) that each factor of B moves along.
@@ -54,122 +47,96 @@ _MOTIONS: dict[str, Floats] = dict(zip(PARAMETERS, frozen(np.eye(6)[[5, 2, 0, 3,
 class DHRow:
     """One row of a DH table, from a joint's axis to the next joint's; the last one leads to the tip's z axis.
 
+    A mount leads from an axis of a link's frame to the first joint's axis of a branch that hangs on that link.
+
     Attributes:
-        joint: the joint that moves this row's frame.
-        type: revolute, continuous or prismatic.
-        theta: rotation about z at zero joint value. [rad]
-        d: shift along z. [m]
-        a: shift along x, the common normal. [m]
-        alpha: rotation about x. [rad]
-        beta: rotation about y, non-zero only where this axis and the next are almost parallel. [rad]
+        joint: the joint that moves this row's frame; of a mount the one that it leads to.
+        type: of the joint: revolute, continuous or prismatic.
+        values: in the order of ``PARAMETERS`` theta, the rotation about z at zero joint value, d, the shift along z, a,
+            that along x, the common normal, alpha, the rotation about x, and beta, that about y, non-zero only where
+            this axis and the next are almost parallel. [rad, m]
         parallel: whether the next axis is within ``PARALLEL_ANGLE`` of (anti-)parallel.
         directed: whether the next axis is a prismatic joint's, which has a direction but no position.
+        last: whether there is no next joint.
+        mount: whether it is a mount, which no joint moves.
     """
 
     joint: str
     type: JointType
-    theta: float
-    d: float
-    a: float
-    alpha: float
-    beta: float
+    values: tuple[float, ...]
     parallel: bool
     directed: bool
+    last: bool = False
+    mount: bool = False
 
     @property
-    def values(self) -> tuple[float, float, float, float, float]:
-        """The row in the order of ``PARAMETERS``."""
-        return (self.theta, self.d, self.a, self.alpha, self.beta)
-
-    @property
-    def variable(self) -> Parameter:
+    def variable(self) -> Parameter | None:
         """The parameter that the joint's value is added to; its offset is the joint's zero offset."""
+        if self.mount:
+            return None
         return "d" if self.type == "prismatic" else "theta"
 
     @property
     def free(self) -> tuple[Parameter, ...]:
         """The parameters that the neighbouring rows' cannot replace (METHOD 3)."""
-        if self.directed:
-            shape: tuple[Parameter, ...] = ("alpha", "beta") if self.parallel else ("theta", "alpha")
-        elif self.parallel:
-            shape = ("theta", "a", "alpha", "beta")
-        else:
-            shape = ("theta", "d", "a", "alpha")
-        return tuple(p for p in PARAMETERS if p in shape or p == self.variable)
+        directions = ("alpha", "beta") if self.parallel else ("theta", "alpha")
+        lines = ("theta", "a", "alpha", "beta") if self.parallel else ("theta", "d", "a", "alpha")
+        return tuple(p for p in PARAMETERS if p in (directions if self.directed else lines) or p == self.variable)
 
 
 @dataclass(frozen=True, eq=False)
 class DHTable:
     """The DH rows of a chain: FK(q) = base * prod((Rz(q_i) or Tz(q_i)) B_i) * tool.
 
+    Of a tree it has the rows of one serial branch after the other, each but the first with its mount before them.
+
     Attributes:
-        chain: the chain that the rows describe.
+        columns: the names of an offsets array's columns.
+        chain: the joints that the rows describe.
         base: (4, 4) T_base_F0: F0 has z on the first axis and its origin at the foot of the base link's origin.
-        rows: one per joint.
-        tool: (4, 4) T_Fn_tip: a rotation about and a shift along z.
-        K: (n, 4, 4) constant K_i = F_{i-1}^-1 L_i at zero joint values, L_i being joint i's URDF frame.
+        rows: one per joint, and the mounts.
+        tool: (4, 4) T_FR_tip: a rotation about and a shift along z.
+        K: (R, 4, 4) constant K_i = F_{i-1}^-1 L_i at zero joint values, L_i being joint i's URDF frame; of a mount the
+            carrying link's frame in one whose z axis it leads from.
+        ends: (R, 4, 4) from each row's end to the next DH frame: none but a mount has its end elsewhere on the axis.
     """
 
-    chain: Chain
+    columns: ClassVar[tuple[str, ...]] = PARAMETERS
+    chain: Mechanism
     base: Floats
     rows: tuple[DHRow, ...]
     tool: Floats
     K: Floats
+    ends: Floats
 
     @classmethod
-    def from_chain(cls, chain: Chain) -> DHTable:
-        """Derive the rows from the chain's axis lines at zero joint values (METHOD 2)."""
-        L = np.empty((len(chain.joints) + 1, 4, 4))
-        T = np.eye(4)
-        for i, placement in enumerate(chain.placements):
-            L[i] = T = T @ placement
-        L[-1] = T @ chain.T_last_tip
-        axes = [L[i, :3, :3] @ joint.axis for i, joint in enumerate(chain.joints)] + [L[-1, :3, 2]]
+    def from_chain(cls, chain: Mechanism) -> Self:
+        """Derive the rows from the axis lines at zero joint values (METHOD 2)."""
+        from urdfcal.robot.tree_dh import derive
 
-        base = L[0].copy()
-        base[:3, :3] = L[0, :3, :3] @ turn_z_to(chain.joints[0].axis)
-        base[:3, 3] = L[0, :3, 3] + axes[0] * (axes[0] @ -L[0, :3, 3])
-        F, rows, K = base, [], []
-        for i, joint in enumerate(chain.joints):
-            K.append(inverse(F) @ L[i])
-            last = i + 1 == len(chain.joints)
-            directed = not last and chain.joints[i + 1].prismatic
-            point = F[:3, 3] if directed else L[i + 1, :3, 3]
-            parallel = bool(np.linalg.norm(np.cross(F[:3, 2], axes[i + 1])) < np.sin(PARALLEL_ANGLE))
-            # Every row but the last may choose its height along parallel axes; the last reaches the tip.
-            height = float((inverse(F) @ L[-1])[2, 3]) if last else 0.0
-            p, w = (inverse(F) @ [*point, 1.0])[:3], F[:3, :3].T @ axes[i + 1]
-            values = _hayati_row(p, w, height) if parallel else line_row(p, w)
-            theta, d, a, alpha, beta = map(float, values)
-            rows.append(DHRow(joint.name, joint.type, theta, d, a, alpha, beta, parallel, directed))
-            F = F @ row_transform(values)
-        return cls(chain, frozen(base), tuple(rows), frozen(inverse(F) @ L[-1]), frozen(K))
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """The names of an offsets array's columns."""
-        return PARAMETERS
+        return cls(chain, *derive(chain))
 
     @property
     def parameters(self) -> tuple[tuple[int, Parameter], ...]:
         """(row, name) of every parameter that moves a joint and that no other parameter can replace."""
-        last = len(self.rows) - 1
-        return tuple((i, p) for i, row in enumerate(self.rows) for p in row.free if i < last or p == row.variable)
+        return tuple((i, p) for i, row in enumerate(self.rows) for p in row.free if not row.last or p == row.variable)
 
     @property
     def zeros(self) -> tuple[tuple[int, Parameter], ...]:
         """(row, name) of every joint's zero offset."""
-        return tuple((i, row.variable) for i, row in enumerate(self.rows))
+        return tuple((i, row.variable) for i, row in enumerate(self.rows) if row.variable)
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """The names of an offsets array's rows: the joints'."""
-        return self.chain.names
+        """The names of an offsets array's rows: the joints', and those of mounts."""
+        return tuple(row.joint + MOUNT * row.mount for row in self.rows)
 
     def reason(self, row: int, name: str) -> str:
         """Say why a parameter of a row is never estimated."""
         shape = self.rows[row]
-        if row == len(self.rows) - 1:
+        if shape.mount:
+            return "a mount is a line in space: four numbers, or two for the direction of a sliding joint's"
+        if shape.last:
             return "it places the tip on the last link, which is no joint's origin"
         if shape.directed and (name in ("d", "a") or (name == "theta") == shape.parallel):
             return "the next joint slides: its axis has a direction but no position"
@@ -179,11 +146,11 @@ class DHTable:
 
     @property
     def nominal(self) -> Floats:
-        """The nominal rows (n, 5), columns as ``PARAMETERS``. [rad, m]."""
+        """The nominal rows (R, 5), columns as ``PARAMETERS``. [rad, m]."""
         return np.array([row.values for row in self.rows])
 
     def frames(self, q: ArrayLike, offsets: ArrayLike | None = None) -> Floats:
-        """Compute every DH frame in the base link's frame.
+        """Compute every DH frame of a chain in the base link's frame.
 
         Args:
             q: (n,) joint values. [rad or m]
@@ -195,7 +162,7 @@ class DHTable:
         values = self.nominal if offsets is None else self.nominal + np.asarray(offsets)
         frames = [np.array(self.base)]
         for row, row_values, q_i in zip(self.rows, values, np.asarray(q, dtype=float), strict=True):
-            frames.append(frames[-1] @ _factor(row.variable, q_i) @ row_transform(row_values))
+            frames.append(frames[-1] @ _factor(row.variable or "theta", q_i) @ row_transform(row_values))
         return np.array(frames)
 
     def forward(self, q: ArrayLike, offsets: ArrayLike | None = None) -> Floats:
@@ -210,28 +177,29 @@ class DHTable:
         joint. The last row's other parameters would move the tip on its link, which no joint can: they must be zero.
 
         Args:
-            offsets: (n, 5) added to the rows. [rad, m]
+            offsets: (R, 5) added to the rows. [rad, m]
 
         Returns:
             (n, 4, 4) what replaces ``chain.placements``; rows without offsets leave theirs bit for bit.
 
         Raises:
-            RobotError: an offset after the last joint.
+            RobotError: an offset after the last joint of a branch.
         """
-        offsets = np.asarray(offsets, dtype=float)
-        own, shape = np.where(self._own, offsets, 0.0), np.where(self._own, 0.0, offsets)
-        if np.any(shape[-1]):
-            raise RobotError(
-                "the last row can only be offset in its joint variable",
-                where=f"joint {self.rows[-1].joint!r}",
-                remedy="Where the tip sits on the last link is not a joint's placement.",
-            )
-        left = np.empty_like(self.K)
+        own, shape = self._split(offsets)
+        for row, offset in zip(self.rows, shape, strict=True):
+            if row.last and np.any(offset):
+                raise RobotError(
+                    "the last row can only be offset in its joint variable",
+                    where=f"joint {row.joint!r}",
+                    remedy="Where the tip sits on the last link is not a joint's placement.",
+                )
+        left = np.roll(inverse(self.K) @ row_transform(self.nominal + shape) @ self.ends, 1, axis=0)
         left[0] = self.chain.placements[0] @ inverse(self.K[0])
-        left[1:] = inverse(self.K[:-1]) @ row_transform(self.nominal[:-1] + shape[:-1])
         moved = np.any(own, axis=1)
         moved[1:] |= np.any(shape[:-1], axis=1)
-        result: Floats = np.where(moved[:, None, None], left @ row_transform(own) @ self.K, self.chain.placements)
+        moved &= [not row.mount for row in self.rows]
+        result = np.array(self.chain.placements)
+        result[self._joints[moved]] = (left @ row_transform(own) @ self.K)[moved]
         return result
 
     def twists(self, offsets: ArrayLike, parameters: Iterable[tuple[int, str]]) -> Floats:
@@ -240,28 +208,54 @@ class DHTable:
         Each parameter is one factor of one placement: with Q the transform to its right, xi = Ad(Q^-1) e.
 
         Args:
-            offsets: (n, 5) where the derivative is taken.
+            offsets: (R, 5) where the derivative is taken.
             parameters: (row index, name) of each column.
 
         Returns:
             G (6 n, p), rows as the columns of Pinocchio's joint kinematic regressor.
         """
-        offsets = np.asarray(offsets, dtype=float)
-        own, shape = np.where(self._own, offsets, 0.0), np.where(self._own, 0.0, offsets)
+        own, shape = self._split(offsets)
         # To the right of a row's factors are the next joint's zero offset and K; the last row's Q is not used.
-        Q = np.roll(row_transform(own) @ self.K, -1, axis=0)
+        Q = self.ends @ np.roll(row_transform(own) @ self.K, -1, axis=0)
         xi = parameter_twists(self.nominal + shape, Q)  # of each row's parameters, in the placement that holds them
-        xi[self._own] = _through(np.array([_MOTIONS[row.variable] for row in self.rows]), self.K)
+        motions = np.array([_MOTIONS[name] for _, name in self.zeros])
+        xi[self._own] = _through(motions, self.K[[i for i, _ in self.zeros]])
         parameters = list(parameters)
-        G = np.zeros((len(own), 6, len(parameters)))
+        G = np.zeros((len(self.chain.joints), 6, len(parameters)))
         for column, (i, name) in enumerate(parameters):
-            G[i if name == self.rows[i].variable else i + 1, :, column] = xi[i, _COLUMN[name]]
-        return G.reshape(6 * len(own), -1)
+            held = i if name == self.rows[i].variable else i + 1
+            G[self._joints[held], :, column] = xi[i, _COLUMN[name]]
+        return G.reshape(6 * len(G), len(parameters))
+
+    def start_frames(self, frames: Floats) -> Floats:
+        """Compute the frames (N, R, 4, 4) that the rows start from, once their joints have moved them.
+
+        Args:
+            frames: (N, n + 1, 4, 4) frames of the base link and of every joint. [m]
+        """
+        parents = np.array(self.chain.parents)
+        carriers = np.where([row.mount for row in self.rows], parents[self._joints], self._joints)
+        result: Floats = frames[:, carriers + 1] @ inverse(self.K)
+        return result
+
+    def shape(self, offsets: Floats) -> Floats:
+        """Compute the rows (R, 5) with offsets (R, 5), without those of joint variables. [rad, m]."""
+        return self.nominal + self._split(offsets)[1]
+
+    def _split(self, offsets: ArrayLike) -> tuple[Floats, Floats]:
+        """Offsets (R, 5) of the joint variables alone, and of all other parameters, the rows' shape."""
+        offsets = np.asarray(offsets, dtype=float)
+        return np.where(self._own, offsets, 0.0), np.where(self._own, 0.0, offsets)
 
     @cached_property
     def _own(self) -> Bools:
-        """Which parameter of each row, (n, 5), is its joint's variable; the others are the row's shape."""
+        """Which parameter of each row, (R, 5), is its joint's variable."""
         return np.array([[name == row.variable for name in PARAMETERS] for row in self.rows])
+
+    @cached_property
+    def _joints(self) -> Ints:
+        """The index of each row's joint, (R,)."""
+        return np.array([self.chain.names.index(row.joint) for row in self.rows])
 
     def to_dict(self, convention: Convention = "standard") -> dict[str, Any]:
         """Return the table as plain data: rows, and how they compose to the forward kinematics.
@@ -337,39 +331,3 @@ def _through(motion: Floats, Q: Floats) -> Floats:
     moved = np.stack([v - (skew(p) @ w[..., None])[..., 0], np.broadcast_to(w, p.shape)], axis=-1)
     result: Floats = np.swapaxes(R_T @ moved, -1, -2).reshape(*Q.shape[:-2], 6)
     return result
-
-
-def line_row(p: Floats, w: Floats) -> Floats:
-    """Compute the row (5,) to the line through p along w, not parallel to z; a = 0 where it intersects z."""
-    x = np.array([-w[1], w[0], 0.0]) / np.hypot(w[0], w[1])
-    d, a, _ = np.linalg.solve(np.column_stack([[0.0, 0.0, 1.0], x, -w]), p)
-    if abs(a) < _COINCIDENT:
-        a = 0.0
-    theta, alpha = np.arctan2(x[1], x[0]), np.arctan2(np.hypot(w[0], w[1]), w[2])
-    if _flip(theta, a if a != 0.0 else alpha):
-        theta, a, alpha = _wrap(theta + np.pi), -a, -alpha
-    return np.array([theta, d, a, alpha, 0.0])
-
-
-def _hayati_row(p: Floats, w: Floats, d: float) -> Floats:
-    """Compute Hayati's row (5,) to the line through p along w, almost parallel to z, with the normal at height d."""
-    foot = p + w * ((d - p[2]) / w[2])
-    a = np.hypot(foot[0], foot[1])
-    theta = np.arctan2(foot[1], foot[0])
-    if a < _COINCIDENT:
-        theta, a = 0.0, 0.0
-    elif _flip(theta, a):
-        theta, a = _wrap(theta + np.pi), -a
-    w = _factor("theta", -theta)[:3, :3] @ w
-    return np.array([theta, d, a, np.arctan2(0.0 - w[1], w[2]), np.arcsin(np.clip(w[0], -1.0, 1.0))])
-
-
-def _flip(theta: float, positive: float) -> bool:
-    """Whether x should point the other way: |theta| smallest, and on a tie ``positive`` positive."""
-    if abs(abs(theta) - np.pi / 2) < _TIE:
-        return positive < 0.0
-    return abs(theta) > np.pi / 2
-
-
-def _wrap(angle: float) -> float:
-    return float((angle + np.pi) % (2 * np.pi) - np.pi)

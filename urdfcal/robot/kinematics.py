@@ -42,26 +42,9 @@ def link_motions(mechanism: Mechanism, model: pin.Model, q: Floats, tips: Sequen
         q: (N, n) joint values. [rad or m]
         tips: the links.
     """
-    data = model.createData()
-    R, p = np.empty((len(tips), len(q), 3, 3)), np.empty((len(tips), len(q), 3))
-    regressor = np.zeros((len(tips), len(q), 6, 6 * len(mechanism.joints)))
-    aligned = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-    links = [se3(tip.T_joint_link) for tip in tips]
-    # Views of what every pass writes: asking Pinocchio for them each time costs a third of the loop.
-    views = [
-        (tip.joint + 1, link, *_live(data, tip), R[i], p[i], regressor[i])
-        for i, (tip, link) in enumerate(zip(tips, links, strict=True))
-    ]
-    for k, q_k in enumerate(q):
-        pin.forwardKinematics(model, data, q_k)
-        for joint, link, rotation, translation, R_i, p_i, regressor_i in views:
-            if joint:  # what is fixed to the base link does not move
-                regressor_i[k] = pin.computeJointKinematicRegressor(model, data, joint, aligned, link)
-            R_i[k] = rotation
-            p_i[k] = translation
-    return tuple(
-        LinkMotion(R[i] @ link.rotation, p[i] + R[i] @ link.translation, regressor[i]) for i, link in enumerate(links)
-    )
+    regressors = np.zeros((len(tips), len(q), 6, 6 * len(mechanism.joints)))
+    frames = _frames(model, q, tips, regressors)
+    return tuple(LinkMotion(T[:, :3, :3], T[:, :3, 3], of) for T, of in zip(frames, regressors, strict=True))
 
 
 def tip_motion(mechanism: Mechanism, model: pin.Model, q: Floats) -> LinkMotion:
@@ -83,17 +66,7 @@ def link_poses(
     Returns:
         (N, 4, 4) for each link. [m]
     """
-    model = mechanism.build_model(placements)
-    data = model.createData()
-    T = np.zeros((len(tips), len(q), 4, 4))
-    T[..., 3, 3] = 1.0
-    views = [(*_live(data, tip), T[i, :, :3, :3], T[i, :, :3, 3]) for i, tip in enumerate(tips)]
-    for k, q_k in enumerate(q):
-        pin.forwardKinematics(model, data, q_k)
-        for rotation, translation, R_i, p_i in views:
-            R_i[k] = rotation
-            p_i[k] = translation
-    return tuple(T[i] @ tip.T_joint_link for i, tip in enumerate(tips))
+    return tuple(_frames(mechanism.build_model(placements), q, tips))
 
 
 def tip_poses(mechanism: Mechanism, q: Floats, placements: Floats | None = None) -> Floats:
@@ -123,6 +96,23 @@ def joint_motion(joint: Joint, value: float) -> Floats:
     return T
 
 
-def _live(data: pin.Data, tip: Tip) -> tuple[Floats, Floats]:
-    """Views of the rotation and translation of the joint that a link is on, which every pass rewrites."""
-    return data.oMi[tip.joint + 1].rotation, data.oMi[tip.joint + 1].translation
+def _frames(model: pin.Model, q: Floats, tips: Sequence[Tip], regressors: Floats | None = None) -> Floats:
+    """Frames (L, N, 4, 4) of links at every pose; their regressors (L, N, 6, 6 n) are filled in where asked for."""
+    data = model.createData()
+    T = np.zeros((len(tips), len(q), 4, 4))
+    T[..., 3, 3] = 1.0
+    aligned = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+    # Views of what every pass writes: asking Pinocchio for them each time costs a third of the loop.
+    views = []
+    for T_i, tip in zip(T, tips, strict=True):
+        M = data.oMi[tip.joint + 1]
+        views.append((tip.joint + 1, se3(tip.T_joint_link), M.rotation, M.translation, T_i[:, :3, :3], T_i[:, :3, 3]))
+    for k, q_k in enumerate(q):
+        pin.forwardKinematics(model, data, q_k)
+        for i, (joint, link, rotation, translation, R_i, p_i) in enumerate(views):
+            if regressors is not None and joint:  # what is fixed to the base link does not move
+                regressors[i, k] = pin.computeJointKinematicRegressor(model, data, joint, aligned, link)
+            R_i[k] = rotation
+            p_i[k] = translation
+    result: Floats = T @ np.array([tip.T_joint_link for tip in tips]).reshape(-1, 1, 4, 4)
+    return result

@@ -71,6 +71,11 @@ class LimitViolation(NamedTuple):
     joint: Joint
     value: float
 
+    @property
+    def beyond(self) -> float:
+        """How far it is outside. [rad or m]."""
+        return max(self.joint.lower - self.value, self.value - self.joint.upper)
+
     def __str__(self) -> str:
         joint = self.joint
         limits = f"[{joint.lower:g}, {joint.upper:g}]"
@@ -95,8 +100,9 @@ class Tip:
         object.__setattr__(self, "T_joint_link", frozen(self.T_joint_link))
 
 
+@dataclass(frozen=True, eq=False)
 class Mechanism:
-    """Base class of chains and trees of one-degree-of-freedom joints, from a base link outwards.
+    """One-degree-of-freedom joints from a base link outwards: a chain to one tip link, or a tree to several.
 
     Fixed joints in between are folded into the placements. Every joint has one scalar coordinate, continuous joints
     too. A joint comes after the one that it hangs on.
@@ -104,11 +110,11 @@ class Mechanism:
     Attributes:
         name: the robot's.
         base_link: link whose frame everything starts from; anywhere in the URDF's tree.
-        joints: n of them.
+        joints: n of them: those to the first tip, from the base outwards, then those to the second that are new, and
+            so on.
         parents: index of the joint that each joint hangs on, ``BASE`` for the base link.
         placements: (n, 4, 4) T_parent_joint at zero joint value; of those that hang on the base link in its frame. [m]
         tips: the links of interest, the most important one first.
-        tip_link: the link of most interest.
     """
 
     name: str
@@ -117,7 +123,6 @@ class Mechanism:
     parents: tuple[int, ...]
     placements: Floats
     tips: tuple[Tip, ...]
-    tip_link: str
 
     def __post_init__(self) -> None:
         if not self.joints:
@@ -127,6 +132,11 @@ class Mechanism:
                 remedy="Name a base and a tip link with revolute, continuous or prismatic joints in between.",
             )
         object.__setattr__(self, "placements", frozen(self.placements))
+
+    @property
+    def tip_link(self) -> str:
+        """The first tip's name."""
+        return self.tips[0].link
 
     def tip(self, link: str) -> Tip:
         """Find one of the tips, or the base link, by name.
@@ -144,6 +154,10 @@ class Mechanism:
             where=self.name,
             remedy=suggest(link, [tip.link for tip in self.tips], "tip links"),
         )
+
+    def end_on(self, joint: int) -> Floats:
+        """The frame (4, 4) of the first tip link on a joint in the joint's frame, or that where there is none. [m]."""
+        return next((tip.T_joint_link for tip in self.tips if tip.joint == joint), np.eye(4))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -245,7 +259,7 @@ class Mechanism:
 
     def with_placements(self, placements: Floats) -> Mechanism:
         """Copy the mechanism with other joint placements (n, 4, 4). [m]."""
-        return replace(self, placements=placements)  # type: ignore[type-var]  # subclasses are dataclasses
+        return replace(self, placements=placements)
 
     def build_model(self, placements: ArrayLike | None = None) -> pin.Model:
         """Build the Pinocchio model of these joints, rooted at the base link, with q_i the i-th joint's value.
@@ -276,15 +290,8 @@ def se3(T: Floats) -> pin.SE3:
     return pin.SE3(np.ascontiguousarray(T[:3, :3]), np.ascontiguousarray(T[:3, 3]))
 
 
-_ALIGNED = {
-    (False, 0): pin.JointModelRX, (False, 1): pin.JointModelRY, (False, 2): pin.JointModelRZ,
-    (True, 0): pin.JointModelPX, (True, 1): pin.JointModelPY, (True, 2): pin.JointModelPZ,
-}  # fmt: skip
-
-
 def _joint_model(joint: Joint) -> pin.JointModel:
-    along = np.flatnonzero(joint.axis == 1.0)
-    if len(along) == 1 and np.count_nonzero(joint.axis) == 1:
-        return _ALIGNED[joint.prismatic, int(along[0])]()
-    unaligned = pin.JointModelPrismaticUnaligned if joint.prismatic else pin.JointModelRevoluteUnaligned
-    return unaligned(*joint.axis)
+    kind = ("Revolute", "R") if not joint.prismatic else ("Prismatic", "P")
+    if 1.0 in joint.axis and np.count_nonzero(joint.axis) == 1:
+        return getattr(pin, f"JointModel{kind[1]}{'XYZ'[int(np.argmax(joint.axis))]}")()
+    return getattr(pin, f"JointModel{kind[0]}Unaligned")(*joint.axis)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 import pinocchio as pin
@@ -25,15 +25,14 @@ class PlacementTable:
     prismatic one are redundant: only the tolerances make them unique.
 
     Attributes:
+        columns: the names of an offsets array's columns.
+        zeros: empty: a joint whose axis is no coordinate axis has its zero offset spread over three parameters.
         chain: the nominal joints.
     """
 
+    columns: ClassVar[tuple[str, ...]] = AXES
+    zeros: ClassVar[tuple[tuple[int, str], ...]] = ()
     chain: Mechanism
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """The names of an offsets array's columns."""
-        return AXES
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -44,11 +43,6 @@ class PlacementTable:
     def parameters(self) -> tuple[tuple[int, str], ...]:
         """(joint index, axis) of every parameter."""
         return tuple((i, axis) for i in range(len(self.chain.joints)) for axis in AXES)
-
-    @property
-    def zeros(self) -> tuple[tuple[int, str], ...]:
-        """Empty: a joint whose axis is no coordinate axis has its zero offset spread over three parameters."""
-        return ()
 
     def reason(self, row: int, name: str) -> str:
         """Say why a parameter is not estimated: only because it was left out."""

@@ -6,13 +6,14 @@ that it cannot parse or whose hash differs, though nobody needs that topic.
 
 from __future__ import annotations
 
+import os
 import struct
 import sys
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from urdfcal.errors import SessionError
+from urdfcal.errors import SessionError, placed
 from urdfcal.names import listed
 
 if TYPE_CHECKING:
@@ -98,17 +99,15 @@ class Bag:
         Raises:
             SessionError: the bag is damaged, or its messages are not what ROS calls by that name.
         """
-        ros1 = _is_ros1(self.path)
-        decode = self._types.deserialize_ros1 if ros1 else self._types.deserialize_cdr
+        types, ros1 = self._types, _is_ros1(self.path)
+        decode = types.deserialize_ros1 if ros1 else types.deserialize_cdr
         with _errors_explained(self.path):
             connections = [one for one in self._reader.connections if one.topic in topics]
             for one in connections:
-                name = one.msgtype
+                known = types.generate_msgdef(one.msgtype)[1] if ros1 else types.hash_rihs01(one.msgtype)
                 # Older bags of ROS 2 have no hashes.
-                if one.digest and one.digest != (
-                    self._types.generate_msgdef(name)[1] if ros1 else self._types.hash_rihs01(name)
-                ):
-                    raise SessionError(f"{one.topic} is not what ROS calls {name}", where=str(self.path))
+                if one.digest and one.digest != known:
+                    raise SessionError(f"{one.topic} is not what ROS calls {one.msgtype}", where=str(self.path))
             # Of no connections rosbags reads all.
             for connection, received, data in self._reader.messages(connections) if connections else ():
                 if received > _LATEST:
@@ -128,8 +127,9 @@ def open_bag(path: Path) -> Iterator[Bag]:
     """
     from rosbags.rosbag1 import Reader as Reader1
     from rosbags.rosbag2 import Reader as Reader2
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    if not path.exists():
+    if not os.path.exists(path):  # noqa: PTH110  # pathlib's raises at overlong names
         raise SessionError("there is no such bag", where=str(path))
     if path.is_dir() and not (path / "metadata.yaml").is_file():
         there = [entry.name for entry in sorted(path.iterdir()) if entry.suffix in _SUFFIXES]
@@ -144,7 +144,11 @@ def open_bag(path: Path) -> Iterator[Bag]:
             where=str(path),
             remedy=f"Those of ROS 1 end in {_SUFFIXES[0]}, files of ROS 2 in {' or '.join(_SUFFIXES[1:])}.",
         )
-    types = _typestore(path)
+    # A bag's own definitions are not needed: JointState, Image, CompressedImage, CameraInfo and TFMessage have been the
+    # same in all distributions of ROS 2, and in ROS 1 (compared: their hashes in rosbags, Dashing to Lyrical).
+    types = get_typestore(Stores.ROS1_NOETIC if _is_ros1(path) else Stores.ROS2_HUMBLE)
+    if _is_ros1(path):
+        types.register(get_types_from_msg(_TRANSFORMS_1, TRANSFORMS))
     with _errors_explained(path):
         reader = Reader1(path) if _is_ros1(path) else Reader2(path)
         reader.open()
@@ -155,28 +159,15 @@ def open_bag(path: Path) -> Iterator[Bag]:
                 for name, of in sorted(reader.topics.items())
             )
             duration = reader.duration / _NANO
-        yield Bag(path, topics, duration, reader, types)
+        with placed(path):
+            yield Bag(path, topics, duration, reader, types)
     finally:
-        reader.close()
+        with suppress(AttributeError):  # of what a damaged metadata.yaml made of it
+            reader.close()
 
 
 def _is_ros1(path: Path) -> bool:
     return path.suffix == ".bag" and not path.is_dir()
-
-
-def _typestore(path: Path) -> Typestore:
-    """Return the definitions of messages.
-
-    A bag's own are not needed: JointState, Image, CompressedImage, CameraInfo and TFMessage have been the same in all
-    distributions of ROS 2, and in ROS 1 (compared: their hashes in rosbags, Dashing to Lyrical).
-    """
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-    if not _is_ros1(path):
-        return get_typestore(Stores.ROS2_HUMBLE)
-    types = get_typestore(Stores.ROS1_NOETIC)
-    types.register(get_types_from_msg(_TRANSFORMS_1, TRANSFORMS))
-    return types
 
 
 @contextmanager

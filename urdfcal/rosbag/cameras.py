@@ -61,17 +61,19 @@ def read_bag_cameras(topics: Sequence[tuple[str, str]], messages: Iterable[Messa
         if topic not in first:
             raise CameraError("there is no camera_info", where=topic, remedy=_ELSEWHERE)
     rig = rig_of([_info(name, topic, first[topic]) for name, topic in topics])
-    # Of a frame that is given twice, the last.
+    # Of a frame that is given twice, the last. ROS 1 once wrote a slash before names.
     parents = {
-        _without_slash(one.child_frame_id): (_without_slash(one.header.frame_id), _rigid(one)) for one in transforms
+        one.child_frame_id.removeprefix("/"): (one.header.frame_id.removeprefix("/"), _rigid(one)) for one in transforms
     }
-    frames = [_without_slash(first[topic].header.frame_id) for _, topic in topics]
+    frames = [first[topic].header.frame_id.removeprefix("/") for _, topic in topics]
     poses, notes = [rig.T_cam_world[0]], []
     for (name, source), T, frame in zip(topics[1:], rig.T_cam_world[1:], frames[1:], strict=True):
         if T is None and _OPTICAL in frame and _OPTICAL in frames[0]:
-            T, source = _between(parents, frame, frames[0]), TF_STATIC
-            if T is not None and np.linalg.norm(T[:3, 3]) < _LEAST_APART:
-                T = None
+            source = TF_STATIC
+            (root, T_root_frame), (other_root, T_root_first) = _root(parents, frame), _root(parents, frames[0])
+            T_frame_first = inverse(T_root_frame) @ T_root_first
+            if root == other_root and np.linalg.norm(T_frame_first[:3, 3]) >= _LEAST_APART:
+                T = T_frame_first
         poses.append(T)
         notes.append(f"the pose of {name} is " + (f"from {source}" if T is not None else "not known: it is estimated"))
     return Rig(rig.cameras, tuple(poses)), tuple(notes)
@@ -89,10 +91,9 @@ def _info(name: str, topic: str, message: Any) -> CameraInfo:
             raise error(key, "it has values that are not finite", _ELSEWHERE)
     if not K.any():
         raise error("camera_matrix", "the camera is not calibrated: its matrix is zero", _ELSEWHERE)
-    roi, size = message.roi, (int(message.width), int(message.height))
+    size = (int(message.width), int(message.height))
     # All zero is the whole image, too.
-    cut = (roi.x_offset, roi.y_offset, roi.width, roi.height) not in ((0, 0, 0, 0), (0, 0, *size))
-    if cut or message.binning_x > 1 or message.binning_y > 1:
+    if _part(message) not in ((0, 0, 0, 0), (0, 0, *size)) or message.binning_x > 1 or message.binning_y > 1:
         raise CameraError("images that are binned or cut out (roi) are not supported", where=topic, remedy=_ELSEWHERE)
     return CameraInfo(
         name=name,
@@ -115,17 +116,14 @@ def _array(message: Any, field: str) -> Floats:
 
 def _values(message: Any) -> tuple[Any, ...]:
     """All that a camera_info says, to be compared."""
-    roi = message.roi
     size = (message.width, message.height, message.binning_x, message.binning_y)
-    cut = (roi.x_offset, roi.y_offset, roi.width, roi.height)
     arrays = tuple(_array(message, field).tobytes() for field in _FIELDS.values())
-    return (*size, *cut, message.distortion_model, *arrays)
+    return (*size, *_part(message), message.distortion_model, *arrays)
 
 
-def _between(parents: Mapping[str, tuple[str, Floats]], frame: str, other: str) -> Floats | None:
-    """Return T_frame_other, None where no static transforms connect them; of each frame its parent and pose there."""
-    (root, T_root_frame), (other_root, T_root_other) = _root(parents, frame), _root(parents, other)
-    return inverse(T_root_frame) @ T_root_other if root == other_root else None
+def _part(message: Any) -> tuple[int, int, int, int]:
+    roi = message.roi
+    return roi.x_offset, roi.y_offset, roi.width, roi.height
 
 
 def _root(parents: Mapping[str, tuple[str, Floats]], frame: str) -> tuple[str, Floats]:
@@ -138,11 +136,6 @@ def _root(parents: Mapping[str, tuple[str, Floats]], frame: str) -> tuple[str, F
             raise CameraError(f"the frame {frame!r} is its own ancestor", where=TF_STATIC)
         passed.add(frame)
     return frame, T
-
-
-def _without_slash(frame: str) -> str:
-    """Return a frame's name without the slash that ROS 1 once wrote before it."""
-    return frame.removeprefix("/")
 
 
 def _rigid(transform: Any) -> Floats:

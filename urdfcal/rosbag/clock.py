@@ -41,7 +41,7 @@ class Timeline:
         object.__setattr__(self, "time", frozen(self.time, np.int64))
 
 
-def timeline(topic: str, stamps: Sequence[int], received: Sequence[int]) -> Timeline:
+def timeline(topic: str, stamps: Sequence[int], received: Sequence[int], left_out: Sequence[str] = ()) -> Timeline:
     """Put messages in the order of their stamps.
 
     Messages without a stamp among others that have one, and those that repeat one, are left out. Where none has one,
@@ -51,6 +51,7 @@ def timeline(topic: str, stamps: Sequence[int], received: Sequence[int]) -> Time
         topic: whose messages these are.
         stamps: of the messages, in the order in which they were recorded; 0 where there is none. [ns]
         received: when they were recorded. [ns]
+        left_out: warnings of messages that are not among them.
 
     Raises:
         SessionError: there is no message, or the sender's clock was set back.
@@ -58,7 +59,7 @@ def timeline(topic: str, stamps: Sequence[int], received: Sequence[int]) -> Time
     if not len(stamps):
         raise SessionError("there are no messages", where=topic)
     time, arrival = np.array(stamps, np.int64), np.array(received, np.int64)
-    warnings = []
+    warnings = list(left_out)
     blank = time == 0
     if blank.all():
         time, blank = arrival, np.zeros(len(time), dtype=bool)

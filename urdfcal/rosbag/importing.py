@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from urdfcal.errors import CameraError, OutputError
+from urdfcal.errors import CameraError, OutputError, SessionError
 from urdfcal.images.encodings import DamagedPictureError, decode_compressed, decode_raw
 from urdfcal.images.files import in_parallel, write_image
 from urdfcal.io.folder import IMAGES
@@ -17,43 +18,21 @@ from urdfcal.names import listed
 from urdfcal.rosbag.bag import TRANSFORMS
 from urdfcal.rosbag.cameras import TF_STATIC, read_bag_cameras
 from urdfcal.rosbag.clock import align_clock, timeline
-from urdfcal.rosbag.joints import read_joint_states
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
+    from urdfcal.arrays import Floats
     from urdfcal.cameras.camera import Camera
     from urdfcal.cameras.rig import Rig
-    from urdfcal.robot.chain import Chain
-    from urdfcal.robot.urdf.urdf import Urdf
     from urdfcal.rosbag.bag import Bag, Message
     from urdfcal.rosbag.clock import Timeline
-    from urdfcal.rosbag.joints import JointStates
     from urdfcal.rosbag.topics import ChosenTopics
-    from urdfcal.session.knowledge import Led
+    from urdfcal.session.model import Setup
 
 
 # Nine hours of images at 30 Hz.
 _DIGITS = 6
-
-
-@dataclass(frozen=True, eq=False)
-class ImportSetup:
-    """What a session needs and a bag does not hold.
-
-    Attributes:
-        urdf: the robot description.
-        urdf_reference: how the session names it if it is in a package.
-        chain: the joints that are calibrated.
-        led: on the tip link.
-        rig: the cameras; None: as the bag describes them.
-    """
-
-    urdf: Urdf
-    urdf_reference: str
-    chain: Chain
-    led: Led
-    rig: Rig | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,34 +56,10 @@ class ImportSummary:
     warnings: tuple[str, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class _CameraImages:
-    """The images of one camera.
-
-    Attributes:
-        times: when they were taken.
-        labels: their files' names without suffix, in the same order.
-        warnings: which were damaged, and what was done to the times.
-    """
-
-    times: Timeline
-    labels: tuple[str, ...]
-    warnings: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class _WrittenImage:
-    """One image that is written: its stamp and when it was received, in ns, and its file."""
-
-    stamp: int
-    received: int
-    path: Path
-
-
 def import_bag(
     bag: Bag,
     topics: ChosenTopics,
-    setup: ImportSetup,
+    setup: Setup,
     folder: str | Path,
     progress: Callable[[int], object] | None = None,
 ) -> ImportSummary:
@@ -115,7 +70,7 @@ def import_bag(
     Args:
         bag: the recording.
         topics: of the joints and the cameras.
-        setup: what the bag does not hold.
+        setup: what the bag does not hold: the robot and its LEDs, and the cameras unless the bag describes them.
         folder: where to; made if need be, in a folder that exists. It must be empty.
         progress: called with the number of messages read since the last call: those of ``topics`` and /tf_static.
 
@@ -137,46 +92,131 @@ def import_bag(
             yield message
 
     joints = setup.chain.actuated
-    states = read_joint_states(topics.joints, read(topics.joints), joints)
+    times, readings = read_joint_states(topics.joints, read(topics.joints), joints)
     rig, notes = setup.rig, tuple[str, ...]()
-    if rig is None:
-        infos = [(camera.name, camera.info) for camera in topics.cameras if camera.info is not None]
+    if not rig.cameras:
+        infos = [(name, info) for name, (_, info) in topics.cameras.items() if info is not None]
         static = [topic.name for topic in bag.topics if topic.name == TF_STATIC and topic.type == TRANSFORMS]
         rig, notes = read_bag_cameras(infos, read(*(info for _, info in infos), *static))
     images = _image_topics(rig, topics)
     with put_into(folder) as partial:
         _write_setup(partial, setup, rig)
-        frames = _write_images(partial / IMAGES, read(*images), images, rig.cameras, states.times)
-        origin = _write_tables(partial, states, joints, frames)
-    warnings = (warning for of in frames.values() for warning in of.warnings)
-    cameras = {name: of.times for name, of in frames.items()}
-    return ImportSummary(origin, states.times, cameras, rig, notes, (*states.warnings, *warnings))
+        frames = _write_images(partial / IMAGES, read(*images), images, times)
+        origin = _write_tables(partial, times, dict(zip(joints, readings.T.tolist(), strict=True)), frames)
+    cameras = {name: taken for name, (taken, _) in frames.items()}
+    warnings = tuple(warning for of in (times, *cameras.values()) for warning in of.warnings)
+    return ImportSummary(origin, times, cameras, rig, notes, warnings)
 
 
-def _image_topics(rig: Rig, topics: ChosenTopics) -> tuple[str, ...]:
-    """Return the topics of the images, in the order of the cameras."""
-    images = {camera.name: camera.image for camera in topics.cameras}
+def read_joint_states(topic: str, messages: Iterable[Message], joints: Sequence[str]) -> tuple[Timeline, Floats]:
+    """Read the positions of some joints.
+
+    Messages with none of them are another device's, and those without positions are of no use: they are left out.
+
+    Args:
+        topic: its name.
+        messages: of the topic, in the order in which they were recorded.
+        joints: names of those that every reading has.
+
+    Returns:
+        When each reading was taken, and which messages were left out; and the readings (K, k) of these joints, in their
+        order. [rad or m]
+
+    Raises:
+        SessionError: no message has all joints, or one contradicts itself.
+    """
+    needed = set(joints)
+    stamps, received, rows = [], [], []
+    # Messages that cannot be used: by the joints that they have, and by the joint that is not a number.
+    parts: Counter[frozenset[str]] = Counter()
+    undefined: Counter[str] = Counter()
+    seen: dict[str, None] = {}
+    empty = 0
+    for number, message in enumerate(messages, 1):
+        names, positions = message.content.name, message.content.position
+        seen |= dict.fromkeys(names)
+        if not needed.intersection(names):
+            continue
+        if not len(positions):
+            empty += 1
+            continue
+        if len(positions) != len(names):
+            raise SessionError(f"message {number} has {len(names)} names and {len(positions)} positions", where=topic)
+        if len(set(names)) < len(names):
+            raise SessionError(f"message {number} names a joint twice: {listed(names)}", where=topic)
+        value = dict(zip(names, positions.tolist(), strict=True))
+        if not needed <= value.keys():
+            parts[frozenset(needed & value.keys())] += 1
+            continue
+        row = [value[name] for name in joints]
+        bad = [name for name, x in zip(joints, row, strict=True) if not np.isfinite(x)]
+        if bad:
+            undefined.update(bad[:1])
+            continue
+        stamps.append(message.stamp)
+        received.append(message.received)
+        rows.append(row)
+    warnings = [f"{topic}: {empty} messages have no positions and are left out"] if empty else []
+    if undefined:
+        warnings.append(
+            f"{topic}: {undefined.total()} messages are left out, in which the position of {listed(undefined)} "
+            "is no finite number"
+        )
+    if not rows:
+        raise _unusable(topic, joints, list(seen), parts, warnings)
+    if parts:
+        warnings.append(f"{topic}: {parts.total()} messages have only some of the joints and are left out")
+    times = timeline(topic, stamps, received, warnings)
+    return times, np.array(rows)[times.kept]
+
+
+def _unusable(
+    topic: str, joints: Sequence[str], seen: Sequence[str], parts: Counter[frozenset[str]], warnings: Sequence[str]
+) -> SessionError:
+    """Say why no message can be used."""
+    missing = [name for name in joints if name not in seen]
+    if missing:
+        return SessionError(
+            f"no joint state has {listed(missing)}",
+            where=topic,
+            remedy=f"The joints in it are: {listed(seen)}. Other names? Another URDF, --base or --tip, or --joints.",
+        )
+    if parts:
+        sets = "; ".join(f"{listed(sorted(names))} ({count} messages)" for names, count in parts.most_common(4))
+        return SessionError(
+            f"no message has all joints of the arm: {sets}",
+            where=topic,
+            remedy="Record a topic on which one node publishes them together.",
+        )
+    return SessionError(
+        "no message can be used", where=topic, remedy=" ".join(f"{w.removeprefix(f'{topic}: ')}." for w in warnings)
+    )
+
+
+def _image_topics(rig: Rig, topics: ChosenTopics) -> dict[str, Camera]:
+    """Return the cameras by the topics of their images."""
+    images = {name: image for name, (image, _) in topics.cameras.items()}
     if set(images) != set(rig.names):
         raise CameraError(
             f"the cameras described are {listed(rig.names)}, those in the bag are called {listed(images)}",
             remedy=f"Say which is which: --camera {rig.names[0]}={next(iter(images.values()))} and so on.",
         )
-    return tuple(images[name] for name in rig.names)
+    return {images[camera.name]: camera for camera in rig.cameras}
 
 
-def _write_setup(folder: Path, setup: ImportSetup, rig: Rig) -> None:
+def _write_setup(folder: Path, setup: Setup, rig: Rig) -> None:
     """Write session.yaml, the cameras, and the robot unless it is in a package."""
     import yaml
 
     from urdfcal.cameras.io.formats import write_kalibr
 
-    reference, chain, led = setup.urdf_reference, setup.chain, setup.led
-    if not reference.startswith("package://"):
+    reference, chain = setup.urdf_reference, setup.chain
+    if setup.urdf and not reference.startswith("package://"):
         reference = Path(reference).name
         (folder / reference).write_bytes(setup.urdf.data)
     content = {
         "robot": {"urdf": reference, "base_link": chain.base_link, "tip_link": chain.tip_link},
-        "leds": {led.name: {} if led.position is None else {"position": led.position.tolist()}},
+        "leds": {led.name: {} if led.position is None else {"position": led.position.tolist()} for led in setup.leds},
         "cameras": "cameras.yaml",
         "joints": "joints.csv",
         "frames": "frames.csv",
@@ -187,70 +227,66 @@ def _write_setup(folder: Path, setup: ImportSetup, rig: Rig) -> None:
 
 
 def _write_images(
-    folder: Path, messages: Iterable[Message], topics: Sequence[str], cameras: Sequence[Camera], robot: Timeline
-) -> dict[str, _CameraImages]:
+    folder: Path, messages: Iterable[Message], cameras: Mapping[str, Camera], robot: Timeline
+) -> dict[str, tuple[Timeline, list[str]]]:
     """Write images as ``folder``/<camera>/<number of the message>.png, or .jpg where they were recorded as that.
 
     Args:
         folder: where to; it is made.
         messages: of the topics, in the order in which they were recorded.
-        topics: of every camera, sensor_msgs/Image or CompressedImage.
-        cameras: that took the images.
+        cameras: that took the images, by their topics, sensor_msgs/Image or CompressedImage.
         robot: the times of the joint states, on whose clock the images' times are to be.
 
     Returns:
-        Of every camera, the images that were recorded whole.
+        Of every camera, when the images that were recorded whole were taken, and their files' names without suffix.
 
     Raises:
         CameraError: an image is of another kind or size than its camera takes, or none was recorded whole.
         SessionError: a camera took none, its clock was set back, or it was recorded at another time.
         OSError: they cannot be written.
     """
-    written: list[list[_WrittenImage]] = [[] for _ in topics]
-    damaged: list[list[CameraError]] = [[] for _ in topics]
+    written: dict[str, list[tuple[int, int, Path]]] = {topic: [] for topic in cameras}
+    damaged: dict[str, list[CameraError]] = {topic: [] for topic in cameras}
 
-    def numbered() -> Iterator[tuple[int, int, Message]]:
-        counts = [0] * len(topics)
+    def numbered() -> Iterator[tuple[int, Message]]:
+        counts = Counter[str]()
         for message in messages:
-            camera = topics.index(message.topic)
-            counts[camera] += 1
-            yield camera, counts[camera], message
+            counts[message.topic] += 1
+            yield counts[message.topic], message
 
-    def write(task: tuple[int, int, Message]) -> tuple[int, _WrittenImage | CameraError]:
-        camera, number, message = task
-        path = folder / cameras[camera].name / f"{number:0{_DIGITS}d}"
-        where = f"{message.topic}, message {number}"
+    def write(task: tuple[int, Message]) -> tuple[str, tuple[int, int, Path] | CameraError]:
+        number, message = task
+        camera, where = cameras[message.topic], f"{message.topic}, message {number}"
         try:
-            path = _write_one(path, message.content, cameras[camera])
+            path = _write_one(folder / camera.name / f"{number:0{_DIGITS}d}", message.content, camera)
         except DamagedPictureError as error:
-            return camera, CameraError(error.what, where=where)
+            return message.topic, CameraError(error.what, where=where)
         except CameraError as error:
             raise CameraError(error.what, where=where, remedy=error.remedy) from error
-        return camera, _WrittenImage(message.stamp, message.received, path)
+        return message.topic, (message.stamp, message.received, path)
 
-    for one in cameras:
-        (folder / one.name).mkdir(parents=True)
-    for camera, result in in_parallel(write, numbered()):
+    for camera in cameras.values():
+        (folder / camera.name).mkdir(parents=True)
+    for topic, result in in_parallel(write, numbered()):
         if isinstance(result, CameraError):
-            damaged[camera].append(result)
+            damaged[topic].append(result)
         else:
-            written[camera].append(result)
-    of_cameras = zip(topics, written, damaged, strict=True)
-    return {one.name: _in_order(*of, robot) for one, of in zip(cameras, of_cameras, strict=True)}
+            written[topic].append(result)
+    return {camera.name: _in_order(topic, written[topic], damaged[topic], robot) for topic, camera in cameras.items()}
 
 
 def _in_order(
-    topic: str, written: Sequence[_WrittenImage], damaged: Sequence[CameraError], robot: Timeline
-) -> _CameraImages:
-    """Return the images that have a time of their own; remove the files of others."""
+    topic: str, written: Sequence[tuple[int, int, Path]], damaged: Sequence[CameraError], robot: Timeline
+) -> tuple[Timeline, list[str]]:
+    """Return times and names of the images that have a time of their own; remove the files of others."""
     if damaged and not written:
         raise damaged[0]
-    times = timeline(topic, [one.stamp for one in written], [one.received for one in written])
-    for i in np.setdiff1d(np.arange(len(written)), times.kept):
-        written[i].path.unlink()
-    times = align_clock(robot, times)
     warnings = [f"{len(damaged)} images are damaged and left out; the first: {damaged[0]}"] if damaged else []
-    return _CameraImages(times, tuple(written[i].path.stem for i in times.kept), (*warnings, *times.warnings))
+    times = timeline(topic, [stamp for stamp, *_ in written], [received for _, received, _ in written], warnings)
+    paths = [path for *_, path in written]
+    for i in np.setdiff1d(np.arange(len(paths)), times.kept):
+        paths[i].unlink()
+    return align_clock(robot, times), [paths[i].stem for i in times.kept]
 
 
 def _write_one(path: Path, content: Any, camera: Camera) -> Path:
@@ -275,19 +311,19 @@ def _write_one(path: Path, content: Any, camera: Camera) -> Path:
     return path
 
 
-def _write_tables(folder: Path, states: JointStates, joints: Sequence[str], frames: Mapping[str, _CameraImages]) -> int:
+def _write_tables(
+    folder: Path, robot: Timeline, joints: Mapping[str, list[float]], frames: Mapping[str, tuple[Timeline, list[str]]]
+) -> int:
     """Write joints.csv and frames.csv, and return the time that is 0 in them. [ns]."""
-    origin = int(min(times.time[0] for times in (states.times, *(of.times for of in frames.values()))))
+    origin = int(min(times.time[0] for times in (robot, *(times for times, _ in frames.values()))))
 
     def seconds(times: Timeline) -> list[float]:
         # From there on a double holds 104 days to the nanosecond.
         return [ns / 1e9 for ns in (times.time - origin).tolist()]
 
-    write_table(folder / "joints.csv", ["time", *joints], [seconds(states.times), *states.readings.T.tolist()])
-    columns: list[list[Any]] = [[], [], []]
-    for name, of in frames.items():
-        columns[0] += [name] * len(of.labels)
-        columns[1] += of.labels
-        columns[2] += seconds(of.times)
-    write_table(folder / "frames.csv", ["camera", "frame", "time"], columns)
+    write_table(folder / "joints.csv", ["time", *joints], [seconds(robot), *joints.values()])
+    rows = [
+        (name, *row) for name, (times, labels) in frames.items() for row in zip(labels, seconds(times), strict=True)
+    ]
+    write_table(folder / "frames.csv", ["camera", "frame", "time"], zip(*rows, strict=True))
     return origin

@@ -21,75 +21,54 @@ _FOLDER = re.compile(r"\w[\w .-]*")
 
 
 @dataclass(frozen=True)
-class CameraTopics:
-    """The topics of one camera.
-
-    Attributes:
-        name: the camera's in the session.
-        image: its images.
-        info: its camera_info; None where the camera is described elsewhere.
-    """
-
-    name: str
-    image: str
-    info: str | None
-
-
-@dataclass(frozen=True)
-class TopicOptions:
-    """What the user says about the topics of a bag.
-
-    Attributes:
-        joints: the topic with the joint states; None: the only one.
-        cameras: topics of the images, and of the camera_info if it has an unusual name, by camera; empty: all.
-        infos: whether the bag is to describe the cameras.
-    """
-
-    joints: str | None = None
-    cameras: Mapping[str, tuple[str, str | None]] | None = None
-    infos: bool = True
-
-
-@dataclass(frozen=True)
 class ChosenTopics:
     """The topics that a session is made of.
 
     Attributes:
         joints: the joint states.
-        cameras: one or more.
+        cameras: by the camera's name in the session its images and its camera_info, None where it is described
+            elsewhere; one or more.
     """
 
     joints: str
-    cameras: tuple[CameraTopics, ...]
+    cameras: Mapping[str, tuple[str, str | None]]
 
     @property
     def names(self) -> tuple[str, ...]:
         """All topics."""
-        return (self.joints, *(name for camera in self.cameras for name in (camera.image, camera.info) if name))
+        return (self.joints, *(name for of in self.cameras.values() for name in of if name))
 
 
-def choose_topics(topics: Sequence[Topic], options: TopicOptions) -> ChosenTopics:
+def choose_topics(
+    topics: Sequence[Topic],
+    joints: str | None = None,
+    cameras: Mapping[str, tuple[str, str | None]] | None = None,
+    *,
+    infos: bool = True,
+) -> ChosenTopics:
     """Find the topics of the joints and the cameras.
 
     Args:
         topics: all of the bag.
-        options: what the user says about them.
+        joints: the topic with the joint states; None: the only one.
+        cameras: topics of the images, and of the camera_info if it has an unusual name, by camera; empty: all.
+        infos: whether the bag is to describe the cameras.
 
     Raises:
         SessionError: a topic is missing or of another type, or the choice between several is open.
     """
     filled = [topic for topic in topics if topic.count]
-    named = options.cameras or _by_namespace(filled)
-    cameras = tuple(_camera(filled, name, *topics, infos=options.infos) for name, topics in named.items())
-    for camera in cameras:
-        if not _FOLDER.fullmatch(camera.name):
+    named = cameras or _by_namespace(filled)
+    chosen = {name: (image, _info(filled, name, image, info, infos=infos)) for name, (image, info) in named.items()}
+    for name, (image, _) in chosen.items():
+        if not _FOLDER.fullmatch(name):
             raise SessionError(
-                f"the camera's name {camera.name!r} cannot be that of a folder",
-                remedy=f"Use letters and digits: --camera NAME={camera.image}.",
+                f"the camera's name {name!r} cannot be that of a folder",
+                remedy=f"Use letters and digits: --camera NAME={image}.",
             )
-    if len({camera.image for camera in cameras}) < len(cameras):
+    if len({image for image, _ in chosen.values()}) < len(chosen):
         raise SessionError("two cameras have the same images", remedy="Every camera has a topic of its own.")
-    return ChosenTopics(_joints(filled, options.joints), cameras)
+    return ChosenTopics(_joints(filled, joints), chosen)
 
 
 def _joints(topics: Sequence[Topic], named: str | None) -> str:
@@ -97,9 +76,7 @@ def _joints(topics: Sequence[Topic], named: str | None) -> str:
         return _known(topics, named, (JOINT_STATE,))
     found = [topic.name for topic in topics if topic.type == JOINT_STATE]
     if not found:
-        raise SessionError(
-            "there are no joint states (sensor_msgs/JointState)", remedy=f"The topics are: {listed(_names(topics))}."
-        )
+        raise _none_of("joint states (sensor_msgs/JointState)", topics)
     if len(found) > 1:
         raise SessionError(
             f"there are {len(found)} topics with joint states: {listed(found)}", remedy=f"Use --joints {found[0]}."
@@ -107,13 +84,14 @@ def _joints(topics: Sequence[Topic], named: str | None) -> str:
     return found[0]
 
 
-def _camera(topics: Sequence[Topic], name: str, image: str, info: str | None, *, infos: bool) -> CameraTopics:
+def _info(topics: Sequence[Topic], name: str, image: str, info: str | None, *, infos: bool) -> str | None:
+    """Return the topic of a camera's camera_info, if the bag is to describe it."""
     _known(topics, image, _IMAGES)
     usual = f"{_namespace(image)}/camera_info"  # where image_transport looks for it
     if info is not None:
         _known(topics, info, (CAMERA_INFO,))
     elif not infos:
-        return CameraTopics(name, image, None)
+        return None
     there = [topic.name for topic in topics if topic.type == CAMERA_INFO]
     if info is None and usual not in there:
         raise SessionError(
@@ -127,7 +105,7 @@ def _camera(topics: Sequence[Topic], name: str, image: str, info: str | None, *,
             f"{image} is rectified, {usual} describes the images before that",
             remedy="Use the raw images, or describe the rectified ones with --cameras FILE.",
         )
-    return CameraTopics(name, image, info)
+    return info
 
 
 def _by_namespace(topics: Sequence[Topic]) -> dict[str, tuple[str, None]]:
@@ -137,10 +115,7 @@ def _by_namespace(topics: Sequence[Topic]) -> dict[str, tuple[str, None]]:
         if topic.type in _IMAGES:
             by_space.setdefault(_namespace(topic.name), []).append(topic.name)
     if not by_space:
-        raise SessionError(
-            "there are no images (sensor_msgs/Image or CompressedImage)",
-            remedy=f"The topics are: {listed(_names(topics))}.",
-        )
+        raise _none_of("images (sensor_msgs/Image or CompressedImage)", topics)
     spaces = sorted(by_space, key=_natural)
     for space in spaces:
         if len(by_space[space]) > 1:
@@ -185,5 +160,6 @@ def _known(topics: Sequence[Topic], name: str, types: Sequence[str]) -> str:
     return name
 
 
-def _names(topics: Sequence[Topic]) -> list[str]:
-    return [f"{topic.name} ({topic.type})" for topic in topics]
+def _none_of(what: str, topics: Sequence[Topic]) -> SessionError:
+    names = [f"{topic.name} ({topic.type})" for topic in topics]
+    return SessionError(f"there are no {what}", remedy=f"The topics are: {listed(names)}.")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import Floats, Ints, frozen, inverse
+from urdfcal.arrays import Floats, Ints, frozen, inverse, keep
 from urdfcal.errors import SessionError
 from urdfcal.robot.mechanism import Tip  # noqa: TC001  # a field's type
 
@@ -41,24 +41,21 @@ class CameraMount:
     def __post_init__(self) -> None:
         where = f"camera {self.camera!r}"
         if self.link == WORLD:
-            raise SessionError(
-                "a camera that stands in the world is on no link",
-                where=where,
-                remedy="Name the camera file alone: T_cn_cnm1 says where it stands, or it is estimated.",
-            )
+            remedy = "Name the camera file alone: T_cn_cnm1 says where it stands, or it is estimated."
+            raise SessionError("a camera that stands in the world is on no link", where=where, remedy=remedy)
         if self.T_link_camera is not None:
             T = frozen(self.T_link_camera)
             R = T[:3, :3] if T.shape == (4, 4) else np.zeros((3, 3))
             if not np.allclose(R @ R.T, np.eye(3), rtol=0.0, atol=1e-9) or np.linalg.det(R) < 0.0:
                 raise SessionError("T_link_camera is no rigid 4 x 4 transform", where=where)
-            object.__setattr__(self, "T_link_camera", T)
+            keep(self, T_link_camera=T)
         if self.sigma is not None:
             sigma = frozen(self.sigma)
             if self.T_link_camera is None:
                 raise SessionError("sigma is given without a place", where=where)
             if sigma.shape != (6,) or not np.all(np.isfinite(sigma) & (sigma > 0.0)):
                 raise SessionError(f"sigma is {sigma.tolist()}, not six positive numbers", where=where)
-            object.__setattr__(self, "sigma", sigma)
+            keep(self, sigma=sigma)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +63,7 @@ class Attachments:
     """The frames that LEDs and cameras are fixed in: 0 is the world, the others are links.
 
     The world is the frame of the first eye-to-hand camera, or of the tracker; where all cameras are eye-in-hand it is
-    the base link's.
+    the base link's. Of a session of parts each has its world, and frame 0 is that of the pose's part.
 
     Attributes:
         tips: the links of frames 1, 2, ...
@@ -76,6 +73,8 @@ class Attachments:
         reference: (C,) for each camera the first one in the same frame: its pose is known relative to that one's.
         T_cam_reference: for each camera (4, 4) its reference camera, None where that is not known. [m]
         T_reference_frame: for each camera (4, 4) the frame in its reference camera, None where not known. [m]
+        lens: (C,) for each camera the one whose lens it has.
+        parts: the names of the session's parts.
     """
 
     tips: tuple[Tip, ...]
@@ -85,6 +84,8 @@ class Attachments:
     reference: Ints
     T_cam_reference: tuple[Floats | None, ...]
     T_reference_frame: tuple[Floats | None, ...]
+    lens: Ints
+    parts: tuple[str, ...]
 
     @property
     def frames(self) -> tuple[str, ...]:
@@ -97,6 +98,11 @@ class Attachments:
         return np.flatnonzero(self.camera == 0)
 
     @property
+    def worlds(self) -> Ints:
+        """Indices of the cameras that define a world: the first ones that are fixed in it."""
+        return np.flatnonzero((self.camera == 0) & (self.reference == np.arange(len(self.camera))))
+
+    @property
     def T_cam_frame(self) -> tuple[Floats | None, ...]:
         """For each camera (4, 4) the frame it is fixed in, as far as it is known beforehand. [m]."""
         return tuple(
@@ -106,7 +112,11 @@ class Attachments:
 
 
 def attach(
-    mechanism: Mechanism, led_links: Sequence[str | None], rig: Rig, mounts: Mapping[str, CameraMount]
+    mechanism: Mechanism,
+    led_links: Sequence[str | None],
+    rig: Rig,
+    mounts: Mapping[str, CameraMount],
+    parts: Sequence[str] = ("",),
 ) -> Attachments:
     """Sort LEDs and cameras by what they are attached to.
 
@@ -115,44 +125,35 @@ def attach(
         led_links: a link for each LED, or "world"; None for the tip link.
         rig: the cameras.
         mounts: of the eye-in-hand ones, by name.
+        parts: the names of the session's parts.
 
     Raises:
         RobotError: a link is none of the mechanism's tips.
         SessionError: nothing is on the robot, a camera's pose is given by one in another frame, or on its link though
             its reference camera gives it there.
     """
-    names = [WORLD]
-
-    def frame(link: str) -> int:
-        if link not in names:
-            names.append(link)
-        return names.index(link)
-
-    led = [frame(link or mechanism.tip_link) for link in led_links]
-    camera = [frame(mounts[name].link) if name in mounts else 0 for name in rig.names]
-    reference = [camera.index(of) for of in camera]
+    led_at = [link or mechanism.tip_link for link in led_links]
+    camera_at = [mounts[name].link if name in mounts else WORLD for name in rig.names]
+    names = list(dict.fromkeys([WORLD, *led_at, *camera_at]))
+    led, camera = ([names.index(link) for link in links] for links in (led_at, camera_at))
+    together = list(zip(camera, rig.group, strict=True))
+    reference = [together.index(of) for of in together]
     if len(names) == 1:
         raise SessionError("neither an LED nor a camera is on the robot", remedy="Name the link that carries one.")
     T_cam_reference: list[Floats | None] = []
     T_reference_frame: list[Floats | None] = []
     for c, (name, first) in enumerate(zip(rig.names, reference, strict=True)):
         T, T_first = rig.T_cam_world[c], rig.T_cam_world[first]
-        if c and c == first and T is not None:
-            raise SessionError(
-                "T_cn_cnm1 places it by a camera that is fastened to something else",
-                where=f"camera {name!r}",
-                remedy="Leave T_cn_cnm1 out: where it is comes from its link, or is estimated.",
-            )
+        if c != rig.group[c] and c == first and T is not None:
+            what = "T_cn_cnm1 places it by a camera that is fastened to something else"
+            remedy = "Leave T_cn_cnm1 out: where it is comes from its link, or is estimated."
+            raise SessionError(what, where=f"camera {name!r}", remedy=remedy)
         if c != first and name in mounts and mounts[name].T_link_camera is not None:
-            raise SessionError(
-                f"its place on {mounts[name].link!r} is given, but there it goes with {rig.names[first]!r}",
-                where=f"camera {name!r}",
-                remedy="Leave position, rpy and sigma out: T_cn_cnm1 says where it is, or it is estimated.",
-            )
-        if c == first:
-            T_cam_reference.append(np.eye(4))
-        else:
-            T_cam_reference.append(None if T is None or T_first is None else T @ inverse(T_first))
+            what = f"its place on {mounts[name].link!r} is given, but there it goes with {rig.names[first]!r}"
+            remedy = "Leave position, rpy and sigma out: T_cn_cnm1 says where it is, or it is estimated."
+            raise SessionError(what, where=f"camera {name!r}", remedy=remedy)
+        known = None if T is None or T_first is None else T @ inverse(T_first)
+        T_cam_reference.append(np.eye(4) if c == first else known)
         mount = mounts.get(rig.names[first])
         given = np.eye(4) if mount is None else mount.T_link_camera
         T_reference_frame.append(None if given is None else inverse(given))
@@ -164,4 +165,6 @@ def attach(
         frozen(reference, np.intp),
         tuple(T_cam_reference),
         tuple(T_reference_frame),
+        frozen(rig.lens, np.intp),
+        tuple(parts),
     )

@@ -6,14 +6,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
 
-from urdfcal.arrays import Floats, ReadOnly
+import numpy as np
+
+from urdfcal.arrays import Bools, Floats, ReadOnly, finite_array, finite_number, keep
 from urdfcal.errors import SessionError
-from urdfcal.names import suggest
+from urdfcal.names import check_known
 from urdfcal.robot.dh import PARAMETERS
-from urdfcal.session.finite import finite_array, finite_number
 
 if TYPE_CHECKING:
-    from urdfcal.session.measurement import Measurements
+    from urdfcal.session.measurements import Measurements
+    from urdfcal.session.model import Positions, Session
 
 ArmGeometry: TypeAlias = Literal["dh", "offsets", "full", "none"]
 Freedom: TypeAlias = Literal["fixed", "refine", "free"]
@@ -38,13 +40,13 @@ class Led:
 
     def __post_init__(self) -> None:
         where = f"LED {self.name!r}"
-        object.__setattr__(self, "name", str(self.name))
+        keep(self, name=str(self.name))
         if self.position is not None:
-            object.__setattr__(self, "position", finite_array(self.position, (3,), "position", where))
+            keep(self, position=finite_array(self.position, (3,), "position", where))
         if self.sigma is not None:
             if self.position is None:
                 raise SessionError("sigma is given without a position", where=where)
-            object.__setattr__(self, "sigma", finite_number(self.sigma, "sigma", where, zero=True))
+            keep(self, sigma=finite_number(self.sigma, "sigma", where, zero=True))
 
 
 @dataclass(frozen=True)
@@ -65,36 +67,46 @@ class LedDistance:
         where = f"distance of LEDs {self.leds[0]!r} and {self.leds[1]!r}"
         if self.leds[0] == self.leds[1]:
             raise SessionError("an LED has no distance to itself", where=where)
-        object.__setattr__(self, "distance", finite_number(self.distance, "distance", where, zero=False))
-        object.__setattr__(self, "sigma", finite_number(self.sigma, "sigma", where, zero=False))
+        _keep_numbers(self, where, "distance", "sigma")
 
 
 @dataclass(frozen=True)
 class Noise:
-    """What was measured, how well: one standard deviation of each number.
+    """What was measured, how well: one standard deviation of each number; None where nothing is said.
+
+    What nothing is said of is estimated from the residuals.
 
     Attributes:
         pixel: of u and of v. [px]
         point: of each coordinate of a measured point. [m]
-        joint: of each joint reading; 0 where it does not matter. [rad or m]
-        other: of further kinds of measurement, by their ``noise`` key; what is not named is the kind's usual one.
+        joint: of each joint reading. [rad or m]
+        other: of further kinds of measurement, by their ``noise`` key.
     """
 
-    pixel: float = 0.1
-    point: float = 1e-4
-    joint: float = 0.0
+    pixel: float | None = None
+    point: float | None = None
+    joint: float | None = None
     other: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in ("pixel", "point", "joint"):
-            object.__setattr__(self, name, finite_number(getattr(self, name), name, "noise", zero=name == "joint"))
-        numbers = {name: finite_number(value, name, "noise", zero=False) for name, value in self.other.items()}
-        object.__setattr__(self, "other", ReadOnly(numbers))
+        said = [name for name in ("pixel", "point", "joint") if getattr(self, name) is not None]
+        for name in said:
+            _keep_numbers(self, "noise", name, zero=name == "joint")
+        keep(self, other=_numbers(self.other, "noise"))
+
+    def said(self, name: str) -> float | None:
+        """Return what is said under a key of ``noise``."""
+        return getattr(self, name) if name in ("pixel", "point", "joint") else self.other.get(name)
 
     def of(self, kind: type[Measurements]) -> float:
-        """Return the standard deviation of a kind of measurement, in its unit."""
-        declared = {"pixel": self.pixel, "point": self.point, **self.other}
-        return declared.get(kind.noise, kind.usual)
+        """Return the standard deviation of a kind of measurement, in its unit; its usual one where nothing is said."""
+        declared = self.said(kind.noise)
+        return kind.usual if declared is None else declared
+
+    @property
+    def reading(self) -> float:
+        """The standard deviation of joint readings; none where nothing is said. [rad or m]."""
+        return self.joint or 0.0
 
 
 @dataclass(frozen=True)
@@ -125,9 +137,8 @@ class Estimate:
             by_camera = name in ("intrinsics", "extrinsics") and isinstance(value, Mapping)
             for word in value.values() if by_camera else (value,) * (value is not None):
                 if word not in choices:
-                    raise SessionError(
-                        f"{name} is {word!r}", where="estimate", remedy=f"Use {', '.join(choices)}, or None."
-                    )
+                    remedy = f"Use {', '.join(choices)}, or None."
+                    raise SessionError(f"{name} is {word!r}", where="estimate", remedy=remedy)
 
 
 @dataclass(frozen=True)
@@ -147,18 +158,99 @@ class Tolerances:
     joints: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in ("length", "angle", "zero"):
-            object.__setattr__(self, name, finite_number(getattr(self, name), name, "tolerances", zero=True))
-        read_only = {}
+        _keep_numbers(self, "tolerances", "length", "angle", "zero", zero=True)
+        exceptions = {}
         for joint, values in self.joints.items():
             where = f"tolerances of joint {joint!r}"
             for parameter in values:
-                if parameter not in PARAMETERS:
-                    raise SessionError(
-                        f"there is no parameter {parameter!r}",
-                        where=where,
-                        remedy=suggest(parameter, PARAMETERS, "parameters"),
-                    )
-            numbers = {str(name): finite_number(value, name, where, zero=True) for name, value in values.items()}
-            read_only[str(joint)] = ReadOnly(numbers)
-        object.__setattr__(self, "joints", ReadOnly(read_only))
+                check_known(parameter, PARAMETERS, "parameters", where)
+            exceptions[str(joint)] = _numbers(values, where, zero=True)
+        keep(self, joints=ReadOnly(exceptions))
+
+
+@dataclass(frozen=True, eq=False)
+class Stand:
+    """Where a camera stands and looks.
+
+    Attributes:
+        position: (3,) in the base link's frame. [m]
+        look_at: (3,) point on its optical axis, in the base link's frame. [m]
+    """
+
+    position: Floats
+    look_at: Floats
+
+    def __post_init__(self) -> None:
+        places = {name: finite_array(getattr(self, name), (3,), name, "stand") for name in ("position", "look_at")}
+        keep(self, **places)
+        if np.array_equal(self.position, self.look_at):
+            raise SessionError("the camera looks at its own place", where="stand")
+
+
+@dataclass(frozen=True, eq=False)
+class Payload:
+    """What the arm carries beside its own links.
+
+    Attributes:
+        link: that it is fastened to.
+        mass: of it. [kg]
+        center: (3,) its centre of mass in the link's frame. [m]
+    """
+
+    link: str
+    mass: float
+    center: Floats
+
+    def __post_init__(self) -> None:
+        _keep_numbers(self, "payload", "mass")
+        keep(self, link=str(self.link), center=finite_array(self.center, (3,), "center", "payload"))
+
+
+@dataclass(frozen=True, eq=False)
+class Excluded:
+    """What is left out of a session, by name.
+
+    Attributes:
+        poses: their labels.
+        cameras: their names.
+        leds: their names.
+        whole: what it was left out of, None where it still is in there.
+    """
+
+    poses: tuple[str, ...] = ()
+    cameras: tuple[str, ...] = ()
+    leds: tuple[str, ...] = ()
+    whole: Session | None = None
+
+    @property
+    def named(self) -> dict[str, list[str]]:
+        """The names by key, as in session.yaml; no key of which nothing is named."""
+        said = {"poses": self.poses, "cameras": self.cameras, "leds": self.leds}
+        return {key: list(names) for key, names in said.items() if names}
+
+    def __bool__(self) -> bool:
+        """Return whether anything is named."""
+        return bool(self.named)
+
+    def kept(self, of: Positions, table: Measurements) -> Bools:
+        """Return which rows (S,) of a table of a session's measurements are of nothing that is named."""
+        known = {
+            "pose": (of.poses, self.poses),
+            "camera": (of.rig.names, self.cameras),
+            "led": (of.led_names, self.leds),
+        }
+        kept = np.ones(len(table), dtype=bool)
+        for key, index in table.index.items():
+            if key in known:
+                names, left_out = known[key]
+                kept &= ~np.isin(names, list(left_out))[index]
+        return kept
+
+
+def _numbers(values: Mapping[str, float], where: str, *, zero: bool = False) -> ReadOnly[str, float]:
+    return ReadOnly({str(name): finite_number(value, name, where, zero=zero) for name, value in values.items()})
+
+
+def _keep_numbers(declared: object, where: str, *names: str, zero: bool = False) -> None:
+    """Check that some fields are positive numbers, or 0 where that has a meaning."""
+    keep(declared, **_numbers({name: getattr(declared, name) for name in names}, where, zero=zero))

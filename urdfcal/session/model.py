@@ -2,37 +2,52 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from urdfcal.arrays import Floats, Ints, ReadOnly, Rebuilt
+from urdfcal.arrays import Floats, Ints, ReadOnly, Rebuilt, finite_array, finite_number, frozen, keep
 from urdfcal.cameras.rig import Rig
 from urdfcal.errors import SessionError
-from urdfcal.names import check_names, suggest
+from urdfcal.names import check_known, check_names
+from urdfcal.robot.gravity import STANDARD_GRAVITY
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.session.attachments import Attachments, CameraMount, attach
-from urdfcal.session.finite import finite_array
-from urdfcal.session.knowledge import Estimate, Led, LedDistance, Noise, Tolerances
-from urdfcal.session.measurement import Measurements
-from urdfcal.session.motion import AT_REST, Motion
-from urdfcal.session.trajectory import Trajectory
+from urdfcal.session.knowledge import Estimate, Excluded, Led, LedDistance, Noise, Payload, Stand, Tolerances
+from urdfcal.session.measurements import Measurements
+from urdfcal.session.moves import check_moves, moves_at
+from urdfcal.session.trajectory import AT_REST, Motion, Trajectory
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
     from pathlib import Path
+
+    from typing_extensions import Self
 
     from urdfcal.robot.mechanism import Mechanism
     from urdfcal.robot.urdf.urdf import Urdf
-
-Kind = TypeVar("Kind", bound=Measurements)
 
 # Three positions are the fewest that fix a base pose.
 MIN_POSES = 3
 # Readings of mimic joints are computed, not measured: they agree to rounding.
 _MIMIC_ROUNDING = 1e-9
+
+
+# From the poles to the equator it is 9.832 to 9.764; that of some units, axes or signs of payloads is not. [m/s^2]
+_GRAVITY = (9.7, 9.9)
+
+Kind = TypeVar("Kind", bound=Measurements)
+
+
+def before(values: Floats, time: Floats | None) -> Floats:
+    """Return the values (N, ...) of the pose before each, by time (N,) if there is one; of the first its own."""
+    order = np.arange(len(values)) if time is None else np.argsort(time, kind="stable")
+    earlier = np.empty_like(order)
+    earlier[order] = order[[0, *range(len(order) - 1)]]
+    result: Floats = values[earlier]
+    return result
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -50,9 +65,17 @@ class Setup(Rebuilt):
         noise: of the measurements.
         estimate: what is to be estimated.
         tolerances: of the robot.
-        joint_models: by name, which are estimated (True) or not (False); of the others each decides itself.
+        joint_models: by name, which are estimated (True) or not (False), of all joints or of each by name; of the
+            others the measurements decide.
+        payload: what the arm carries.
+        payloads: what it carries in each part, where that differs.
+        gravity: (3,) in the base link's frame. [m/s^2]
+        gear_ratio: turns of the motor for one of the joint, by the joint's name.
+        scale_sigma: of the share that the instrument's lengths may be too long by; where nothing is said the rig's,
+            or None.
         sha256: hash of every input file, by the name that the session gives it.
         folder: where it was read from.
+        parts: names of what it was measured in: between parts the base, or what the cameras are on, was moved.
     """
 
     chain: Mechanism
@@ -65,77 +88,68 @@ class Setup(Rebuilt):
     noise: Noise = field(default_factory=Noise)
     estimate: Estimate = field(default_factory=Estimate)
     tolerances: Tolerances = field(default_factory=Tolerances)
-    joint_models: Mapping[str, bool] = field(default_factory=dict)
+    joint_models: Mapping[str, bool | Mapping[str, bool]] = field(default_factory=dict)
+    payload: Payload | None = None
+    payloads: tuple[Payload | None, ...] = ()
+    gravity: Floats = field(default_factory=lambda: STANDARD_GRAVITY)
+    gear_ratio: Mapping[str, float] = field(default_factory=dict)
+    scale_sigma: float | None = None
     sha256: Mapping[str, str] = field(default_factory=dict)
     folder: Path | None = None
+    parts: tuple[str, ...] = ("",)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "leds", tuple(self.leds))
-        object.__setattr__(self, "led_distances", tuple(self.led_distances))
+        keep(self, leds=tuple(self.leds), led_distances=tuple(self.led_distances), mounts=tuple(self.mounts))
+        keep(self, sha256=ReadOnly(self.sha256), joint_models=ReadOnly(self.joint_models))
+        keep(self, gravity=finite_array(self.gravity, (3,), "gravity", "gravity"), gear_ratio=ReadOnly(self.gear_ratio))
+        self._check_load()
+        by_joint = {name: of for name, of in self.joint_models.items() if isinstance(of, Mapping)}
+        for name, joint in ((name, joint) for name, of in by_joint.items() for joint in of):
+            check_known(joint, self.chain.actuated, "joints", f"joint_models.{name}")
+        if self.scale_sigma is None:
+            keep(self, scale_sigma=self.rig.scale_sigma)
         for name in (name for distance in self.led_distances for name in distance.leds):
-            if name not in self.led_names:
-                raise SessionError(
-                    f"there is no LED {name!r}", where="led_distances", remedy=suggest(name, self.led_names, "LEDs")
-                )
-        object.__setattr__(self, "sha256", ReadOnly(self.sha256))
-        object.__setattr__(self, "joint_models", ReadOnly(self.joint_models))
+            check_known(name, self.led_names, "LEDs", "led_distances")
         if not self.leds:
             raise SessionError("there is no LED", remedy="Name at least one.")
-        check_names("LEDs", [led.name for led in self.leds])
+        check_names("LEDs", self.led_names)
         rows = rows_of(self.chain).labels if self.tolerances.joints else ()
         for joint in self.tolerances.joints:
-            if joint not in rows:
-                raise SessionError(
-                    f"there is no joint {joint!r} between {self.chain.base_link!r} and {self.chain.tip_link!r}",
-                    where="tolerances",
-                    remedy=suggest(joint, rows, "joints"),
-                )
-        object.__setattr__(self, "mounts", tuple(self.mounts))
-        names = self.rig.names
+            between = f" between {self.chain.base_link!r} and {self.chain.tip_link!r}"
+            check_known(joint, rows, "joints", f"tolerances.{joint}", between)
         for mount in self.mounts:
-            if mount.camera not in names:
-                raise SessionError(
-                    f"there is no camera {mount.camera!r}",
-                    where="cameras",
-                    remedy=suggest(mount.camera, names, "cameras"),
-                )
+            check_known(mount.camera, self.rig.names, "cameras", f"cameras.{mount.camera}")
         check_names("cameras on links", [mount.camera for mount in self.mounts])
         for said in (self.estimate.intrinsics, self.estimate.extrinsics):
             for name in () if said is None or isinstance(said, str) else said:
-                if name not in names:
-                    raise SessionError(
-                        f"there is no camera {name!r}", where="estimate", remedy=suggest(name, names, "cameras")
-                    )
+                check_known(name, self.rig.names, "cameras", "estimate")
         _ = self.attachments  # a link that is none of the robot's is refused now, not when it is first needed
+
+    def _check_load(self) -> None:
+        """Refuse a gravity, payload or gear ratio that cannot be."""
+        strength = float(np.linalg.norm(self.gravity))
+        if not _GRAVITY[0] <= strength <= _GRAVITY[1]:
+            remedy = "Write its vector in the base link's frame, in m/s^2: [0, 0, -9.81] of a base that stands upright."
+            raise SessionError(f"gravity of {strength:.4g} m/s^2 is not the Earth's", where="gravity", remedy=remedy)
+        if self.payload is not None and self.urdf is None:
+            remedy = "Give the setup its URDF, or leave the payload out."
+            raise SessionError("without a URDF nothing is known of its link", where="payload", remedy=remedy)
+        if self.payload is not None and self.urdf is not None:
+            check_known(self.payload.link, tuple(self.urdf.links), "links", "payload.link")
+        for joint, ratio in self.gear_ratio.items():
+            check_known(joint, self.chain.actuated, "joints", f"gear_ratio.{joint}")
+            finite_number(ratio, "the ratio", f"gear_ratio.{joint}", zero=False)
 
     @cached_property
     def attachments(self) -> Attachments:
         """What LEDs and cameras are attached to."""
-        return attach(self.chain, [led.link for led in self.leds], self.rig, {m.camera: m for m in self.mounts})
+        mounts = {mount.camera: mount for mount in self.mounts}
+        return attach(self.chain, [led.link for led in self.leds], self.rig, mounts, self.parts)
 
     @property
     def led_names(self) -> tuple[str, ...]:
         """The LEDs' names, in order."""
         return tuple(led.name for led in self.leds)
-
-
-@dataclass(frozen=True, eq=False)
-class Stand:
-    """Where a camera stands and looks.
-
-    Attributes:
-        position: (3,) in the base link's frame. [m]
-        look_at: (3,) point on its optical axis, in the base link's frame. [m]
-    """
-
-    position: Floats
-    look_at: Floats
-
-    def __post_init__(self) -> None:
-        for name in ("position", "look_at"):
-            object.__setattr__(self, name, finite_array(getattr(self, name), (3,), name, "stand"))
-        if np.array_equal(self.position, self.look_at):
-            raise SessionError("the camera looks at its own place", where="stand")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -153,9 +167,8 @@ class RigDescription(Setup):
         if self.stand is None and len(self.attachments.eye_to_hand):
             raise SessionError("where the first camera stands is not given", where="stand")
         if self.stand is not None and self.mounts and not len(self.attachments.eye_to_hand):
-            raise SessionError(
-                "no camera stands: all ride on the robot", where="stand", remedy="Leave the key 'stand' out."
-            )
+            remedy = "Leave the key 'stand' out."
+            raise SessionError("no camera stands: all ride on the robot", where="stand", remedy=remedy)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -166,38 +179,61 @@ class Positions(Setup):
         poses: (N) labels.
         q: (N, n) value of every joint of the chain in every pose, mimic joints included. [rad or m]
         time: (N,) of each pose, where recorded. [s]
+        torques: (N, n) measured joint torques, with the sign that the maker gives them; None where there are none.
+            [N m or N]
+        previous: (N, n) values of the joints where the arm came from, perhaps in a pose in which nothing was measured;
+            None for the poses in order, of time if there is one. [rad or m]
         motion: at rest in every pose, or a trajectory: each pose is then a frame of one camera, q what its log says.
+        part: (N,) of each pose; left out: the first.
         warnings: what looked odd when it was read.
     """
 
     poses: tuple[str, ...]
     q: Floats
     time: Floats | None = None
+    torques: Floats | None = None
+    previous: Floats | None = None
     motion: Motion = AT_REST
+    part: Ints = field(default_factory=lambda: np.zeros(0, np.intp))
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "poses", tuple(map(str, self.poses)))
-        object.__setattr__(self, "warnings", tuple(self.warnings))
+        keep(self, poses=tuple(map(str, self.poses)), warnings=tuple(self.warnings))
         count = len(self.poses)
         if count < MIN_POSES:
             raise SessionError(f"{count} poses are too few", remedy=f"Measure at least {MIN_POSES}, better 30 or more.")
         check_names("poses", self.poses)
-        object.__setattr__(self, "q", finite_array(self.q, (count, len(self.chain.joints)), "q", "session"))
+        keep(self, q=finite_array(self.q, (count, len(self.chain.joints)), "q", "session"))
         if not np.allclose(self.chain.joint_values(self.readings), self.q, rtol=0.0, atol=_MIMIC_ROUNDING):
             raise SessionError("a mimic joint's value in q is not what it follows from", where="session")
         if self.time is not None:
-            object.__setattr__(self, "time", finite_array(self.time, (count,), "time", "session"))
+            keep(self, time=finite_array(self.time, (count,), "time", "session"))
+        keep(self, part=frozen(self.part if len(self.parts) > 1 else np.zeros(count), np.intp))
+        if self.part.shape != (count,) or not np.isin(self.part, range(len(self.parts))).all():
+            raise SessionError(f"part is not the index of one of {len(self.parts)} in each pose", where="session")
+        for name in ("torques", "previous"):
+            if getattr(self, name) is not None:
+                keep(self, **{name: finite_array(getattr(self, name), self.q.shape, name, "session")})
 
     @property
     def readings(self) -> Floats:
         """(N, k) values [rad or m] of the joints that have a reading of their own, as in joints.csv."""
         return self.chain.readings(self.q)
 
+    @property
+    def came_from(self) -> Floats:
+        """(N, n) values of the joints before the arm moved to each pose; the first pose's own ones. [rad or m]."""
+        return before(self.q, self.time) if self.previous is None else self.previous
+
     def label(self, pose: int) -> str:
         """What the tables and the images' file names call a pose: a frame goes by the name its camera gave it."""
         return self.motion.label(pose, self.poses)
+
+    def measured(self, measurements: tuple[Measurements, ...], **changes: Any) -> Session:
+        """Return the same with what was measured, and with changes to other fields."""
+        own = {entry.name: getattr(self, entry.name) for entry in fields(Positions)}
+        return Session(**{**own, **changes}, measurements=measurements)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -206,13 +242,17 @@ class Session(Positions):
 
     Attributes:
         measurements: one table for each kind of measurement, such as detections in images or points of a tracker.
+        excluded: what was left out of it.
+        moved: by name of an LED or a camera, or "base", the poses before which it moved.
     """
 
     measurements: tuple[Measurements, ...]
+    excluded: Excluded = field(default_factory=Excluded)
+    moved: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "measurements", tuple(self.measurements))
+        keep(self, measurements=tuple(self.measurements), moved=ReadOnly(self.moved))
         if not self.measurements:
             raise SessionError("there are no measurements", remedy="There is nothing to calibrate from.")
         counts = {"pose": len(self.poses), "led": len(self.leds), "camera": len(self.rig.cameras)}
@@ -220,7 +260,13 @@ class Session(Positions):
             if "camera" in table.keys and not self.rig.cameras:
                 raise SessionError(f"there are {table.kind}, but no cameras", remedy="Give the session a rig.")
             table.check(counts)
-        self._check_motion()
+            if isinstance(self.motion, Trajectory):
+                # Of a moving arm each pose is one camera's frame: what is measured is measured by that camera.
+                if "camera" not in table.keys:
+                    raise SessionError("a moving arm is measured by cameras alone", where="session")
+                if np.any(table.index["camera"] != self.motion.camera[table.pose]):
+                    raise SessionError("a detection is by another camera than its frame", where=table.kind)
+        check_moves(self)
 
     def find(self, kind: type[Kind]) -> Kind | None:
         """Return the measurements of a kind; None if there are none."""
@@ -234,7 +280,11 @@ class Session(Positions):
             poses=tuple(self.poses[k] for k in poses),
             q=self.q[poses],
             time=None if self.time is None else self.time[poses],
+            torques=None if self.torques is None else self.torques[poses],
+            previous=self.came_from[poses],
             motion=self.motion.at(poses),
+            part=self.part[poses],
+            moved=moves_at(self, poses),
             measurements=tuple(table for table in tables if table is not None),
         )
 
@@ -257,17 +307,23 @@ class Session(Positions):
         )
         return replace(self.at(np.flatnonzero(covered)), warnings=(*self.warnings, warning))
 
+    @property
+    def undeclared_noise(self) -> frozenset[str]:
+        """Keys of ``noise`` of which neither the session nor a table of its measurements says anything."""
+        tables = (table for table in self.measurements if np.all(table.sigma == table.usual))
+        names = (*(table.noise for table in tables), "joint")
+        return frozenset(name for name in names if self.noise.said(name) is None)
+
+    def with_noise(self, sigmas: Mapping[str, float]) -> Self:
+        """Return the session with standard deviations for some keys of ``noise``, the tables' own included."""
+        own = {name: sigmas[name] for name in ("pixel", "point", "joint") if name in sigmas}
+        other = {name: sigma for name, sigma in sigmas.items() if name not in own}
+        tables = (
+            table.with_sigma(sigmas[table.noise]) if table.noise in sigmas else table for table in self.measurements
+        )
+        noise = replace(self.noise, **own, other={**self.noise.other, **other})
+        return replace(self, measurements=tuple(tables), noise=noise)
+
     def unmeasured(self) -> Positions:
         """Return the same without its measurements."""
         return Positions(**{f.name: getattr(self, f.name) for f in fields(Positions)})
-
-    def _check_motion(self) -> None:
-        """Of a moving arm each pose is one camera's frame: what is measured is measured by that camera."""
-        if not isinstance(self.motion, Trajectory):
-            return
-        for table in self.measurements:
-            camera = table.index.get("camera")
-            if camera is None:
-                raise SessionError("a moving arm is measured by cameras alone", where="session")
-            if np.any(camera != self.motion.camera[table.pose]):
-                raise SessionError("a detection is by another camera than its frame", where=table.kind)

@@ -1,28 +1,135 @@
-"""A moving arm: joint values at any time from a log of readings, and the frames that cameras took meanwhile."""
+"""How the arm moved while it was measured: at rest in every pose, or filmed in motion, with a log of joint values."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import Bools, Floats, Ints, frozen
+from urdfcal.arrays import Bools, Floats, Ints, frozen, keep
 from urdfcal.errors import SessionError
-from urdfcal.session.motion import Motion
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from scipy.interpolate import CubicSpline
 
 # Readings farther apart than this are not joined by a curve. A cubic is off by 5/384 h^4 of the fourth derivative: with
 # a joint that swings at 0.5 rad/s every four seconds by 1e-5 rad at 0.15 s, and 2e-3 rad at 0.5 s.
 LONGEST_GAP = 0.15
+# Readings that would need more are none: a stamp repeated but for rounding, a value that is no angle. [rad/s or m/s]
+_FASTEST = 1e9
 # Frames this near to where the log has nothing are left out: an offset of tens of milliseconds must not carry them
 # there, and a spline's last pieces are its worst. [s]
 MARGIN = 0.1
+
+
+# Configurations that differ by less in every joint repeat each other: the errors of geometry, sag and joint readings,
+# which change over radians, are the same there, and only the measurement's own noise is drawn anew. [rad or m]
+REPEAT = 0.05
+
+
+class Motion(ABC):
+    """What the N poses of a session are: places where the arm rested, or frames of an arm that moved."""
+
+    @abstractmethod
+    def at(self, poses: Ints) -> Motion:
+        """Return the motion at some of the poses, (K,) indices."""
+
+    @abstractmethod
+    def label(self, pose: int, labels: Sequence[str]) -> str:
+        """Return what the tables and the images' file names call a pose of the session's labels."""
+
+    @abstractmethod
+    def joint_values(self, q: Floats, time_offsets: Floats) -> Floats:
+        """Return joint values (N, n) with the cameras' time offsets (C,) in s. [rad or m].
+
+        Args:
+            q: (N, n) joint values as read.
+            time_offsets: of the cameras' clocks, t_robot = t_camera + offset.
+        """
+
+    @abstractmethod
+    def read_otherwise(self, change: Callable[[Floats], Floats]) -> Motion:
+        """Return the motion with other joint readings.
+
+        Args:
+            change: returns other joint values for those (K, n) that the arm's log has.
+        """
+
+    @abstractmethod
+    def covered(self, count: int, time_offsets: Floats) -> Bools:
+        """Return for which of ``count`` poses there are joint readings with the cameras' time offsets (C,) in s."""
+
+    @abstractmethod
+    def independent(self, q: Floats) -> Ints:
+        """Number the stretches or configurations (N,) whose errors are independent: what a bootstrap may resample.
+
+        Args:
+            q: (N, n) joint values as read. [rad or m]
+        """
+
+    @abstractmethod
+    def folds(self, q: Floats, folds: int, seed: int) -> Ints:
+        """Divide the poses of joint values (N, n) into folds (N,) for cross-validation; no unit is divided."""
+
+
+@dataclass(frozen=True)
+class AtRest(Motion):
+    """An arm that stood still in every pose."""
+
+    def at(self, poses: Ints) -> AtRest:
+        """Return the same."""
+        return self
+
+    def label(self, pose: int, labels: Sequence[str]) -> str:
+        """Return the pose's own label."""
+        return labels[pose]
+
+    def joint_values(self, q: Floats, time_offsets: Floats) -> Floats:
+        """Return the readings: clocks do not matter to an arm at rest."""
+        return q
+
+    def read_otherwise(self, change: Callable[[Floats], Floats]) -> AtRest:
+        """Return the same: an arm at rest has no log."""
+        return self
+
+    def covered(self, count: int, time_offsets: Floats) -> Bools:
+        """Return that all poses have readings."""
+        return np.ones(count, dtype=bool)
+
+    def independent(self, q: Floats) -> Ints:
+        """Number the configurations: repeats of one, and those next to it, have its errors."""
+        number = np.full(len(q), -1, dtype=np.intp)
+        count = 0
+        for pose, near in enumerate(_neighbours(q)):
+            if number[pose] < 0:
+                number[[other for other in near if number[other] < 0]] = count
+                count += 1
+        return number
+
+    def folds(self, q: Floats, folds: int, seed: int) -> Ints:
+        """Divide the configurations at random."""
+        unit = self.independent(q)
+        count = int(unit.max()) + 1
+        fold = np.empty(count, dtype=np.intp)
+        fold[np.random.default_rng(seed).permutation(count)] = np.arange(count) % folds
+        result: Ints = fold[unit]
+        return result
+
+
+def _neighbours(q: Floats) -> Sequence[Sequence[int]]:
+    """For each of the joint values (N, n) those that repeat it."""
+    from scipy.spatial import KDTree
+
+    return KDTree(q).query_ball_point(q, REPEAT, p=np.inf, return_sorted=True)  # type: ignore[no-any-return]
+
+
+AT_REST = AtRest()
+"""The motion of an arm that stood still in every pose."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +149,7 @@ class JointLog:
     values: Floats
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "time", frozen(self.time))
-        object.__setattr__(self, "values", frozen(self.values))
+        keep(self, time=frozen(self.time), values=frozen(self.values))
         if self.time.ndim != 1 or len(self.time) < 2 or self.values.shape[:1] != self.time.shape:
             raise SessionError(
                 f"a log of joint values has times {self.time.shape} and values {self.values.shape}", where="session"
@@ -52,6 +158,11 @@ class JointLog:
             raise SessionError("a log of joint values is not finite", where="session")
         if np.diff(self.time).min() <= 0.0:
             raise SessionError("the times of the joint values do not increase", where="session")
+        with np.errstate(over="ignore", divide="ignore"):
+            speed = np.abs(np.diff(self.values, axis=0) / np.diff(self.time)[:, None])
+        if speed.max() > _FASTEST:
+            what = f"a joint moves at {speed.max():.2g} rad/s or m/s between two readings"
+            raise SessionError(what, where="session", remedy="Check the times and the values of the joint readings.")
 
     @cached_property
     def _spline(self) -> CubicSpline:
@@ -99,8 +210,7 @@ class Trajectory(Motion):
     time: Floats
 
     def __post_init__(self) -> None:
-        for name, dtype in (("camera", np.intp), ("row", np.intp), ("time", np.float64)):
-            object.__setattr__(self, name, frozen(getattr(self, name), dtype))
+        keep(self, camera=frozen(self.camera, np.intp), row=frozen(self.row, np.intp), time=frozen(self.time))
         if not len(self.camera) == len(self.row) == len(self.time):
             raise SessionError("the frames' cameras, rows and times differ in number", where="trajectory")
 
@@ -110,7 +220,6 @@ class Trajectory(Motion):
 
     def label(self, pose: int, labels: Sequence[str] = ()) -> str:
         """Return what its camera calls a frame."""
-        del labels
         return self.frames[int(self.camera[pose])][int(self.row[pose])]
 
     def robot_time(self, time_offsets: Floats) -> Floats:
@@ -128,23 +237,23 @@ class Trajectory(Motion):
 
     def joint_values(self, q: Floats, time_offsets: Floats) -> Floats:
         """Return what the log says: ``q`` is what it said with other offsets."""
-        del q
         return self.values(time_offsets)
+
+    def read_otherwise(self, change: Callable[[Floats], Floats]) -> Trajectory:
+        """Return the same frames of a log with other joint values."""
+        return replace(self, log=replace(self.log, values=change(self.log.values)))
 
     def covered(self, count: int, time_offsets: Floats) -> Bools:
         """Return which frames are well within the log."""
-        del count
         return self.log.covers(self.robot_time(time_offsets))
 
-    def independent(self, count: int) -> Ints:
+    def independent(self, q: Floats) -> Ints:
         """Number the seconds: the errors of neighbouring frames are alike."""
-        del count
         result: Ints = np.floor(self.time - self.time.min()).astype(np.intp)
         return result
 
-    def folds(self, count: int, folds: int, seed: int) -> Ints:
+    def folds(self, q: Floats, folds: int, seed: int) -> Ints:
         """Divide the frames into stretches of time: to predict one from its neighbours would be no test."""
-        del seed
-        fold = np.empty(count, dtype=np.intp)
-        fold[np.argsort(self.time, kind="stable")] = np.arange(count) * folds // count
+        fold = np.empty(len(q), dtype=np.intp)
+        fold[np.argsort(self.time, kind="stable")] = np.arange(len(q)) * folds // len(q)
         return fold

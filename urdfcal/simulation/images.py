@@ -5,29 +5,27 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 
 from urdfcal.errors import SessionError
 from urdfcal.files import staged
-from urdfcal.images.files import in_parallel, write_image
-from urdfcal.images.video import write_video
+from urdfcal.images.files import in_parallel, write_image, write_video
 from urdfcal.io.folder import IMAGES
 from urdfcal.io.writing import write_table
 from urdfcal.session.trajectory import Trajectory
 from urdfcal.simulation.render import Light, Scenery, Sensor
-from urdfcal.simulation.truth import write_simulated
+from urdfcal.simulation.scene import any_direction
+from urdfcal.simulation.simulate import write_simulated
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from urdfcal.arrays import Floats
-    from urdfcal.cameras.camera import Camera
+    from urdfcal.arrays import Bools, Floats
     from urdfcal.images.files import Image
-    from urdfcal.session.model import Session
     from urdfcal.simulation.scene import Scene
-    from urdfcal.simulation.truth import Simulated
+    from urdfcal.simulation.simulate import Simulated
 
 TRUTH = "truth_detections.csv"
 
@@ -75,8 +73,7 @@ class Exposure:
             raise SessionError(f"no LED has a spot of {self.sigma} px and {self.peak} electrons", where="simulate")
 
 
-@dataclass(frozen=True, eq=False)
-class _View:
+class _View(NamedTuple):
     """One image to take.
 
     Attributes:
@@ -123,11 +120,27 @@ def write_simulated_images(
         CameraError: this OpenCV encodes no videos.
         OutputError: the folder holds a session or a truth already, or cannot be written.
     """
-    session, folder = simulated.session, Path(folder)
-    if video_rate is not None and (not isinstance(session.motion, Trajectory) or len(session.leds) > 1):
+    session, scene, motion = simulated.session, simulated.truth, simulated.session.motion
+    if video_rate is not None and (not isinstance(motion, Trajectory) or len(session.leds) > 1):
         raise SessionError("a video shows a moving arm with one LED", where="simulate", remedy="Write images.")
-    shooting = _Shooting.of(simulated, exposure)
+    if len(session.attachments.eye_to_hand) < len(scene.cameras):
+        raise SessionError(
+            "images of eye-in-hand cameras cannot be rendered",
+            where="simulate",
+            remedy="Leave --images out: detections are simulated for them as for any camera.",
+        )
+    stage_seed, view_seed = np.random.SeedSequence((simulated.truth.seed, _STREAM)).spawn(2)
+    sensors = [Sensor(camera.resolution, exposure.bits, exposure.electrons_per_count) for camera in scene.cameras]
+    sceneries = _sceneries(scene, exposure, np.random.default_rng(stage_seed))
+    outshone = [of.background > sensor.full_well for of, sensor in zip(sceneries, sensors, strict=True)]
+    views = _views(scene, simulated.truth.q, exposure, outshone, view_seed)
+    if isinstance(motion, Trajectory):  # a frame is taken by one camera
+        views = [view for view in views if view.camera == motion.camera[view.pose]]
     write_simulated(folder, simulated, detections=False)
+
+    def image(view: _View) -> Image:
+        electrons = sceneries[view.camera].expected(view.lights)
+        return sensors[view.camera].expose(electrons, np.random.default_rng(view.seed))
 
     def counted(results: Iterator[T]) -> Iterator[T]:
         for result in results:
@@ -135,81 +148,34 @@ def write_simulated_images(
             if progress:
                 progress(1)
 
-    with staged(folder) as stage:
+    with staged(Path(folder)) as stage:
+        for c, camera in enumerate(scene.cameras):
+            of_camera, place = [view for view in views if view.camera == c], stage / IMAGES / camera.name
 
-        def write(view: _View) -> None:
-            led = f".{session.led_names[view.led]}" if len(session.leds) > 1 else ""
-            name = f"{session.label(view.pose)}{led}.png"
-            write_image(stage / IMAGES / shooting.names[view.camera] / name, shooting.image(view))
+            def write(view: _View, place: Path = place) -> None:
+                led = f".{session.led_names[view.led]}" if len(session.leds) > 1 else ""
+                write_image(place / f"{session.label(view.pose)}{led}.png", image(view))
 
-        for c, camera in enumerate(shooting.cameras):
-            views = [view for view in shooting.views if view.camera == c]
             if video_rate is None:
-                (stage / IMAGES / camera.name).mkdir(parents=True)
-                deque(counted(in_parallel(write, views)), maxlen=0)
+                place.mkdir(parents=True)
+                deque(counted(in_parallel(write, of_camera)), maxlen=0)
             else:
-                (stage / IMAGES).mkdir(exist_ok=True)
-                images = counted(in_parallel(shooting.image, views))
-                write_video(stage / IMAGES / f"{camera.name}.mp4", images, camera.resolution, video_rate)
-        shooting.write_truth(stage / TRUTH, session)
-    return len(shooting.views)
-
-
-@dataclass(frozen=True, eq=False)
-class _Shooting:
-    """All images to take, and what is to be seen in them.
-
-    Attributes:
-        cameras: that take them.
-        exposure: how.
-        sceneries: what is static before each camera.
-        views: the images, by pose, camera and LED.
-    """
-
-    cameras: tuple[Camera, ...]
-    exposure: Exposure
-    sceneries: Sequence[Scenery]
-    views: Sequence[_View]
-
-    @classmethod
-    def of(cls, simulated: Simulated, exposure: Exposure) -> _Shooting:
-        scene, motion = simulated.scene, simulated.session.motion
-        if len(simulated.session.attachments.eye_to_hand) < len(scene.cameras):
-            raise SessionError(
-                "images of eye-in-hand cameras cannot be rendered",
-                where="simulate",
-                remedy="Leave --images out: detections are simulated for them as for any camera.",
-            )
-        stage_seed, view_seed = np.random.SeedSequence((simulated.truth.seed, _STREAM)).spawn(2)
-        sceneries = _sceneries(scene, exposure, np.random.default_rng(stage_seed))
-        views = _views(scene, simulated.truth.q, exposure, sceneries, view_seed)
-        if isinstance(motion, Trajectory):  # a frame is taken by one camera
-            views = [view for view in views if view.camera == motion.camera[view.pose]]
-        return cls(scene.cameras, exposure, sceneries, views)
-
-    @property
-    def names(self) -> list[str]:
-        return [camera.name for camera in self.cameras]
-
-    def image(self, view: _View) -> Image:
-        resolution = self.cameras[view.camera].resolution
-        sensor = Sensor(resolution, self.exposure.bits, self.exposure.electrons_per_count)
-        return sensor.expose(self.sceneries[view.camera].expected(view.lights), np.random.default_rng(view.seed))
-
-    def write_truth(self, path: Path, session: Session) -> None:
-        """Write the pixels of the LEDs in the images in which they can be found."""
-        there = [view for view in self.views if np.isfinite(view.uv[0])]
-        labels = [
-            [session.label(v.pose), self.names[v.camera], session.led_names[v.led], *v.uv.tolist()] for v in there
+                place.parent.mkdir(exist_ok=True)
+                video = counted(in_parallel(image, of_camera))
+                write_video(place.parent / f"{camera.name}.mp4", video, camera.resolution, video_rate)
+        names = session.rig.names
+        rows = [
+            (session.label(view.pose), names[view.camera], session.led_names[view.led], *view.uv.tolist())
+            for view in views
+            if np.isfinite(view.uv[0])
         ]
-        write_table(path, ["pose", "camera", "led", "u", "v"], zip(*labels, strict=True))
+        write_table(stage / TRUTH, ["pose", "camera", "led", "u", "v"], zip(*rows, strict=True))
+    return len(views)
 
 
 def _sceneries(scene: Scene, exposure: Exposure, rng: np.random.Generator) -> list[Scenery]:
     """Draw what is static before each camera: the same lamps for all, and hot pixels of its own."""
-    lamps: list[tuple[Light, ...]] = [()] * len(scene.cameras)
-    if exposure.distractors:
-        lamps = _lamps(scene, exposure, rng)
+    lamps = _lamps(scene, exposure, rng) if exposure.distractors else [()] * len(scene.cameras)
     sceneries = []
     for camera, lights in zip(scene.cameras, lamps, strict=True):
         width, height = camera.resolution
@@ -238,16 +204,12 @@ def _lamps(scene: Scene, exposure: Exposure, rng: np.random.Generator) -> list[t
 
 
 def _views(
-    scene: Scene, q: Floats, exposure: Exposure, sceneries: Sequence[Scenery], seed: np.random.SeedSequence
+    scene: Scene, q: Floats, exposure: Exposure, outshone: Sequence[Bools], seed: np.random.SeedSequence
 ) -> list[_View]:
-    """Draw every image: each pose, each camera, each LED."""
+    """Draw every image: each pose, each camera, each LED.
 
-    def outshone(camera: int, uv: Floats) -> bool:
-        # Before a lamp that saturates the sensor by itself.
-        u, v = np.rint(uv).astype(int)
-        sensor = Sensor(scene.cameras[camera].resolution, exposure.bits, exposure.electrons_per_count)
-        return bool(sceneries[camera].background[v, u] > sensor.full_well)
-
+    ``outshone`` are for each camera the pixels (height, width) before a lamp that saturates the sensor by itself.
+    """
     direct, mirrored, distance = scene.pixels(q), scene.pixels(q, mirrored=True), scene.distances(q)
     views = []
     for pose, of_pose in enumerate(seed.spawn(len(q))):
@@ -255,7 +217,7 @@ def _views(
         moving, mirrors = (exposure.distractors and rng.random() < share for share in (_MOVING, _MIRRORS))
         for camera, led in np.ndindex(direct.shape[1:3]):
             hidden = exposure.distractors and rng.random() < _HIDDEN
-            motion = rng.uniform(*_STREAK) * _direction(rng) if moving else np.zeros(2)
+            motion = rng.uniform(*_STREAK) * any_direction(rng) if moving else np.zeros(2)
             peak = exposure.peak * (_NEAR / distance[pose, camera, led]) ** 2
             uv, mirror = direct[pose, camera, led], mirrored[pose, camera, led]
             lights = []
@@ -263,12 +225,8 @@ def _views(
                 lights.append(Light(uv, peak, exposure.sigma, motion))
             if np.isfinite(mirror[0]) and mirrors:
                 lights.append(Light(mirror, _MIRRORED * peak, 1.2 * exposure.sigma, motion))
-            visible = scene.cameras[camera].in_image(uv) and not (hidden or moving or outshone(camera, uv))
-            true = uv if visible else np.full(2, np.nan)
+            visible = scene.cameras[camera].in_image(uv) and not (hidden or moving)
+            found = visible and not outshone[camera][tuple(np.rint(uv[::-1]).astype(int))]
+            true = uv if found else np.full(2, np.nan)
             views.append(_View(camera, pose, led, true, tuple(lights), of_pose.spawn(1)[0]))
     return views
-
-
-def _direction(rng: np.random.Generator) -> Floats:
-    angle = rng.uniform(0.0, 2.0 * np.pi)
-    return np.array([np.cos(angle), np.sin(angle)])

@@ -9,13 +9,14 @@ import numpy as np
 
 from urdfcal.arrays import Floats, frozen
 from urdfcal.errors import SessionError
+from urdfcal.estimation.measurements import Detections
 from urdfcal.session.trajectory import JointLog, Trajectory
-from urdfcal.simulation.collision import load_collision_checker
-from urdfcal.simulation.detections import simulate_detections
+from urdfcal.simulation.planning import load_collision_checker
+from urdfcal.simulation.scene import noisy_values, simulate_detections
 
 if TYPE_CHECKING:
-    from urdfcal.simulation.collision import CollisionChecker
-    from urdfcal.simulation.truth import Simulated
+    from urdfcal.simulation.planning import CollisionChecker
+    from urdfcal.simulation.simulate import Simulated
 
 # Keeps the motion's random numbers apart from the session's.
 _STREAM = 5
@@ -67,44 +68,33 @@ def set_in_motion(simulated: Simulated, settings: MotionSettings) -> Simulated:
     Raises:
         SessionError: there is not one time offset a camera, or no path between the poses.
     """
-    session, truth, scene = simulated.session, simulated.truth, simulated.scene
+    session, truth = simulated.session, simulated.truth
     offset_rng, phase_rng, joint_rng, noise_rng, outlier_rng = np.random.default_rng((truth.seed, _STREAM)).spawn(5)
-    count, rate = len(scene.cameras), settings.frame_rate
+    count, rate = len(truth.cameras), settings.frame_rate
     if settings.time_offsets and len(settings.time_offsets) != count:
         raise SessionError(
             f"{len(settings.time_offsets)} time offsets for {count} cameras", where="simulate", remedy="Name one each."
         )
     time_offsets = np.array(settings.time_offsets or offset_rng.uniform(-_OFFSET, _OFFSET, count))
 
-    path = _Path.through(_tour(truth.q, load_collision_checker(scene, session)[0]), settings.speed)
+    path = _Path.through(_tour(truth.q, load_collision_checker(truth, session)[0]), settings.speed)
     log_time = np.arange(0.0, path.end + _REST, 1.0 / settings.joint_rate)
-    readings = session.chain.readings(path.at(log_time))
-    readings = readings + session.noise.joint * joint_rng.standard_normal(readings.shape)
     taken = [np.arange(_DARK + p / rate, path.end + _DARK, 1.0 / rate) for p in phase_rng.random(count)]
     camera = np.repeat(np.arange(count), [len(of) for of in taken])
     time = np.concatenate(taken)
     trajectory = Trajectory(
-        log=JointLog(log_time, session.chain.joint_values(readings)),
+        log=JointLog(log_time, noisy_values(session, path.at(log_time), joint_rng)),
         frames=tuple(tuple(f"{k:0{len(str(len(of)))}d}" for k in range(1, len(of) + 1)) for of in taken),
         camera=camera,
         row=np.concatenate([np.arange(len(of)) for of in taken]),
         time=time - time_offsets[camera],
     )
     q = path.at(time)
-    sigma, share = session.noise.pixel, truth.outlier_share
-    detections, outliers = simulate_detections(
-        scene,
-        q,
-        camera[:, None],
-        pixel=truth.pixel,
-        sigma=sigma,
-        outliers=share,
-        noise_rng=noise_rng,
-        outlier_rng=outlier_rng,
-    )
+    noise, share = (truth.pixel, session.noise.of(Detections)), truth.outlier_share
+    detections, outliers = simulate_detections(truth, q, camera[:, None], noise, share, noise_rng, outlier_rng)
     moving = replace(
         session,
-        poses=tuple(f"{scene.cameras[c].name}/{trajectory.label(k)}" for k, c in enumerate(camera.tolist())),
+        poses=tuple(f"{truth.cameras[c].name}/{trajectory.label(k)}" for k, c in enumerate(camera.tolist())),
         q=trajectory.values(np.zeros(count)),
         time=trajectory.time,
         motion=trajectory,

@@ -1,4 +1,4 @@
-"""The geometry of a robot and its cameras, nominal or true: from joint values to pixels."""
+"""The geometry of a robot and its cameras, nominal or true: from joint values to pixels, and to noisy detections."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import Bools, Floats, inverse
+from urdfcal.arrays import Bools, Floats, Ints, frozen, inverse
+from urdfcal.estimation.measurements import Detections
 from urdfcal.robot.kinematics import link_poses
 from urdfcal.robot.mechanism import BASE, Tip
 
@@ -15,6 +16,10 @@ if TYPE_CHECKING:
     from urdfcal.cameras.camera import Camera
     from urdfcal.robot.mechanism import Mechanism
     from urdfcal.session.attachments import Attachments
+    from urdfcal.session.model import Setup
+
+# From a blob found with a reflection in it, to the wrong blob. [px]
+_OUTLIERS = (5.0, 200.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,9 +31,9 @@ class Scene:
         placements: (n, 4, 4) its joint placements, used instead of the chain's own. [m]
         attachments: what LEDs and cameras are attached to.
         leds: (L, 3) in the frames they are fixed in. [m]
-        T_world_base: (4, 4) where the robot stands. [m]
+        T_world_base: (4, 4) where the robot stands; the world is the first standing camera's frame. [m]
         cameras: C of them.
-        T_cam_frame: (C, 4, 4) in each camera the frame that it is fixed in. [m]
+        T_cam_frame: (C, 4, 4) in each camera the frame that it is fixed in: the world, or its link. [m]
     """
 
     chain: Mechanism
@@ -38,6 +43,10 @@ class Scene:
     T_world_base: Floats
     cameras: tuple[Camera, ...]
     T_cam_frame: Floats
+
+    def __post_init__(self) -> None:
+        for name in ("placements", "leds", "T_world_base", "T_cam_frame"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
 
     def camera_centres(self, q: Floats) -> Floats:
         """Return the cameras' centres (N, C, 3) in the base link's frame at joint values ``q`` (N, n). [m]."""
@@ -49,11 +58,8 @@ class Scene:
         tips = [Tip("world", BASE, inverse(self.T_world_base)), *self.attachments.tips]
         centres = inverse(self.T_cam_frame)[:, :3, 3]
         leds, cameras = (
-            [(tips[f].joint, tips[f].T_joint_link[:3, :3] @ p + tips[f].T_joint_link[:3, 3]) for f, p in pairs]
-            for pairs in (
-                zip(self.attachments.led, self.leds, strict=True),
-                zip(self.attachments.camera, centres, strict=True),
-            )
+            [(tips[f].joint, (tips[f].T_joint_link @ [*p, 1.0])[:3]) for f, p in zip(of, points, strict=True)]
+            for of, points in ((self.attachments.led, self.leds), (self.attachments.camera, centres))
         )
         return leds, cameras
 
@@ -104,3 +110,54 @@ def look_at(position: Floats, target: Floats) -> Floats:
     T = np.eye(4)
     T[:3] = np.column_stack([x, np.cross(z, x), z, position])
     return T
+
+
+def noisy_values(setup: Setup, q: Floats, rng: np.random.Generator) -> Floats:
+    """Return what encoders say of true joint values (N, n): mimic joints have no reading of their own, and follow."""
+    readings = setup.chain.readings(q)
+    return setup.chain.joint_values(readings + setup.noise.reading * rng.standard_normal(readings.shape))
+
+
+def simulate_detections(
+    scene: Scene,
+    q: Floats,
+    views: Ints,
+    noise: tuple[float, float],
+    outliers: float,
+    noise_rng: np.random.Generator,
+    outlier_rng: np.random.Generator,
+) -> tuple[Detections, Ints]:
+    """Detect the LEDs of a scene; what falls out of an image is missing.
+
+    Args:
+        scene: as it truly is.
+        q: (N, n) true joint values of the poses. [rad or m]
+        views: (N, K) the cameras that look at each pose.
+        noise: one standard deviation, and the one that the detections declare. [px]
+        outliers: share of the detections that is moved by 5 to 200 px, within their images.
+        noise_rng: the source of the noise.
+        outlier_rng: the source of the outliers.
+
+    Returns:
+        The detections, and the rows (K,) of the outliers among them.
+    """
+    uv = scene.pixels(q)[np.arange(len(q))[:, None], views]
+    uv = uv + noise[0] * noise_rng.standard_normal(uv.shape)
+    inside = np.zeros(uv.shape[:-1], dtype=bool)
+    for c, one in enumerate(scene.cameras):
+        inside[views == c] = one.in_image(uv[views == c])
+    pose, view, led = np.nonzero(inside)
+    camera, uv = views[pose, view], uv[inside]
+    rows = np.sort(outlier_rng.choice(len(uv), round(outliers * len(uv)), replace=False))
+    for row in rows:
+        moved = np.full(2, np.nan)
+        while not scene.cameras[camera[row]].in_image(moved):
+            moved = uv[row] + any_direction(outlier_rng) * outlier_rng.uniform(*_OUTLIERS)
+        uv[row] = moved
+    return Detections(pose, camera, led, uv, np.array(noise[1])), rows
+
+
+def any_direction(rng: np.random.Generator) -> Floats:
+    """Draw a unit vector (2,) in the plane."""
+    angle = rng.uniform(0.0, 2.0 * np.pi)
+    return np.array([np.cos(angle), np.sin(angle)])

@@ -10,9 +10,9 @@ import pytest
 from tests.centroid_bound import centroid_bound
 from urdfcal.detection.spots import gaussian
 from urdfcal.detection.spots.centroid import HALF, Crops, Fits, fit_spots
-from urdfcal.detection.spots.detector import ImageFile, Spots, find_spots
+from urdfcal.detection.spots.detector import Spots, find_spots
 from urdfcal.errors import CameraError
-from urdfcal.images.files import write_image
+from urdfcal.images.files import ImageFile, write_image
 from urdfcal.simulation.render import Light, Scenery, Sensor
 
 if TYPE_CHECKING:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from tests.estimation.joint_models.test_joint_models import geometry_with, sessi
 from tests.estimation.measurements.test_measurements import CASES, session_with
 from tests.estimation.problems import Example, at_rest, branched, eye_in_hand, filmed
 from urdfcal.cameras.camera import Camera
+from urdfcal.errors import SessionError
 from urdfcal.estimation.blocks.base_pose import BaseBlock
 from urdfcal.estimation.joint_models import JOINT_MODELS
 from urdfcal.estimation.linearize import Tangent
@@ -32,7 +34,7 @@ def _examples() -> list[Any]:
         for name, make in GENERAL.items()
         for geometry in ("dh", "offsets", "full")
     ]
-    cases += [pytest.param((case, "dh"), id=f"measurement-{name}") for case, name in zip(*CASES, strict=True)]
+    cases += [pytest.param((case.values, "dh"), id=f"measurement-{case.id}") for case in CASES]
     return [*cases, *(pytest.param((model, None), id=f"joint_model-{model.name}") for model in JOINT_MODELS)]
 
 
@@ -56,6 +58,13 @@ def some_step(block: Block[Any], seed: int) -> Floats:
     """A random step of all coordinates, about 0.01 m or rad in effect, within the prior."""
     size = np.minimum(0.01 * block.scale(block.nominal), np.where(np.isfinite(block.sigma), block.sigma, np.inf))
     return size * np.random.default_rng(seed).normal(size=len(block))
+
+
+def test_an_led_and_a_camera_of_one_name_are_refused(simulated: Callable) -> None:
+    session = at_rest(simulated)
+    led = replace(session.leds[0], name=session.rig.names[1])
+    with pytest.raises(SessionError, match=r"two unknowns are named 'cam1\.x'"):
+        Example.of(replace(session, leds=(led, *session.leds[1:])), "dh")
 
 
 def test_names_units_and_standard_deviations_agree_in_number(example: Example) -> None:

@@ -62,8 +62,8 @@ class TestLimits:
     def test_below_the_lower_one(self, folder: Path) -> None:
         put(JOINTS, 2, slide="-0.0005")(folder)
         assert read_session(folder).readings[2, 2] == -0.0005
-        put(JOINTS, 2, slide="-0.0015")(folder)
-        with pytest.raises(SessionError, match=r"slide = -0\.0015 m is outside"):
+        put(JOINTS, 2, slide="-0.0055")(folder)
+        with pytest.raises(SessionError, match=r"slide = -0\.0055 m is outside"):
             read_session(folder)
 
     def test_few_readings_in_degrees_are_errors_of_typing(self, folder: Path) -> None:

@@ -1,15 +1,16 @@
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from tests.io import making
-from tests.io.broken import cells, put, renamed_cameras, swap
+from tests.io.broken import append, cells, put, renamed_cameras, swap
 from tests.io.making import write_cameras, write_points, write_valid
 from urdfcal.errors import SessionError
-from urdfcal.io.folder import read_session
+from urdfcal.io.folder import read_positions, read_session
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -32,6 +33,79 @@ def test_a_wrist_without_limits_may_be_wound_up(folder: Path) -> None:
 def test_a_joint_may_overrun_its_limit_by_less_than_a_controller_allows(folder: Path) -> None:
     put(JOINTS, 2, shoulder="1.8005")(folder)
     assert read_session(folder).readings[2, 1] == 1.8005
+    assert read_session(folder).warnings == ()
+
+
+class TestLimits:
+    """The shoulder reads up to 1.8 rad; its zero may be off by 5 mrad unless the session says otherwise."""
+
+    def test_beyond_by_less_than_the_zero_may_be_off_is_a_warning(self, folder: Path) -> None:
+        put(JOINTS, 2, shoulder="-1.8049")(folder)
+        (warning,) = read_session(folder).warnings
+        assert warning.endswith("joints.csv:4:10: pose '2': shoulder is 0.0049 rad beyond its limits")
+        put(JOINTS, 2, shoulder="1.8051")(folder)
+        with pytest.raises(SessionError, match=r"shoulder = 1.8051 rad is outside.*calibrate --ignore-limits"):
+            read_session(folder)
+
+    def test_each_joint_is_told_once_by_its_worst_reading(self, folder: Path) -> None:
+        put(JOINTS, 2, shoulder="1.802")(folder)
+        put(JOINTS, 3, shoulder="1.804", slide="0.3021")(folder)
+        put(JOINTS, 5, shoulder="1.803")(folder)
+        shoulder, slide = read_session(folder).warnings
+        assert shoulder.endswith("pose '3': shoulder is 0.004 rad beyond its limits, and 2 more readings by less")
+        assert slide.endswith("pose '3': slide is 0.0021 m beyond its limits")
+
+    @pytest.mark.parametrize(
+        ("tolerances", "joint", "just", "more"),
+        [
+            ("{zero: 0.03}", "shoulder", "1.829", "1.831"),
+            ("{shoulder: {theta: 0.02}}", "shoulder", "1.819", "1.821"),
+            ("{shoulder: {theta: 0}}", "shoulder", "1.8009", "1.8011"),
+            ("{slide: {d: 0.01}, zero: 0}", "slide", "-0.009", "-0.011"),
+        ],
+    )
+    def test_the_tolerance_is_the_joints_own(
+        self, folder: Path, tolerances: str, joint: str, just: str, more: str
+    ) -> None:
+        append(YAML, f"tolerances: {tolerances}\n")(folder)
+        put(JOINTS, 2, **{joint: just})(folder)
+        read_session(folder)
+        put(JOINTS, 2, **{joint: more})(folder)
+        with pytest.raises(SessionError, match="is outside the joint's limits"):
+            read_session(folder)
+
+    def test_where_most_are_beyond_signs_and_columns_are_suspected(self, folder: Path) -> None:
+        """The slide goes from 0 to 0.3 m: turned round, or read where the roll turns, most is beyond."""
+        text = (folder / JOINTS).read_text()
+        cells(JOINTS, lambda _, row: {**row, "slide": str(-float(row["slide"]))})(folder)
+        with pytest.raises(
+            SessionError, match=r"otherwise: is the sign of slide turned\? Correct it; .*--ignore-limits"
+        ):
+            read_session(folder)
+        (folder / JOINTS).write_text(text)
+        cells(JOINTS, lambda _, row: {**row, "slide": row["roll"], "roll": row["slide"]})(folder)
+        with pytest.raises(SessionError, match=r"are the columns of slide and roll exchanged\?"):
+            read_session(folder)
+        (folder / JOINTS).write_text(text)
+        put(JOINTS, 2, slide="-0.2")(folder)
+        with pytest.raises(SessionError, match=r"Correct the reading, or the limits"):
+            read_session(folder)
+
+    def test_they_may_be_ignored(self, folder: Path) -> None:
+        put(JOINTS, 2, shoulder="2.2")(folder)
+        (warning,) = read_session(folder, ignore_limits=True).warnings
+        assert "pose '2': shoulder is 0.4 rad beyond its limits" in warning
+        assert read_positions(folder).warnings == (warning,)
+
+    def test_a_wrong_unit_is_none_the_less(self, folder: Path) -> None:
+        cells(JOINTS, lambda _, row: {**row, "roll": str(np.degrees(float(row["roll"])))})(folder)
+        with pytest.raises(SessionError, match="the readings of roll look like degrees"):
+            read_session(folder, ignore_limits=True)
+
+    def test_of_a_moving_arm_the_line_is_named(self, moving: Path) -> None:
+        put(JOINTS, 20, shoulder="1.804")(moving)
+        (warning,) = [text for text in read_session(moving).warnings if "beyond" in text]
+        assert re.search(r"joints.csv:22:\d+: shoulder is 0.004 rad beyond its limits$", warning)
 
 
 def test_one_reading_in_degrees_is_a_reading_outside_limits(folder: Path) -> None:

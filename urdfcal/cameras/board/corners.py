@@ -1,19 +1,16 @@
-"""Find a calibration board in an image, and its corners to a hundredth of a pixel."""
+"""Corners where four squares of a board meet, to a hundredth of a pixel, each with its covariance."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.images.files import channel
-
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from urdfcal.arrays import Bools, Floats
     from urdfcal.cameras.board.board import Board
+    from urdfcal.images.files import Image
 
 # Further out there is little left to learn, and the lens bends the edges.
 _REACH = 8
@@ -27,6 +24,15 @@ _MAX_STEPS = 30
 _CONVERGED = 1e-4
 # Standard deviation at which a fit starts and the range of what it may find, px.
 _BLUR, _SHARPEST, _SOFTEST = 0.9, 0.25, 6.0
+# How many times smaller soft pictures are looked at, from which blur on (px), or if fewer corners than this are found.
+_COARSER, _SOFT, _ENOUGH = (2, 4), 2.5, 0.9
+# On a corner the edges explain the window; more of the contrast is left where a highlight or a finger is. Noise alone
+# leaves 0.24 at a contrast of 25 grey levels.
+_MISFIT = 0.4
+# Corners known worse than this, px, tell nothing.
+_WORST = 1.0
+_SETTLED = 1e-2
+_ROUNDING = 1.0 / 12.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,10 +41,12 @@ class Corners:
 
     Attributes:
         uv: (N, 2) px, all inner corners in the board's order; NaN where one was not found.
+        covariance: (N, 2, 2) of them, px², from what the fit leaves of the pixels; NaN likewise.
         blur: (N,) standard deviation of the edges' blur, the wider of the two edges, px; NaN likewise.
     """
 
     uv: Floats
+    covariance: Floats
     blur: Floats
 
     @property
@@ -46,38 +54,46 @@ class Corners:
         """(N,) which corners were found."""
         return np.isfinite(self.uv[:, 0])
 
-
-def detect_board(image: NDArray[Any], board: Board) -> Corners | None:
-    """Find the corners of ``board``.
-
-    Args:
-        image: (h, w) or (h, w, 3), 8 or 16 bit.
-        board: a chessboard must be wholly in view, a ChArUco board may be cut or covered.
-
-    Returns:
-        The corners in the board's order (one of its orders, for a chessboard that looks the same from several
-        sides); None if there is no board.
-    """
-    grey = channel(image, "any")
-    eight = image if image.shape == grey.shape and image.dtype == np.uint8 else _eight_bit(grey)
-    start = _charuco(eight, board) if board.kind == "charuco" else _chessboard(eight, board)
-    if start is None:
-        return None
-    return refine(grey, board, start)
+    def squares(self, board: Board) -> float:
+        """Side of a square in the image, the shorter one, median over the corners, px."""
+        return float(np.nanmedian(np.linalg.norm(_squares(board, self.uv), axis=2).min(axis=1)))
 
 
-def refine(image: NDArray[Any], board: Board, uv: Floats) -> Corners:
+def refine(image: Image, board: Board, uv: Floats) -> Corners:
     """Find the corners near ``uv``.
 
     Around a corner at c the image is ``m + h erf(n1·(x - c) / (√2 s1)) erf(n2·(x - c) / (√2 s2))``, with an
     angle and a blur for either edge. True image and model look the same turned by half around c, whatever the
     blur, the camera's tone curve and the light's level, which leaves no bias to first order.
 
+    Soft pictures are looked at in halves and quarters of their size, too, where a window of the same number of pixels
+    reaches further; of a corner the most certain reading counts.
+
     Args:
         image: (h, w) grey levels.
         board: what is seen.
-        uv: (N, 2) px, right to about a pixel; NaN where a corner was not seen.
+        uv: (N, 2) px, right to about a pixel and to the blur; NaN where a corner was not seen.
     """
+    import cv2
+
+    best = _read(image, board, uv)
+    for factor in _COARSER:
+        if best.found.sum() > _ENOUGH * np.isfinite(uv[:, 0]).sum() and np.nanmedian(best.blur) < _SOFT * factor / 2:
+            break
+        height, width = (side // factor * factor for side in image.shape)
+        small = cv2.resize(image[:height, :width], None, fx=1 / factor, fy=1 / factor, interpolation=cv2.INTER_AREA)
+        # The middle of a small pixel is that of the pixels it was made of.
+        shift = 0.5 * (factor - 1)
+        coarse = _read(small, board, (uv - shift) / factor)
+        values = factor * coarse.uv + shift, factor**2 * coarse.covariance, factor * coarse.blur
+        better = ~(np.trace(best.covariance, axis1=1, axis2=2) <= np.trace(values[1], axis1=1, axis2=2))
+        for ours, theirs in zip((best.uv, best.covariance, best.blur), values, strict=True):
+            ours[better] = theirs[better]
+    return best
+
+
+def _read(image: Image, board: Board, uv: Floats) -> Corners:
+    """Fit the corners near ``uv`` at the image's own size."""
     directions = _squares(board, uv)
     at = np.flatnonzero(np.isfinite(directions).all(axis=(1, 2)))
     height, width = image.shape
@@ -85,19 +101,22 @@ def refine(image: NDArray[Any], board: Board, uv: Floats) -> Corners:
     origin = np.rint(uv[at]).astype(int)
     inside = ((origin >= margin) & (origin < np.array([width, height]) - margin)).all(axis=1)
     at, origin = at[inside], origin[inside]
-    found = Corners(np.full_like(uv, np.nan), np.full(len(uv), np.nan))
-    if not at.size:
-        return found
+    n = len(uv)
+    found = Corners(np.full((n, 2), np.nan), np.full((n, 2, 2), np.nan), np.full(n, np.nan))
     offsets = np.stack(np.meshgrid(*[np.arange(-_REACH, _REACH + 1)] * 2), axis=-1).reshape(-1, 2).astype(float)
-    pixels = origin[:, None] + offsets.astype(int)
-    windows = image[pixels[..., 1], pixels[..., 0]].astype(float)
     weights = _weights(board, directions[at], offsets - (uv[at] - origin)[:, None])
     enough = weights.sum(axis=1) >= _FEWEST_PIXELS
-    at, origin, windows, weights = at[enough], origin[enough], windows[enough], weights[enough]
-    parameters, good = _fit(windows, weights, offsets, uv[at] - origin, directions[at])
-    good &= np.linalg.norm(parameters[:, :2] - (uv[at] - origin), axis=1) < _FARTHEST_STEP
+    at, origin, weights = at[enough], origin[enough], weights[enough]
+    if not at.size:
+        return found
+    pixels = origin[:, None] + offsets.astype(int)
+    windows = image[pixels[..., 1], pixels[..., 0]].astype(float)
+    parameters, covariance, good = _fit(windows, weights, offsets, uv[at] - origin, directions[at])
+    blur = parameters[:, 4:6].max(axis=1)
+    good &= np.linalg.norm(parameters[:, :2] - (uv[at] - origin), axis=1) < np.maximum(_FARTHEST_STEP, blur)
     found.uv[at[good]] = origin[good] + parameters[good, :2]
-    found.blur[at[good]] = parameters[good, 4:6].max(axis=1)
+    found.covariance[at[good]] = covariance[good]
+    found.blur[at[good]] = blur[good]
     return found
 
 
@@ -111,9 +130,10 @@ def _squares(board: Board, uv: Floats) -> Floats:
     here = grid[1:-1, 1:-1]
     steps = []
     for before, after in ((grid[1:-1, :-2], grid[1:-1, 2:]), (grid[:-2, 1:-1], grid[2:, 1:-1])):
-        both = 0.5 * (after - before)
-        both = np.where(np.isfinite(both), both, after - here)
-        steps.append(np.where(np.isfinite(both), both, here - before))
+        step = 0.5 * (after - before)
+        for alone in (after - here, here - before):
+            step = np.where(np.isfinite(step), step, alone)
+        steps.append(step)
     return np.stack(steps, axis=-2).reshape(-1, 2, 2)
 
 
@@ -126,21 +146,22 @@ def _weights(board: Board, directions: Floats, d: Floats) -> Floats:
         frame = 0.5 * (1.0 - board.marker / board.square)
         size = np.linalg.norm(directions, axis=2).min(axis=1)[:, None]
         shown &= ab.min(axis=-1) < frame - np.minimum(2.0 * _BLUR / size, 0.5 * frame)
-    weights: Floats = shown.astype(float)
-    return weights
+    return np.asarray(shown.astype(float))
 
 
-def _fit(windows: Floats, weights: Floats, offsets: Floats, start: Floats, directions: Floats) -> tuple[Floats, Bools]:
+def _fit(
+    windows: Floats, weights: Floats, offsets: Floats, start: Floats, directions: Floats
+) -> tuple[Floats, Floats, Bools]:
     """Damped Gauss-Newton for all corners at once.
 
     Returns:
-        (n, 8) c (2), angles (2), blurs (2), m, h; and (n,) whether it converged to a corner.
+        (n, 8) c (2), angles (2), blurs (2), m, h; (n, 2, 2) covariance of c; and (n,) whether it converged to a corner.
     """
     n = len(windows)
     angles = np.arctan2(directions[..., 1], directions[..., 0])
     p = np.concatenate([start, angles, np.full((n, 2), _BLUR), np.zeros((n, 2))], axis=1)
     # m and h enter linearly.
-    shape, _ = _model(p, offsets, only_shape=True)
+    shape = _model(p, offsets)[1][..., 7]
     total = weights.sum(axis=1)
     mean, middle = (weights * windows).sum(axis=1) / total, (weights * shape).sum(axis=1) / total
     spread = (weights * (shape - middle[:, None]) ** 2).sum(axis=1)
@@ -162,21 +183,23 @@ def _fit(windows: Floats, weights: Floats, offsets: Floats, start: Floats, direc
         new_value, new_J = _model(trial, offsets)
         new_cost = (weights * (windows - new_value) ** 2).sum(axis=1)
         better = new_cost <= cost
-        p[better], value[better], J[better], cost[better] = (
-            trial[better], new_value[better], new_J[better], new_cost[better],
-        )  # fmt: skip
+        p[better], value[better], J[better] = trial[better], new_value[better], new_J[better]
+        cost[better] = new_cost[better]
         step[better] = np.abs(move[better, :2])
         damping = np.where(better, damping / 10.0, damping * 10.0)
         if (step.max(axis=1) < _CONVERGED).all():
             break
-    contrast = np.abs(p[:, 7])
-    rms = np.sqrt(cost / total)
-    # On a corner the edges explain the window; 0.2 of the contrast is left where a highlight or a finger is.
-    good = (step.max(axis=1) < 1e-2) & (rms < 0.2 * contrast) & (p[:, 4:6] < 0.99 * _SOFTEST).all(axis=1)
-    return p, good
+    H = np.swapaxes(J * weights[..., None], 1, 2) @ J
+    H += 1e-12 * np.eye(8) * np.maximum(np.einsum("nii->ni", H), 1e-9)[:, None, :]
+    variance = cost / np.maximum(total - 8.0, 1.0)
+    # Grey levels are whole: a picture without noise is known to their rounding.
+    covariance = np.maximum(variance, _ROUNDING)[:, None, None] * np.linalg.inv(H)[:, :2, :2]
+    good = (step.max(axis=1) < _SETTLED) & (np.sqrt(cost / total) < _MISFIT * np.abs(p[:, 7]))
+    good &= (p[:, 4:6] < 0.99 * _SOFTEST).all(axis=1) & (np.einsum("nii->n", covariance) < 2.0 * _WORST**2)
+    return p, covariance, good
 
 
-def _model(p: Floats, offsets: Floats, *, only_shape: bool = False) -> tuple[Floats, Floats]:
+def _model(p: Floats, offsets: Floats) -> tuple[Floats, Floats]:
     """The image (n, K) of corners ``p`` (n, 8) and its derivative (n, K, 8)."""
     from scipy.special import erf
 
@@ -190,11 +213,8 @@ def _model(p: Floats, offsets: Floats, *, only_shape: bool = False) -> tuple[Flo
         slopes.append(np.sqrt(2.0 / np.pi) * np.exp(-0.5 * across**2) / blur)
         along.append((across, c * d[..., 0] + s * d[..., 1], c, s))
     shape = sides[0] * sides[1]
-    if only_shape:
-        return shape, shape
     h = p[:, 7, None]
-    J = np.empty((*shape.shape, 8))
-    J[..., 0] = J[..., 1] = 0.0
+    J = np.zeros((*shape.shape, 8))
     for i in (0, 1):
         across, forward, c, s = along[i]
         slope = h * slopes[i] * sides[1 - i]
@@ -205,50 +225,3 @@ def _model(p: Floats, offsets: Floats, *, only_shape: bool = False) -> tuple[Flo
     J[..., 6] = 1.0
     J[..., 7] = shape
     return p[:, 6, None] + h * shape, J
-
-
-def _eight_bit(grey: NDArray[np.float32]) -> NDArray[np.uint8]:
-    # A few glaring pixels must not press the board into the dark end.
-    low, high = np.percentile(grey[::4, ::4], [1.0, 99.0])
-    scaled = (grey - low) * (235.0 / max(high - low, 1e-6)) + 10.0
-    return np.asarray(np.clip(scaled, 0, 255), dtype=np.uint8)
-
-
-def _charuco(image: NDArray[Any], board: Board) -> Floats | None:
-    import cv2
-
-    corners, numbers, _, _ = cv2.aruco.CharucoDetector(board.to_opencv()).detectBoard(image)
-    if numbers is None or len(numbers) == 0:
-        return None
-    uv = np.full((len(board.corners), 2), np.nan)
-    uv[np.ravel(numbers)] = np.reshape(corners, (-1, 2))
-    return uv
-
-
-def _chessboard(image: NDArray[Any], board: Board) -> Floats | None:
-    import cv2
-
-    # findChessboardCorners finds no more boards, and searches a plain noisy wall for ten seconds and more.
-    found, corners = cv2.findChessboardCornersSB(image, board.shape, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
-    if not found:
-        return None
-    across, down = board.shape
-    return _turned(np.asarray(corners, dtype=float).reshape(down, across, 2), image).reshape(-1, 2)
-
-
-def _turned(grid: Floats, image: NDArray[Any]) -> Floats:
-    """Corners (rows, columns, 2) turned so that x goes right of y and the square up and left of the first is black."""
-    right, below = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
-    if right[0] * below[1] - right[1] * below[0] < 0.0:
-        grid = grid[:, ::-1]
-    down, across = grid.shape[:2]
-    centres = np.rint(0.25 * (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:])).astype(int)
-    level = image[centres[..., 1], centres[..., 0]].astype(float)
-    j, i = np.indices(level.shape)
-    # The square down and right of the first corner has the colour of the one up and left of it.
-    if np.sum(np.where((i + j) % 2 == 0, 1.0, -1.0) * (level - level.mean())) > 0.0:
-        if (across + down) % 2:
-            return grid[::-1, ::-1]
-        if across == down and across % 2:
-            return np.rot90(grid)
-    return grid

@@ -1,4 +1,4 @@
-"""Where a calibration from boards starts: focal length, board poses and camera places in closed form."""
+"""Where a bundle adjustment starts: focal lengths, board poses and camera places in closed form."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import Floats, inverse
+from urdfcal.arrays import Floats, Ints, inverse
 from urdfcal.cameras.camera import Camera
 from urdfcal.rotations import skew
 
@@ -64,8 +64,7 @@ def first_guesses(name: str, resolution: tuple[int, int], model: str, board: Boa
 
     def misfit(focal: float) -> float:
         guess = camera(focal)
-        T = board_poses(guess, board, uv)
-        error = guess.project(board.corners @ np.swapaxes(T[:, :3, :3], 1, 2) + T[:, None, :3, 3]) - uv
+        error = guess.project(board.at(board_poses(guess, board, uv))) - uv
         squared = np.where(np.isfinite(uv), np.nan_to_num(error, nan=1e3) ** 2, 0.0).sum(axis=(1, 2))
         return float(np.median(squared / np.isfinite(uv[..., 0]).sum(axis=1)))
 
@@ -73,7 +72,7 @@ def first_guesses(name: str, resolution: tuple[int, int], model: str, board: Boa
     return [camera(ratio * best) for ratio in _RATIOS]
 
 
-def place(cameras: Sequence[Camera], board: Board, uv: Floats) -> tuple[list[Floats | None], Floats, Floats]:
+def place(cameras: Sequence[Camera], board: Board, uv: Floats) -> tuple[list[Floats | None], Floats, Ints]:
     """Where the cameras stand, from the boards that two or more of them saw.
 
     A board that looks the same from several sides may have been read differently by two cameras; only one reading lets
@@ -86,10 +85,10 @@ def place(cameras: Sequence[Camera], board: Board, uv: Floats) -> tuple[list[Flo
 
     Returns:
         T_cam_world of each camera, None where no chain of common views leads to the first; T_world_board (V, 4, 4), NaN
-        where no such camera saw it; and ``uv`` with the readings made to agree.
+        where no such camera saw it; and (C, V, N) the order of the corners in which the readings agree.
     """
-    uv = np.array(uv)
     seen = np.asarray(np.isfinite(uv[..., 0]).any(axis=2))
+    orders = np.broadcast_to(np.arange(uv.shape[2]), uv.shape[:3]).copy()
     T_cam_world: list[Floats | None] = [np.eye(4), *[None] * (len(cameras) - 1)]
     T_world_board = np.full((uv.shape[1], 4, 4), np.nan)
     T_world_board[seen[0]] = board_poses(cameras[0], board, uv[0, seen[0]])
@@ -98,18 +97,14 @@ def place(cameras: Sequence[Camera], board: Board, uv: Floats) -> tuple[list[Flo
         common = [0 if T is not None else int((seen[c] & known).sum()) for c, T in enumerate(T_cam_world)]
         c = int(np.argmax(common))
         if common[c] == 0:
-            return T_cam_world, T_world_board, uv
+            return T_cam_world, T_world_board, orders
         views = np.flatnonzero(seen[c] & known)
         # (S, views, 4, 4): this camera's place, for every reading of the board.
-        candidates = np.stack(
-            [
-                board_poses(cameras[c], board, uv[c, views][:, order]) @ inverse(T_world_board[views])
-                for order in board.symmetries
-            ]
-        )
-        T, readings = _most_agreed(candidates)
-        for view, reading in zip(views, readings, strict=True):
-            uv[c, view] = uv[c, view, board.symmetries[reading]]
+        readings = [board_poses(cameras[c], board, uv[c, views][:, order]) for order in board.symmetries]
+        candidates = np.stack(readings) @ inverse(T_world_board[views])
+        T, agreed = _most_agreed(candidates)
+        for view, reading in zip(views, agreed, strict=True):
+            orders[c, view] = board.symmetries[reading]
         T_cam_world[c] = T
         new = seen[c] & ~known
         T_world_board[new] = inverse(T) @ board_poses(cameras[c], board, uv[c, new])

@@ -7,6 +7,7 @@ files become the same nodes.
 from __future__ import annotations
 
 import re
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 from xml.parsers import expat
@@ -16,7 +17,7 @@ import numpy as np
 from urdfcal.errors import CameraError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     import yaml
@@ -55,8 +56,17 @@ class Entry:
 
     @classmethod
     def of(cls, path: Path, name: str, node: yaml.Node, what: str) -> Entry:
-        """Read the keys of ``node``, which must be a mapping that holds ``what``."""
-        return cls(path, name, node, mapping(node, path, what))
+        """Read the keys of ``node``, which must be a mapping that holds ``what`` and has no key twice."""
+        if _kind(node) != "mapping":
+            raise CameraError(f"{what} are expected here, 'key: value' on each line", where=place(path, node))
+        found: dict[str, yaml.Node] = {}
+        for key, value in node.value:
+            if not isinstance(key.value, str):
+                raise CameraError("a key must be one word", where=place(path, key))
+            if key.value in found:
+                raise CameraError(f"'{key.value}' stands here a second time", where=place(path, key))
+            found[key.value] = value
+        return cls(path, name, node, found)
 
     @classmethod
     def read(cls, path: Path, what: str) -> Entry:
@@ -70,9 +80,9 @@ class Entry:
                 remedy = f"Allowed: {', '.join(allowed)}."
                 raise CameraError(f"key '{key}' of {owner} is not known", where=place(self.path, node), remedy=remedy)
 
-    def error(self, key: str, what: str, remedy: str = "") -> CameraError:
-        """An error at the value of ``key``, or at the entry if it has none."""
-        where = place(self.path, self.fields.get(key, self.node))
+    def error(self, key: str, what: str, remedy: str = "", node: yaml.Node | None = None) -> CameraError:
+        """An error at the value of ``key`` or a ``node`` in it, or at the entry if it has none."""
+        where = place(self.path, node or self.fields.get(key, self.node))
         return CameraError(what, where=f"{where} ({self._full(key)})", remedy=remedy)
 
     def text(self, key: str) -> str:
@@ -82,9 +92,13 @@ class Entry:
             raise self.error(key, f"{key} must be one word")
         return value
 
-    def number(self, key: str, remedy: str = "") -> float:
-        """The value of ``key``, a number; ``remedy`` helps where it is none."""
-        return self._number(key, self._required(key), remedy)
+    def number(self, key: str, remedy: str = "", node: yaml.Node | None = None) -> float:
+        """The value of ``key``, or of a ``node`` in it, a number; ``remedy`` helps where it is none."""
+        node = node or self._required(key)
+        text = node.value if isinstance(node.value, str) else "a nested value"
+        if not _NUMBER.fullmatch(text) or not np.isfinite(float(text)):
+            raise self.error(key, f"'{text}' is not a finite number", remedy, node)
+        return float(text)
 
     def whole(self, key: str) -> int:
         """The value of ``key``, a whole number."""
@@ -93,9 +107,12 @@ class Entry:
             raise self.error(key, f"{key} {value:g} is not a whole number")
         return int(value)
 
-    def numbers(self, key: str) -> list[float]:
-        """The value of ``key``, a list of numbers."""
-        return self._numbers(key, self._required(key))
+    def numbers(self, key: str, node: yaml.Node | None = None) -> list[float]:
+        """The value of ``key``, or of a ``node`` in it, a list of numbers."""
+        node = node or self._required(key)
+        if _kind(node) != "sequence":
+            raise self.error(key, f"{key} must be a list of numbers")
+        return [self.number(key, node=item) for item in node.value]
 
     def size(self, key: str) -> tuple[int, int]:
         """The value of ``key``, [width, height]."""
@@ -106,7 +123,8 @@ class Entry:
 
     def rows(self, key: str, shape: tuple[int, int] | None = None) -> Floats:
         """The value of ``key``, a list of equally long lists of numbers, of a given ``shape`` or any."""
-        rows = [self._numbers(key, row) for row in _items(self._required(key)) or []]
+        node = self._required(key)
+        rows = [self.numbers(key, row) for row in node.value] if _kind(node) == "sequence" else []
         lengths = {len(row) for row in rows}
         if len(lengths) != 1 or shape not in (None, (len(rows), *lengths)):
             what = f"{shape[0]} rows of {shape[1]} numbers" if shape else "rows of equally many numbers"
@@ -134,19 +152,6 @@ class Entry:
         if key not in self.fields:
             raise self.error(key, f"{key} is missing")
         return self.fields[key]
-
-    def _numbers(self, key: str, node: yaml.Node) -> list[float]:
-        items = _items(node)
-        if items is None:
-            raise self.error(key, f"{key} must be a list of numbers")
-        return [self._number(key, item) for item in items]
-
-    def _number(self, key: str, node: yaml.Node, remedy: str = "") -> float:
-        text = node.value if isinstance(node.value, str) else "a nested value"
-        if not _NUMBER.fullmatch(text) or not np.isfinite(float(text)):
-            where = f"{place(self.path, node)} ({self._full(key)})"
-            raise CameraError(f"'{text}' is not a finite number", where=where, remedy=remedy)
-        return float(text)
 
 
 def read_bytes(path: Path) -> bytes:
@@ -191,17 +196,14 @@ def compose_xml(data: bytes, path: Path) -> yaml.Node:
     import yaml
 
     parser = expat.ParserCreate()
-    stack: list[tuple[str, yaml.Mark, list[str], list[tuple[yaml.Node, yaml.Node]]]] = []
-    found: list[yaml.Node] = []
-
-    def here() -> yaml.Mark:
-        line, column = parser.CurrentLineNumber - 1, parser.CurrentColumnNumber
-        return yaml.Mark(str(path), parser.CurrentByteIndex, line, column, None, 0)
+    # Of every open element what it is called, where it begins, its text and its children; outermost the document.
+    stack: list[tuple[str, yaml.Mark | None, list[str], list[tuple[yaml.Node, yaml.Node]]]] = [("", None, [], [])]
 
     def start(tag: str, _: dict[str, str]) -> None:
-        if len(stack) >= _DEEPEST_XML:
+        if len(stack) > _DEEPEST_XML:
             raise CameraError("elements lie too deep inside each other", where=f"{path}:{parser.CurrentLineNumber}")
-        stack.append((tag, here(), [], []))
+        line, column = parser.CurrentLineNumber - 1, parser.CurrentColumnNumber
+        stack.append((tag, yaml.Mark(str(path), parser.CurrentByteIndex, line, column, None, 0), [], []))
 
     def end(tag: str) -> None:
         _, mark, texts, children = stack.pop()
@@ -214,10 +216,7 @@ def compose_xml(data: bytes, path: Path) -> yaml.Node:
             node = yaml.ScalarNode("str", text.strip('"'), mark)
         else:
             node = yaml.SequenceNode("seq", [yaml.ScalarNode("str", word, mark) for word in words], mark)
-        if stack:
-            stack[-1][3].append((yaml.ScalarNode("str", tag, mark), node))
-        else:
-            found.append(node)
+        stack[-1][3].append((yaml.ScalarNode("str", tag, mark), node))
 
     def refuse(*_: object) -> None:
         where = f"{path}:{parser.CurrentLineNumber}"
@@ -229,26 +228,18 @@ def compose_xml(data: bytes, path: Path) -> yaml.Node:
     try:
         parser.Parse(data, True)
     except expat.ExpatError as error:
-        raise CameraError(
-            f"this is not XML: {expat.errors.messages[error.code]}", where=f"{path}:{error.lineno}:{error.offset + 1}"
-        ) from error
-    return found[0]
+        where = f"{path}:{error.lineno}:{error.offset + 1}"
+        raise CameraError(f"this is not XML: {expat.errors.messages[error.code]}", where=where) from error
+    return stack[0][3][0][1]
 
 
-def mapping(node: yaml.Node, path: Path, what: str) -> dict[str, yaml.Node]:
-    """Keys and value nodes of a mapping; refuses any key that stands twice, which YAML readers let pass."""
-    import yaml
-
-    if not isinstance(node, yaml.MappingNode):
-        raise CameraError(f"{what} are expected here, 'key: value' on each line", where=place(path, node))
-    found: dict[str, yaml.Node] = {}
-    for key, value in node.value:
-        if not isinstance(key.value, str):
-            raise CameraError("a key must be one word", where=place(path, key))
-        if key.value in found:
-            raise CameraError(f"'{key.value}' stands here a second time", where=place(path, key))
-        found[key.value] = value
-    return found
+@contextmanager
+def standing(where: str) -> Iterator[None]:
+    """Say of a CameraError of the block where in a file it stands."""
+    try:
+        yield
+    except CameraError as error:
+        raise CameraError(error.what, where=where, remedy=error.remedy) from error
 
 
 def place(path: Path, node: yaml.Node) -> str:
@@ -267,34 +258,31 @@ def rigid(R: Floats, t: Floats, what: str, error: Callable[[str, str], CameraErr
     """
     off = float(np.abs(R @ R.T - np.eye(3)).max())
     if off > _ORTHONORMAL:
-        raise error(
-            f"the rotation part of {what} is off by {off:.2g} from a rotation matrix",
-            "Its rows must be of length 1 and at right angles; write at least five digits.",
-        )
+        remedy = "Its rows must be of length 1 and at right angles; write at least five digits."
+        raise error(f"the rotation part of {what} is off by {off:.2g} from a rotation matrix", remedy)
     if np.linalg.det(R) < 0.0:
-        raise error(
-            f"the rotation part of {what} is mirrored (determinant -1)",
-            "Two of its rows are exchanged, or one has the wrong sign.",
-        )
+        remedy = "Two of its rows are exchanged, or one has the wrong sign."
+        raise error(f"the rotation part of {what} is mirrored (determinant -1)", remedy)
     baseline = float(np.linalg.norm(t))
     if baseline > _LONGEST_BASELINE:
-        raise error(
-            f"the cameras are {baseline:g} m apart; it looks like millimetres", "Give the translation in metres."
-        )
+        remedy = "Give the translation in metres."
+        raise error(f"the cameras are {baseline:g} m apart; it looks like millimetres", remedy)
     if baseline < _SHORTEST_BASELINE:
-        raise error(
-            "the two cameras are in the same place", f"Leave {what} out if it is not known; it is then estimated."
-        )
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R, t
+        remedy = f"Leave {what} out if it is not known; it is then estimated."
+        raise error("the two cameras are in the same place", remedy)
     if off > _EXACT:
         U, _, Vt = np.linalg.svd(R)
-        T[:3, :3] = U @ Vt
-    return T
+        R = U @ Vt
+    return np.block([[R, t[:, None]], [np.eye(4)[3]]])
 
 
-def _items(node: yaml.Node) -> list[yaml.Node] | None:
-    """The items of a list, None if the node is something else."""
-    import yaml
+def pinhole(K: Floats, what: str, error: Callable[[str], CameraError]) -> Floats:
+    """The intrinsics (4,) fx, fy, cx, cy of a camera matrix from a file, under the key ``what``."""
+    if K.shape != (3, 3) or K[0, 1] != 0.0 or K[1, 0] != 0.0 or not np.array_equal(K[2], [0.0, 0.0, 1.0]):
+        raise error(f"{what} must be [fx 0 cx; 0 fy cy; 0 0 1]")
+    return K[[0, 1, 0, 1], [0, 1, 2, 2]]
 
-    return node.value if isinstance(node, yaml.SequenceNode) else None
+
+def _kind(node: yaml.Node) -> str:
+    """Whether a node is a mapping, a sequence or a scalar."""
+    return str(node.id)  # type: ignore[attr-defined]

@@ -24,7 +24,7 @@ import numpy as np
 
 from urdfcal.arrays import Floats, inverse
 from urdfcal.cameras.camera import Camera
-from urdfcal.cameras.io.entries import Entry, place, rigid
+from urdfcal.cameras.io.entries import Entry, place, rigid, standing
 from urdfcal.cameras.rig import CameraSigma, Rig
 from urdfcal.errors import CameraError
 from urdfcal.files import write_text
@@ -32,9 +32,17 @@ from urdfcal.files import write_text
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-_REQUIRED = ("camera_model", "intrinsics", "distortion_model", "resolution")
-_SIGMA = "urdfcal_sigma"
-_USED = (*_REQUIRED, "distortion_coeffs", "T_cn_cnm1", _SIGMA)
+_SIGMA, _SCALE = "urdfcal_sigma", "urdfcal_scale_sigma"
+_USED = (
+    "camera_model",
+    "intrinsics",
+    "distortion_model",
+    "resolution",
+    "distortion_coeffs",
+    "T_cn_cnm1",
+    _SIGMA,
+    _SCALE,
+)
 # Kalibr writes these too; they say nothing about where a pixel looks.
 _IGNORED = ("rostopic", "cam_overlaps", "timeshift_cam_imu", "T_cam_imu")
 _SIGMAS = ("intrinsics", "distortion_coeffs", "T_cn_c0", "correlations")
@@ -58,18 +66,25 @@ def read_kalibr(path: str | Path) -> Rig:
     entries = {name: Entry.of(path, name, node, f"the keys of '{name}'") for name, node in file.fields.items()}
     cameras, chain, sigmas = [], [], []
     T: Floats | None = np.eye(4)
+    scale: float | None = None
     for i, name in enumerate(_chain_order(entries, path)):
         entry = entries[name]
         cameras.append(_camera(entry))
         if i > 0:
             T_step = _step(entry)
             T = None if T is None or T_step is None else T_step @ T
+            if _SCALE in entry.fields:
+                raise entry.error(_SCALE, f"{_SCALE} is of all lengths", "It belongs to the first camera.")
         elif "T_cn_cnm1" in entry.fields:
             raise entry.error("T_cn_cnm1", "the first camera has no camera before it", "Leave T_cn_cnm1 out.")
+        elif _SCALE in entry.fields:
+            scale = entry.number(_SCALE)
+            if not 0.0 <= scale < 1.0:
+                raise entry.error(_SCALE, f"{_SCALE} {scale:g} is no standard deviation of a share of all lengths")
         chain.append(T)
         sigmas.append(_sigma(entry, cameras[-1], placed=i > 0 and T is not None))
     try:
-        return Rig(tuple(cameras), tuple(chain), tuple(sigmas))
+        return Rig(tuple(cameras), tuple(chain), tuple(sigmas), scale)
     except CameraError as error:
         raise CameraError(error.what, where=f"{path} ({error.where})", remedy=error.remedy) from error
 
@@ -85,11 +100,8 @@ def write_kalibr(path: str | Path, rig: Rig) -> None:
 
     path = Path(path)
     if _chain_order(rig.names, path) != list(rig.names):
-        raise CameraError(
-            f"the cameras {', '.join(rig.names)} are not in the order of their numbers",
-            where=str(path),
-            remedy="Kalibr's order is that of the numbers: rename them.",
-        )
+        what = f"the cameras {', '.join(rig.names)} are not in the order of their numbers"
+        raise CameraError(what, where=str(path), remedy="Kalibr's order is that of the numbers: rename them.")
     chain: dict[str, dict[str, Any]] = {}
     T_before: Floats | None = None
     for i, (camera, T, sigma) in enumerate(zip(rig.cameras, rig.T_cam_world, rig.sigmas, strict=True)):
@@ -102,11 +114,8 @@ def write_kalibr(path: str | Path, rig: Rig) -> None:
         }
         if T is not None and i > 0:
             if T_before is None:
-                raise CameraError(
-                    f"the place of '{camera.name}' is known, that of '{rig.names[i - 1]}' before it is not",
-                    where=str(path),
-                    remedy="Put cameras of unknown place last.",
-                )
+                what = f"the place of '{camera.name}' is known, that of '{rig.names[i - 1]}' before it is not"
+                raise CameraError(what, where=str(path), remedy="Put cameras of unknown place last.")
             T_step = T @ inverse(T_before)
             # The reader multiplies the steps up: give each the rounding errors of those before it.
             T_step += (T - T_step @ T_before) @ inverse(T_before)
@@ -116,6 +125,8 @@ def write_kalibr(path: str | Path, rig: Rig) -> None:
         if sigma is not None:
             values = (sigma.parameters[:4], sigma.parameters[4:], sigma.pose, sigma.correlations)
             entry[_SIGMA] = {key: v.tolist() for key, v in zip(_SIGMAS, values, strict=True) if v is not None}
+    if rig.scale_sigma is not None and rig.names:
+        chain[rig.names[0]][_SCALE] = float(rig.scale_sigma)
     write_text(path, yaml.safe_dump(chain, sort_keys=False, default_flow_style=None, width=2**16))
 
 
@@ -127,11 +138,9 @@ def _chain_order(names: Iterable[str], path: Path) -> list[str]:
     names.sort(key=lambda name: int(name[3:]))
     for before, after in pairwise(names):
         if int(after[3:]) != int(before[3:]) + 1:
-            raise CameraError(
-                f"'{after}' comes after '{before}': its T_cn_cnm1 speaks of a camera that is missing",
-                where=str(path),
-                remedy="Number the cameras without gaps, or give them other names.",
-            )
+            what = f"'{after}' comes after '{before}': its T_cn_cnm1 speaks of a camera that is missing"
+            remedy = "Number the cameras without gaps, or give them other names."
+            raise CameraError(what, where=str(path), remedy=remedy)
     return names
 
 
@@ -141,21 +150,13 @@ def _camera(entry: Entry) -> Camera:
         raise entry.error("camera_model", f"camera model '{model}' is not supported", "Use a pinhole model.")
     written = entry.text("distortion_model")
     if written not in _DISTORTIONS:
-        raise entry.error(
-            "distortion_model",
-            f"distortion model '{written}' is not supported",
-            f"Use one of: {', '.join(_DISTORTIONS)}.",
-        )
+        remedy = f"Use one of: {', '.join(_DISTORTIONS)}."
+        raise entry.error("distortion_model", f"distortion model '{written}' is not supported", remedy)
     given = written != "none" or "distortion_coeffs" in entry.fields
     coefficients = entry.numbers("distortion_coeffs") if given else []
-    size = entry.size("resolution")
-    intrinsics = entry.numbers("intrinsics")
-    try:
+    size, intrinsics = entry.size("resolution"), entry.numbers("intrinsics")
+    with standing(f"{place(entry.path, entry.node)} ({entry.name})"):
         return Camera(entry.name, size, np.array(intrinsics), _DISTORTIONS[written], np.array(coefficients))
-    except CameraError as error:
-        raise CameraError(
-            error.what, where=f"{place(entry.path, entry.node)} ({entry.name})", remedy=error.remedy
-        ) from error
 
 
 def _step(entry: Entry) -> Floats | None:
@@ -166,11 +167,8 @@ def _step(entry: Entry) -> Floats | None:
     T = entry.rows(key, (4, 4))
     if not np.allclose(T[3], [0.0, 0.0, 0.0, 1.0], rtol=0.0, atol=1e-9):
         transposed = np.allclose(T[:, 3], [0.0, 0.0, 0.0, 1.0], rtol=0.0, atol=1e-9)
-        raise entry.error(
-            key,
-            f"the last row of {key} is {T[3].tolist()}, not [0, 0, 0, 1]",
-            "Rows and columns are exchanged: the translation belongs in the last column." if transposed else "",
-        )
+        remedy = "Rows and columns are exchanged: the translation belongs in the last column." if transposed else ""
+        raise entry.error(key, f"the last row of {key} is {T[3].tolist()}, not [0, 0, 0, 1]", remedy)
     return rigid(T[:3, :3], T[:3, 3], key, partial(entry.error, key))
 
 
@@ -185,14 +183,11 @@ def _sigma(entry: Entry, camera: Camera, *, placed: bool) -> CameraSigma | None:
         del expected["T_cn_c0"]
     elif not placed:
         raise inner.error("T_cn_c0", "this camera's place is not given, or is the world", "Leave T_cn_c0 out.")
-    values = {}
+    values: dict[str, list[float]] = {}
     for key, count in expected.items():
         values[key] = numbers = inner.numbers(key)
         if len(numbers) != count or min(numbers, default=0.0) < 0.0:
             raise inner.error(key, f"{key} must be {count} standard deviations, none negative; it is {numbers}")
-    pose = values.get("T_cn_c0")
-    return CameraSigma(
-        np.array(values["intrinsics"] + values["distortion_coeffs"]),
-        None if pose is None else np.array(pose),
-        inner.rows("correlations") if "correlations" in inner.fields else None,
-    )
+    correlations = inner.rows("correlations") if "correlations" in inner.fields else None
+    pose = np.array(values["T_cn_c0"]) if "T_cn_c0" in values else None
+    return CameraSigma(np.array(values["intrinsics"] + values["distortion_coeffs"]), pose, correlations)

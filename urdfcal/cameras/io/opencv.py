@@ -11,6 +11,7 @@ urdfcal writes). The files are read without OpenCV, whose reader crashes on deep
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -20,7 +21,7 @@ from xml.sax.saxutils import escape
 import numpy as np
 
 from urdfcal.cameras.camera import Camera
-from urdfcal.cameras.io.entries import Entry, compose, compose_xml, place, read_bytes, rigid
+from urdfcal.cameras.io.entries import Entry, compose, compose_xml, pinhole, place, read_bytes, rigid, standing
 from urdfcal.cameras.rig import Rig
 from urdfcal.errors import CameraError
 from urdfcal.files import write_text
@@ -32,13 +33,19 @@ if TYPE_CHECKING:
 
 _MATRIX = ("camera_matrix", "cameraMatrix", "M", "K")
 _DISTORTION = ("distortion_coefficients", "distCoeffs", "D")
-_MODEL = ("distortion_model",)
-_NAME = ("camera_name",)
-_FISHEYE = ("fisheye_model",)
-_WIDTH, _HEIGHT, _SIZE = ("image_width",), ("image_height",), ("imageSize", "image_size")
 _MODELS = ("radtan", "equidistant", "none")
 # Terms of OpenCV's longer models, by the number of coefficients.
 _LONGER = {8: "rational", 12: "thin prism", 14: "tilted"}
+# Head and foot of a file, a value, a matrix, and what stands between its numbers.
+_YAML = (
+    "%YAML:1.0\n---\n", "", "{key}: {value}\n",
+    "{key}: !!opencv-matrix\n   rows: {rows}\n   cols: {cols}\n   dt: d\n   data: [ {data} ]\n", ", ",
+)  # fmt: skip
+_XML = (
+    '<?xml version="1.0"?>\n<opencv_storage>\n', "</opencv_storage>\n", "<{key}>{value}</{key}>\n",
+    ('<{key} type_id="opencv-matrix">\n  <rows>{rows}</rows>\n  <cols>{cols}</cols>\n  <dt>d</dt>\n'
+     "  <data>{data}</data></{key}>\n"), " ",
+)  # fmt: skip
 
 
 def read_opencv(paths: Sequence[str | Path], size: tuple[int, int] | None = None) -> Rig:
@@ -53,11 +60,10 @@ def read_opencv(paths: Sequence[str | Path], size: tuple[int, int] | None = None
     """
     entries = [_entry(Path(path)) for path in paths]
     found = [_Found(entry, suffix) for entry in entries for suffix in ("", "1", "2")]
-    sources = [item for item in found if item.key(_MATRIX)]
+    sources = [item for item in found if item.key(*_MATRIX)]
     if not sources:
-        raise CameraError(
-            "there is no camera matrix in it", where=str(paths[0]), remedy=f"It is called one of: {', '.join(_MATRIX)}."
-        )
+        remedy = f"It is called one of: {', '.join(_MATRIX)}."
+        raise CameraError("there is no camera matrix in it", where=str(paths[0]), remedy=remedy)
     names = [source.name() for source in sources]
     if len(set(names)) < len(names):
         names = [f"cam{i}" for i in range(len(names))]
@@ -87,20 +93,30 @@ def write_opencv(path: str | Path, rig: Rig) -> None:
     alone = len(rig.cameras) == 1
     fields: dict[str, str | int | Floats] = {}
     for suffix, camera in zip(("",) if alone else ("1", "2"), rig.cameras, strict=True):
-        fx, fy, cx, cy = camera.intrinsics
         # OpenCV takes no empty vector for "no distortion".
         D = camera.distortion if len(camera.distortion) else np.zeros(5)
         fields |= {
             f"camera_name{suffix}": camera.name,
             f"image_width{suffix}": camera.resolution[0],
             f"image_height{suffix}": camera.resolution[1],
-            "camera_matrix" if alone else f"M{suffix}": np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]),
+            "camera_matrix" if alone else f"M{suffix}": camera.matrix,
             f"distortion_model{suffix}": camera.distortion_model,
             "distortion_coefficients" if alone else f"D{suffix}": D[None],
         }
     if not alone and (T := rig.T_cam_world[1]) is not None:
         fields |= {"R": T[:3, :3], "T": T[:3, 3:]}
-    write_text(path, _xml(fields) if path.suffix.lower() == ".xml" else _yaml(fields))
+    xml = path.suffix.lower() == ".xml"
+    head, foot, plain, matrix, between = _XML if xml else _YAML
+    text = head
+    for key, value in fields.items():
+        if isinstance(value, np.ndarray):
+            data = between.join(map(repr, value.ravel().tolist()))
+            text += matrix.format(key=key, rows=len(value), cols=value.shape[1], data=data)
+        else:
+            # JSON's string is YAML's in double quotes.
+            quoted = f'"{escape(value)}"' if xml and isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+            text += plain.format(key=key, value=quoted)
+    write_text(path, text + foot)
 
 
 @dataclass(frozen=True)
@@ -110,70 +126,54 @@ class _Found:
     entry: Entry
     suffix: str
 
-    def key(self, names: Sequence[str]) -> str | None:
+    def key(self, *names: str) -> str | None:
         """The first of ``names`` that the file has for this camera."""
         return next((name + self.suffix for name in names if name + self.suffix in self.entry.fields), None)
 
     def name(self) -> str:
         """What the camera is called."""
-        if key := self.key(_NAME):
+        if key := self.key("camera_name"):
             return self.entry.text(key)
         return f"cam{int(self.suffix) - 1}" if self.suffix else self.entry.path.stem
 
     def camera(self, name: str, size: tuple[int, int] | None) -> Camera:
         """Read the camera."""
-        matrix, distortion = self.key(_MATRIX) or "", self.key(_DISTORTION)
-        K = self.entry.table(matrix)
-        if K.shape != (3, 3) or K[0, 1] != 0.0 or K[1, 0] != 0.0 or not np.array_equal(K[2], [0.0, 0.0, 1.0]):
-            raise self.entry.error(matrix, f"{matrix} must be [fx 0 cx; 0 fy cy; 0 0 1]")
+        matrix, distortion = self.key(*_MATRIX) or "", self.key(*_DISTORTION)
+        intrinsics = pinhole(self.entry.table(matrix), matrix, partial(self.entry.error, matrix))
         D = self.entry.table(distortion).ravel() if distortion else np.zeros(0)
         model, D = self._lens(distortion or matrix, D)
-        try:
-            return Camera(name, self._size(size), K[[0, 1, 0, 1], [0, 1, 2, 2]], model, D)
-        except CameraError as error:
-            where = place(self.entry.path, self.entry.fields[matrix])
-            raise CameraError(error.what, where=f"{where} ({matrix})", remedy=error.remedy) from error
+        with standing(f"{place(self.entry.path, self.entry.fields[matrix])} ({matrix})"):
+            return Camera(name, self._size(size), intrinsics, model, D)
 
     def _lens(self, key: str, D: Floats) -> tuple[str, Floats]:
-        fisheye = self.key(_FISHEYE) or ("fisheye_model" if "fisheye_model" in self.entry.fields else None)
-        if written := self.key(_MODEL):
-            model = {"fisheye": "equidistant", "plumb_bob": "radtan"}.get(
-                self.entry.text(written), self.entry.text(written)
-            )
+        fisheye = self.key("fisheye_model") or _Found(self.entry, "").key("fisheye_model")
+        if written := self.key("distortion_model"):
+            model = self.entry.text(written)
+            model = {"fisheye": "equidistant", "plumb_bob": "radtan"}.get(model, model)
             if model not in _MODELS:
-                raise self.entry.error(
-                    written, f"distortion model '{model}' is not supported", f"Use one of: {', '.join(_MODELS)}."
-                )
+                remedy = f"Use one of: {', '.join(_MODELS)}."
+                raise self.entry.error(written, f"distortion model '{model}' is not supported", remedy)
         elif fisheye and self.entry.whole(fisheye):
             model = "equidistant"
         else:
             model = "radtan" if D.any() else "none"
         if model == "none" and not D.any():
             return model, D[:0]
-        if model == "radtan" and len(D) > 5:
-            if D[5:].any():
-                raise self.entry.error(
-                    key,
-                    f"the {_LONGER.get(len(D), 'longer')} model's {len(D)} coefficients are not supported",
-                    "Calibrate with k1 k2 p1 p2 k3 only.",
-                )
-            D = D[:5]
-        return model, D
+        if model == "radtan" and D[5:].any():
+            what = f"the {_LONGER.get(len(D), 'longer')} model's {len(D)} coefficients are not supported"
+            raise self.entry.error(key, what, "Calibrate with k1 k2 p1 p2 k3 only.")
+        return model, D[:5] if model == "radtan" else D
 
     def _size(self, size: tuple[int, int] | None) -> tuple[int, int]:
-        whole = _Found(self.entry, "")
-        for item in (self, whole):
-            width, height, both = (item.key(names) for names in (_WIDTH, _HEIGHT, _SIZE))
+        for item in (self, _Found(self.entry, "")):
+            width, height = item.key("image_width"), item.key("image_height")
             if width and height:
                 return self.entry.whole(width), self.entry.whole(height)
-            if both:
+            if both := item.key("imageSize", "image_size"):
                 return self.entry.size(both)
         if size is None:
-            raise CameraError(
-                "the file does not tell the size of the image",
-                where=str(self.entry.path),
-                remedy="Give it: --size 1280x1024.",
-            )
+            what, remedy = "the file does not tell the size of the image", "Give it: --size 1280x1024."
+            raise CameraError(what, where=str(self.entry.path), remedy=remedy)
         return size
 
 
@@ -183,42 +183,5 @@ def _entry(path: Path) -> Entry:
         root = compose_xml(data, path)
     else:
         # OpenCV 4 heads its files with %YAML:1.0, which is not YAML.
-        head, _, rest = data.partition(b"\n")
-        root = compose(b"\n" + rest if head.startswith(b"%YAML") else data, path)
+        root = compose(re.sub(rb"\A%YAML.*", b"", data), path)
     return Entry.of(path, "", root, "the keys of an OpenCV file")
-
-
-def _yaml(fields: dict[str, str | int | Floats]) -> str:
-    lines = ["%YAML:1.0", "---"]
-    for key, value in fields.items():
-        if isinstance(value, str):
-            # JSON's string is YAML's in double quotes.
-            lines.append(f"{key}: {json.dumps(value, ensure_ascii=False)}")
-        elif isinstance(value, int):
-            lines.append(f"{key}: {value}")
-        else:
-            rows, columns = value.shape
-            data = ", ".join(map(repr, value.ravel().tolist()))
-            lines += [f"{key}: !!opencv-matrix", f"   rows: {rows}", f"   cols: {columns}", "   dt: d"]
-            lines.append(f"   data: [ {data} ]")
-    return "\n".join(lines) + "\n"
-
-
-def _xml(fields: dict[str, str | int | Floats]) -> str:
-    lines = ['<?xml version="1.0"?>', "<opencv_storage>"]
-    for key, value in fields.items():
-        if isinstance(value, str):
-            lines.append(f'<{key}>"{escape(value)}"</{key}>')
-        elif isinstance(value, int):
-            lines.append(f"<{key}>{value}</{key}>")
-        else:
-            rows, columns = value.shape
-            data = " ".join(map(repr, value.ravel().tolist()))
-            lines += [
-                f'<{key} type_id="opencv-matrix">',
-                f"  <rows>{rows}</rows>",
-                f"  <cols>{columns}</cols>",
-                "  <dt>d</dt>",
-                f"  <data>{data}</data></{key}>",
-            ]
-    return "\n".join([*lines, "</opencv_storage>"]) + "\n"

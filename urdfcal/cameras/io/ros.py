@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.cameras.camera import Camera
-from urdfcal.cameras.io.entries import Entry, place, rigid
+from urdfcal.cameras.io.entries import Entry, pinhole, place, rigid, standing
 from urdfcal.cameras.rig import Rig
 from urdfcal.errors import CameraError
 from urdfcal.files import staged, write_text
@@ -68,25 +68,17 @@ class CameraInfo:
         Raises:
             CameraError: it is of a kind that urdfcal does not know.
         """
-        K, D = self.K, self.D
-        if K[0, 1] != 0.0 or K[1, 0] != 0.0 or not np.array_equal(K[2], [0.0, 0.0, 1.0]):
-            raise self.error(
-                "camera_matrix", "camera_matrix must be [fx 0 cx; 0 fy cy; 0 0 1]", "Skewed pixels are not supported."
-            )
+        key = "camera_matrix"
+        K = pinhole(self.K, key, lambda what: self.error(key, what, "Skewed pixels are not supported."))
         if self.distortion_model not in _MODELS:
-            raise self.error(
-                "distortion_model",
-                f"distortion model '{self.distortion_model}' is not supported",
-                f"Use one of: {', '.join(_MODELS)}; calibrate again without the rational model.",
-            )
-        model = _MODELS[self.distortion_model]
+            remedy = f"Use one of: {', '.join(_MODELS)}; calibrate again without the rational model."
+            raise self.error("distortion_model", f"distortion model '{self.distortion_model}' is not supported", remedy)
+        model, D = _MODELS[self.distortion_model], self.D
         # Simulated cameras often have no coefficients at all.
         if model == "radtan" and len(D) in (0, 4, 5):
             model, D = ("none", D[:0]) if not D.any() else ("radtan", D[:4] if not D[4:].any() else D)
-        try:
-            return Camera(self.name, self.size, K[[0, 1, 0, 1], [0, 1, 2, 2]], model, D)
-        except CameraError as error:
-            raise CameraError(error.what, where=self.where, remedy=error.remedy) from error
+        with standing(self.where):
+            return Camera(self.name, self.size, K, model, D)
 
     def shift(self) -> Floats:
         """Where the rectified camera stands, turned by R: t (3,) of P = K' [1 | t]. [m].
@@ -134,6 +126,16 @@ def read_ros(paths: Sequence[str | Path]) -> Rig:
     return rig_of([_info(name, entry) for name, entry in zip(names, entries, strict=True)])
 
 
+def from_left(paths: Sequence[Path]) -> list[Path]:
+    """The files of a pair in the order of its cameras: the first one's rectified projection is not shifted."""
+
+    def shifted(path: Path) -> bool:
+        entry = Entry.read(path, "the keys of a camera_info")
+        return bool(np.any(_info("", entry).P[:, 3]))
+
+    return sorted(paths, key=shifted)
+
+
 def write_ros(path: str | Path, rig: Rig) -> tuple[Path, ...]:
     """Write camera_info files: the file ``path`` for one camera, for two the folder ``path`` with <camera>.yaml.
 
@@ -147,50 +149,36 @@ def write_ros(path: str | Path, rig: Rig) -> tuple[Path, ...]:
         OutputError: it cannot be written.
     """
     path = Path(path)
-    if len(rig.cameras) == 1:
-        write_text(path, _text(rig.cameras[0], np.eye(3), _projection(rig.cameras[0], np.zeros(3))))
-        return (path,)
     if len(rig.cameras) > 2:
-        raise CameraError(
-            f"camera_info files speak of one camera or a pair, not of {len(rig.cameras)}", remedy="Write Kalibr."
-        )
+        what = f"camera_info files speak of one camera or a pair, not of {len(rig.cameras)}"
+        raise CameraError(what, remedy="Write Kalibr.")
+    texts = [_text(camera, R, P) for camera, (R, P) in zip(rig.cameras, _rectified(rig), strict=True)]
+    if len(texts) == 1:
+        write_text(path, texts[0])
+        return (path,)
     for name in rig.names:
         if Path(name).name != name:
             raise CameraError(f"'{name}' cannot be the name of a file", remedy="Rename the camera.")
-    written = _pair(rig)
     with staged(path) as stage:
-        for camera, (R, P) in zip(rig.cameras, written, strict=True):
-            (stage / f"{camera.name}.yaml").write_text(_text(camera, R, P), encoding="utf-8")
+        for name, text in zip(rig.names, texts, strict=True):
+            (stage / f"{name}.yaml").write_text(text, encoding="utf-8")
     return tuple(path / f"{name}.yaml" for name in rig.names)
 
 
 def _info(name: str, entry: Entry) -> CameraInfo:
     R = entry.table("rectification_matrix", (3, 3)) if "rectification_matrix" in entry.fields else np.eye(3)
     P = entry.table("projection_matrix", (3, 4)) if "projection_matrix" in entry.fields else np.eye(3, 4)
-    return CameraInfo(
-        name=name,
-        size=(entry.whole("image_width"), entry.whole("image_height")),
-        K=entry.table("camera_matrix", (3, 3)),
-        distortion_model=entry.text("distortion_model"),
-        D=entry.table("distortion_coefficients").ravel(),
-        R=R,
-        P=P,
-        where=place(entry.path, entry.node),
-        error=entry.error,
-    )
+    size = entry.whole("image_width"), entry.whole("image_height")
+    K, model = entry.table("camera_matrix", (3, 3)), entry.text("distortion_model")
+    D = entry.table("distortion_coefficients").ravel()
+    return CameraInfo(name, size, K, model, D, R, P, place(entry.path, entry.node), entry.error)
 
 
-def _projection(camera: Camera, t: Floats) -> Floats:
-    fx, fy, cx, cy = camera.intrinsics
-    K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-    return np.column_stack([K, K @ t])
-
-
-def _pair(rig: Rig) -> list[tuple[Floats, Floats]]:
-    """R and P of two cameras, rectified if it is known how they stand."""
-    T = rig.T_cam_world[1]
-    if T is None:
-        return [(np.eye(3), _projection(camera, np.zeros(3))) for camera in rig.cameras]
+def _rectified(rig: Rig) -> list[tuple[Floats, Floats]]:
+    """R and P of one or two cameras, rectified if it is known how two stand."""
+    T = rig.T_cam_world[-1]
+    if T is None or len(rig.cameras) == 1:
+        return [(np.eye(3), np.pad(camera.matrix, ((0, 0), (0, 1)))) for camera in rig.cameras]
     # Where the second camera stands, and where both look, in the first one's frame.
     centre, ahead = -T[:3, :3].T @ T[:3, 3], T[2, :3] + np.array([0.0, 0.0, 1.0])
     sideways = abs(centre[0]) >= abs(centre[1])
@@ -222,7 +210,6 @@ def _pair(rig: Rig) -> list[tuple[Floats, Floats]]:
 def _text(camera: Camera, R: Floats, P: Floats) -> str:
     import yaml
 
-    fx, fy, cx, cy = camera.intrinsics.tolist()
     if camera.distortion_model == "equidistant":
         model, D = "equidistant", camera.distortion
     else:
@@ -236,7 +223,7 @@ def _text(camera: Camera, R: Floats, P: Floats) -> str:
         "image_width": camera.resolution[0],
         "image_height": camera.resolution[1],
         "camera_name": camera.name,
-        "camera_matrix": table(np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])),
+        "camera_matrix": table(camera.matrix),
         "distortion_model": model,
         "distortion_coefficients": table(D[None]),
         "rectification_matrix": table(R),

@@ -3,32 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from urdfcal.detection.spots.gaussian import (
-    COUNT,
-    L11,
-    L12,
-    L22,
-    LEVEL,
-    PEAK,
-    PIXEL_VARIANCE,
-    GaussianFit,
-    PixelNoise,
-    U,
-    V,
-    Windows,
-    fit,
-    leverages,
-    light,
-    residuals,
-)
+from urdfcal.detection.spots import gaussian
+from urdfcal.detection.spots.gaussian import L11, L12, L22, LEVEL, PEAK, Rows, U, V, Windows
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from numpy.typing import NDArray
 
     from urdfcal.arrays import Bools, Floats, Ints
@@ -57,7 +39,7 @@ _BATCH = 64
 
 
 @dataclass(frozen=True, eq=False)
-class Crops:
+class Crops(Rows):
     """Squares of (2 HALF + 1)² pixels around n candidates.
 
     Attributes:
@@ -72,18 +54,9 @@ class Crops:
     usable: Bools
     saturated: Bools
 
-    def __len__(self) -> int:
-        return len(self.centre)
-
-    @staticmethod
-    def join(parts: Iterable[Crops]) -> Crops:
-        """All crops of several, in order."""
-        parts = list(parts)
-        return Crops(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Crops)))
-
 
 @dataclass(frozen=True, eq=False)
-class Fits:
+class Fits(Rows):
     """What n crops hold.
 
     Attributes:
@@ -91,9 +64,7 @@ class Fits:
         sigma: (n,) standard deviation of u and of v. [px]
         peak: (n,) of the light, extrapolated where saturated. [counts]
         width: (n,) geometric mean of the spot's two standard deviations, the pixel's own taken off. [px]
-        ratio: (n,) of the longer to the shorter one.
-        ratio_sigma: (n,) its standard deviation.
-        contrast: (n,) peak over the standard deviation of the background.
+        ratio: (n,) of the longer to the shorter one at least, less two standard deviations.
         significance: (n,) peak over its own standard deviation.
         misfit: (n,) rms of what the spot leaves unexplained of its core beyond noise, as a share of the peak.
         lobe: (n,) the brightest thing beside the spot in its window, as a share of the peak; 0 if it may be noise.
@@ -106,21 +77,11 @@ class Fits:
     peak: Floats
     width: Floats
     ratio: Floats
-    ratio_sigma: Floats
-    contrast: Floats
     significance: Floats
     misfit: Floats
     lobe: Floats
     saturated: Ints
     found: Bools
-
-    def __len__(self) -> int:
-        return len(self.sigma)
-
-    @classmethod
-    def none(cls) -> Fits:
-        """No spots."""
-        return cls.unknown(np.zeros((0, 2), dtype=np.intp))
 
     @classmethod
     def unknown(cls, places: Ints) -> Fits:
@@ -128,15 +89,6 @@ class Fits:
         nothing = {f.name: np.full(len(places), np.nan) for f in fields(cls)[1:]}
         nothing |= {"found": np.zeros(len(places), dtype=bool), "saturated": np.zeros(len(places), dtype=np.intp)}
         return cls(places.astype(np.float64), **nothing)
-
-    @staticmethod
-    def join(parts: Iterable[Fits]) -> Fits:
-        """All fits of several, in order."""
-        parts = [Fits.none(), *parts]
-        return Fits(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Fits)))
-
-    def __getitem__(self, rows: Ints | Bools) -> Fits:
-        return Fits(*(getattr(self, f.name)[rows] for f in fields(Fits)))
 
 
 def fit_spots(crops: Crops) -> Fits:
@@ -146,14 +98,15 @@ def fit_spots(crops: Crops) -> Fits:
     spots' cores, of all crops together, which should therefore come from one camera.
     """
     if not len(crops):
-        return Fits.none()
+        return Fits.unknown(crops.centre)
     crops = replace(crops, usable=crops.usable & ~_lonely(crops))
     first = _start(crops)
     half = _HALVES[np.searchsorted(_HALVES[:-1], np.ceil(_WIDTHS * _widths(first).max(axis=1) + _MARGIN))]
-    groups = [rows for h in _HALVES for rows in _pieces(np.flatnonzero(half == h))]
-    rough = [_Rough.of(_windows(crops, rows, int(half[rows[0]])), first[rows]) for rows in groups]
+    alike = [np.flatnonzero(half == h) for h in _HALVES]
+    groups = [rows[i : i + _BATCH] for rows in alike for i in range(0, len(rows), _BATCH)]
+    rough = [_Rough.of(crops[rows], int(half[rows[0]]), first[rows]) for rows in groups]
     shot = _shot_noise(rough)
-    fits = Fits.join(part.refined(shot) for part in rough)[np.argsort(np.concatenate(groups))]
+    fits = Rows.join([part.refined(shot) for part in rough])[np.argsort(np.concatenate(groups))]
     fits.uv[:] += crops.centre
     return fits
 
@@ -176,61 +129,102 @@ def _lonely(crops: Crops) -> Bools:
 
 @dataclass(frozen=True, eq=False)
 class _Rough:
-    """Crops fitted without knowing how their noise grows with the light."""
+    """Crops fitted without knowing how their noise grows with the light, and the noise (n,) of their background."""
 
     windows: Windows
-    solution: GaussianFit
-    noise: PixelNoise
+    spots: Floats
+    covariances: Floats
+    converged: Bools
+    floor: Floats
+    shot: Floats
 
     @classmethod
-    def of(cls, windows: Windows, spots: Floats) -> _Rough:
+    def of(cls, crops: Crops, half: int, spots: Floats) -> _Rough:
+        cut = slice(HALF - half, HALF + half + 1)
+        axis = np.arange(-half, half + 1, dtype=np.float64)
+        pixels: list[NDArray[Any]] = [crops.values, crops.usable, crops.saturated]
+        values, usable, saturated = (of[:, cut, cut].reshape(len(crops), -1) for of in pixels)
+        u, v = np.tile(axis, axis.size), np.repeat(axis, axis.size)
+        windows = Windows(u, v, values.astype(np.float64), usable, saturated)
         floor = np.maximum(_rim_variance(windows), _LEAST_VARIANCE)
-        noise = PixelNoise(floor, _likely_shot(floor, spots))
-        solution = fit(windows, spots, noise.variance(light(windows, spots)))
-        near = windows.within(solution.spots, _WIDTHS * _widths(solution.spots).max(axis=1) + _MARGIN)
-        glow = light(near, solution.spots)
-        r = residuals(near, solution.spots, glow)
-        wings = near.usable & ~near.saturated & (glow < _WINGS * solution.spots[:, PEAK, None])
+        # A first guess: as if the brightest pixel had ten times the background's variance.
+        shot = 9.0 * floor / np.maximum(spots[:, PEAK], 1e-9)
+        variance = gaussian.pixel_variance(floor, shot, gaussian.light(windows, spots))
+        spots, covariances, converged = gaussian.fit(windows, spots, variance)
+        reach = _WIDTHS * _widths(spots).max(axis=1) + _MARGIN
+        distance = (u - spots[:, U, None]) ** 2 + (v - spots[:, V, None]) ** 2
+        near = replace(windows, usable=windows.usable & (distance <= reach[:, None] ** 2))
+        glow, r, plain = _explained(near, spots)
+        wings = plain & (glow < _WINGS * spots[:, PEAK, None])
         counted = wings.sum(axis=1)
         spread = np.sum(r * r * wings, axis=1) / np.maximum(counted - 3, 1)
         floor = np.where(counted > 20, np.maximum(spread, _LEAST_VARIANCE), floor)
-        return cls(near, solution, PixelNoise(floor, noise.shot))
+        return cls(near, spots, covariances, converged, floor, shot)
 
     def shot_evidence(self) -> tuple[Floats, Floats]:
         """For each spot, sums whose ratio is its shot noise per count: what is left in the core against its light."""
-        spots = self.solution.spots
-        glow = light(self.windows, spots)
-        r = residuals(self.windows, spots, glow)
-        core = self.windows.usable & ~self.windows.saturated & (glow > _CORE * spots[:, PEAK, None])
-        variance = self.noise.variance(glow)
-        free = 1.0 - leverages(self.windows, self.solution, variance)
-        weight = core * (free / variance) ** 2
-        left = r * r / free - self.noise.floor[:, None]
+        spots = self.spots
+        glow, r, plain = _explained(self.windows, spots)
+        variance = gaussian.pixel_variance(self.floor, self.shot, glow)
+        _, J = gaussian.jacobian(self.windows, spots)
+        # The share of each pixel's noise that the fit takes up is not left over.
+        hat = np.einsum("nip,nij,njp->np", J, self.covariances, J, optimize=True)
+        free = 1.0 - np.clip(hat / variance, 0.0, 0.99)
+        weight = (plain & (glow > _CORE * spots[:, PEAK, None])) * (free / variance) ** 2
+        left = r * r / free - self.floor[:, None]
         return np.sum(weight * left * glow, axis=1), np.sum(weight * glow * glow, axis=1)
 
     def refined(self, shot: float) -> Fits:
-        spots = self.solution.spots
-        noise = PixelNoise(self.noise.floor, np.full(len(spots), shot))
-        glow = light(self.windows, spots)
-        variance = noise.variance(glow)
-        z = residuals(self.windows, spots, glow) / np.sqrt(variance)
-        core = self.windows.usable & ~self.windows.saturated & (glow > _CORE * spots[:, PEAK, None])
+        """Fit again with the noise that is now known, without what is no spot's, and judge by all that there is."""
+        windows, spots = self.windows, self.spots
+        glow, r, plain = _explained(windows, spots)
+        variance = gaussian.pixel_variance(self.floor, shot, glow)
+        z = r / np.sqrt(variance)
+        core = plain & (glow > _CORE * spots[:, PEAK, None])
         # A spot that is not quite Gaussian leaves more than noise everywhere in its core.
         usual = np.ma.median(np.ma.array(np.abs(z), mask=~core), axis=1).filled(0.0)  # type: ignore[no-untyped-call]
         limit = _OUTLYING * np.maximum(1.48 * usual, 1.0)
-        windows = self.windows
-        trusted = windows.usable & (windows.saturated | (np.abs(z) <= limit[:, None]))
-        clean = Windows(windows.u, windows.v, windows.values, trusted, windows.saturated)
-        solution = fit(clean, spots, variance)
-        found = solution.converged & self.solution.converged
-        return _measure(clean, windows, GaussianFit(solution.spots, solution.covariances, found), noise)
+        clean = replace(windows, usable=windows.usable & (windows.saturated | (np.abs(z) <= limit[:, None])))
+        spots, covariances, converged = gaussian.fit(clean, spots, variance)
+        peak = spots[:, PEAK]
+        glow, r, _ = _explained(windows, spots)
+        variance = gaussian.pixel_variance(self.floor, shot, glow)
+        plain = clean.usable & ~clean.saturated
+        z2 = np.sum(np.where(plain, r * r / variance, 0.0), axis=1)
+        chi2 = z2 / np.maximum(plain.sum(axis=1) - gaussian.COUNT, 1)
+        sigma2 = (covariances[:, U, U] + covariances[:, V, V]) / 2.0 * np.maximum(chi2, 1.0)
+        core = plain & (glow > _CORE * peak[:, None])
+        beyond = np.sum(np.where(core, r * r - variance, 0.0), axis=1) / np.maximum(core.sum(axis=1), 1)
+        widths = np.sqrt(np.maximum(_widths(spots) ** 2 - gaussian.PIXEL_VARIANCE, 1e-4))
+        # The deviation of the ratio of axes is that of a nearly round spot: of (l11 - l22, l12) relative to l.
+        scale = np.sqrt(np.abs(spots[:, L11] * spots[:, L22]))
+        spread = covariances[:, L11, L11] + covariances[:, L22, L22] - 2.0 * covariances[:, L11, L22]
+        ratio_sigma = np.sqrt(np.maximum(spread, covariances[:, L12, L12])) / np.maximum(scale, 1e-9)
+        return Fits(
+            uv=spots[:, [U, V]].copy(),
+            sigma=np.sqrt(sigma2),
+            peak=peak,
+            width=np.sqrt(widths.prod(axis=1)),
+            ratio=widths.max(axis=1) / widths.min(axis=1) - 2.0 * ratio_sigma,
+            significance=peak / np.sqrt(covariances[:, PEAK, PEAK]),
+            misfit=np.sqrt(np.maximum(beyond, 0.0)) / np.maximum(peak, 1e-9),
+            lobe=_lobes(windows, r, variance) / np.maximum(peak, 1e-9),
+            saturated=(windows.saturated & windows.usable).sum(axis=1),
+            found=converged & self.converged & np.isfinite(sigma2),
+        )
+
+
+def _explained(windows: Windows, spots: Floats) -> tuple[Floats, Floats, Bools]:
+    """(n, P) the spots' light, what they leave over, and which pixels tell how much that is."""
+    glow = gaussian.light(windows, spots)
+    return glow, gaussian.residuals(windows, spots, glow), windows.usable & ~windows.saturated
 
 
 def _shot_noise(rough: list[_Rough]) -> float:
     """Variance per count of light, common to all spots that look like one."""
     above, below = (np.concatenate(sums) for sums in zip(*(part.shot_evidence() for part in rough), strict=True))
-    widths = np.concatenate([_widths(part.solution.spots) for part in rough])
-    good = np.concatenate([part.solution.converged for part in rough]) & (below > 0.0)
+    widths = np.concatenate([_widths(part.spots) for part in rough])
+    good = np.concatenate([part.converged for part in rough]) & (below > 0.0)
     good &= (widths[:, 0] > _LIKE_A_SPOT) & (widths[:, 1] < 1.5 * widths[:, 0])
     if not good.any():
         return 0.0
@@ -240,45 +234,14 @@ def _shot_noise(rough: list[_Rough]) -> float:
     return max(float(above[good].sum() / below[good].sum()), 0.0) if good.any() else usual
 
 
-def _measure(clean: Windows, windows: Windows, solution: GaussianFit, noise: PixelNoise) -> Fits:
-    """Judge spots fitted to ``clean`` windows, by all that there is in ``windows``."""
-    spots, covariances = solution.spots, solution.covariances
-    glow = light(windows, spots)
-    r = residuals(windows, spots, glow)
-    variance = noise.variance(glow)
-    peak = spots[:, PEAK]
-    plain = clean.usable & ~clean.saturated
-    z2 = np.sum(np.where(plain, r * r / variance, 0.0), axis=1)
-    chi2 = z2 / np.maximum(plain.sum(axis=1) - COUNT, 1)
-    sigma2 = (covariances[:, U, U] + covariances[:, V, V]) / 2.0 * np.maximum(chi2, 1.0)
-    core = plain & (glow > _CORE * peak[:, None])
-    beyond = np.sum(np.where(core, r * r - variance, 0.0), axis=1) / np.maximum(core.sum(axis=1), 1)
-    widths = np.sqrt(np.maximum(_widths(spots) ** 2 - PIXEL_VARIANCE, 1e-4))
-    ratio = widths.max(axis=1) / widths.min(axis=1)
-    return Fits(
-        uv=spots[:, [U, V]].copy(),
-        sigma=np.sqrt(sigma2),
-        peak=peak,
-        width=np.sqrt(widths.prod(axis=1)),
-        ratio=ratio,
-        ratio_sigma=_ratio_sigma(spots, covariances),
-        contrast=peak / np.sqrt(noise.floor),
-        significance=peak / np.sqrt(covariances[:, PEAK, PEAK]),
-        misfit=np.sqrt(np.maximum(beyond, 0.0)) / np.maximum(peak, 1e-9),
-        lobe=_lobes(windows, r, variance) / np.maximum(peak, 1e-9),
-        saturated=(windows.saturated & windows.usable).sum(axis=1),
-        found=solution.converged & np.isfinite(sigma2),
-    )
-
-
 def _start(crops: Crops) -> Floats:
     """Spots (n, 9) to start from: the brightest place near the middle, and the area above half its height."""
-    n, clipped = len(crops), (crops.saturated & crops.usable).any(axis=(1, 2))
+    clipped = (crops.saturated & crops.usable).any(axis=(1, 2))
     values = np.where(crops.usable, crops.values, np.nan)
     axis = np.arange(-HALF, HALF + 1)
     rim = np.maximum(np.abs(axis), np.abs(axis)[:, None]) >= HALF - 2
     near = np.hypot(axis, axis[:, None]) <= HALF / 2
-    spots = np.zeros((n, COUNT))
+    spots = np.zeros((len(crops), gaussian.COUNT))
     level = np.nanmedian(values[:, rim], axis=1)
     smooth = _smoothed(np.where(crops.usable, values, level[:, None, None])) - level[:, None, None]
     middle = smooth[:, HALF - 3 : HALF + 4, HALF - 3 : HALF + 4]
@@ -292,26 +255,9 @@ def _start(crops: Crops) -> Floats:
     # Half the height is at 1.18 sigma; the 3 x 3 average adds 2/3 px².
     sigma = np.sqrt(np.clip(area / (2.0 * np.pi * np.log(2.0)) - 2.0 / 3.0, 0.5, 60.0))
     spots[:, PEAK] = height * (1.0 + 2.0 / (3.0 * sigma**2)) * np.where(clipped, 1.5, 1.0)
-    spots[:, L11] = spots[:, L22] = np.where(clipped, 1.3, 1.0) / np.sqrt(sigma**2 + PIXEL_VARIANCE)
+    spots[:, L11] = spots[:, L22] = np.where(clipped, 1.3, 1.0) / np.sqrt(sigma**2 + gaussian.PIXEL_VARIANCE)
     spots[:, LEVEL] = level
     return spots
-
-
-def _windows(crops: Crops, rows: Ints, half: int) -> Windows:
-    cut = slice(HALF - half, HALF + half + 1)
-    axis = np.arange(-half, half + 1, dtype=np.float64)
-    flat = (len(rows), axis.size**2)
-    return Windows(
-        np.tile(axis, axis.size),
-        np.repeat(axis, axis.size),
-        crops.values[rows][:, cut, cut].reshape(flat).astype(np.float64),
-        crops.usable[rows][:, cut, cut].reshape(flat),
-        crops.saturated[rows][:, cut, cut].reshape(flat),
-    )
-
-
-def _pieces(rows: Ints) -> list[Ints]:
-    return [rows[i : i + _BATCH] for i in range(0, len(rows), _BATCH)]
 
 
 def _widths(spots: Floats) -> Floats:
@@ -322,18 +268,6 @@ def _widths(spots: Floats) -> Floats:
     root = np.sqrt(np.maximum(square**2 - 4.0 * product**2, 0.0))
     largest = np.sqrt((square + root) / 2.0)
     return np.asarray(np.stack([1.0 / largest, largest / product], axis=1))
-
-
-def _ratio_sigma(spots: Floats, covariances: Floats) -> Floats:
-    """Standard deviation of the ratio of axes, as that of a nearly round spot: of (l11 - l22, l12) relative to l."""
-    scale = np.sqrt(np.abs(spots[:, L11] * spots[:, L22]))
-    spread = covariances[:, L11, L11] + covariances[:, L22, L22] - 2.0 * covariances[:, L11, L22]
-    return np.asarray(np.sqrt(np.maximum(spread, covariances[:, L12, L12])) / np.maximum(scale, 1e-9))
-
-
-def _likely_shot(floor: Floats, spots: Floats) -> Floats:
-    """A first guess of the shot noise: as if the brightest pixel had ten times the background's variance."""
-    return np.asarray(9.0 * floor / np.maximum(spots[:, PEAK], 1e-9))
 
 
 def _rim_variance(windows: Windows) -> Floats:

@@ -7,20 +7,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import chain, islice
-from typing import TYPE_CHECKING
+from itertools import islice
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from urdfcal.detection.spots.candidates import HOT, LARGE
-from urdfcal.detection.spots.centroid import Crops, Fits, fit_spots
-from urdfcal.detection.spots.preprocessing import Preprocessed, preprocess, read_background
-from urdfcal.images.files import ImageFile, in_parallel
-
-__all__ = ["ImageFile", "Spots", "find_spots"]
+from urdfcal.detection.spots.centroid import Fits, fit_spots
+from urdfcal.detection.spots.gaussian import Rows
+from urdfcal.detection.spots.preprocessing import HOT, LARGE, Preprocessed, preprocess, read_background
+from urdfcal.images.files import in_parallel
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
 
     from urdfcal.arrays import Bools, Ints
     from urdfcal.images.files import Colour, ImageSequence
@@ -50,44 +50,34 @@ _STILL_COUNT, _STILL_SHARE = 3, 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class Spots:
+class Spots(Rows):
     """Small lights in the images of one camera.
 
     Attributes:
         image: (n,) index of the image.
         fits: where they are and what they look like.
-        reasons: n texts why a light is not taken for an LED; empty where it may be one.
+        reasons: (n,) texts why a light is not taken for an LED; empty where it may be one.
         still: (k, 2) where small lights stand still, which were taken off the images. [px]
     """
 
     image: Ints
     fits: Fits
-    reasons: tuple[str, ...]
+    reasons: NDArray[Any]
     still: Ints = field(default_factory=lambda: np.zeros((0, 2), dtype=np.intp))
 
-    @staticmethod
-    def join(parts: Iterable[Spots], still: Ints | None = None) -> Spots:
-        """All spots of several, in order."""
-        parts = list(parts)
-        return Spots(
-            np.concatenate([np.zeros(0, dtype=np.intp), *(part.image for part in parts)]),
-            Fits.join(part.fits for part in parts),
-            tuple(chain.from_iterable(part.reasons for part in parts)),
-            np.zeros((0, 2), dtype=np.intp) if still is None else still,
-        )
+    @classmethod
+    def of(cls, image: Ints | int, fits: Fits, reason: str = "") -> Spots:
+        """Lights in an image, or in (n,) several, all of them rejected with ``reason`` if there is one."""
+        return cls(np.broadcast_to(image, len(fits)), fits, np.full(len(fits), reason, dtype=object))
 
     @property
     def good(self) -> Bools:
         """(n,) which may be LEDs."""
-        return np.array([not reason for reason in self.reasons], dtype=bool)
+        return np.asarray(self.reasons == "")
 
-    def rejected(self, which: Bools, reason: str) -> Spots:
-        """The same lights, ``which`` (n,) of those that were good rejected with ``reason``."""
-        return self.with_reasons(dict.fromkeys(np.flatnonzero(which).tolist(), reason))
-
-    def with_reasons(self, reasons: Mapping[int, str]) -> Spots:
-        """The same lights, those that were good rejected with ``reasons`` by their rows."""
-        return replace(self, reasons=tuple(old or reasons.get(i, "") for i, old in enumerate(self.reasons)))
+    def rejected(self, which: Bools, reason: str | NDArray[Any]) -> Spots:
+        """The same lights, ``which`` (n,) of those that were good rejected with ``reason``, or (n,) one of each."""
+        return replace(self, reasons=np.where(self.good & which, reason, self.reasons))
 
 
 def find_spots(
@@ -114,18 +104,14 @@ def find_spots(
     """
     place = np.arange(len(images)) if place is None else place
     background = read_background(images, place, resolution, colour, threads)
-    looks = in_parallel(
-        partial(preprocess, resolution=resolution, colour=colour, background=background), images, threads
-    )
-    batches = []
+    look = partial(preprocess, resolution=resolution, colour=colour, background=background)
+    looks = in_parallel(look, images, threads, progress)
+    batches = [Spots.of(0, Fits.unknown(np.zeros((0, 2), dtype=np.intp)))]
     for first in range(0, len(images), _TOGETHER):
-        batch = []
-        for seen in islice(looks, _TOGETHER):
-            batch.append(seen)
-            if progress:
-                progress(1)
-        batches.append(_measured(batch, first, resolution, colour))
-    spots = Spots.join(batches, background.lights if background else None)
+        batches.append(_measured(list(islice(looks, _TOGETHER)), first, resolution, colour))
+    spots = Rows.join(batches)
+    if background:
+        spots = replace(spots, still=background.lights)
     return spots.rejected(_stands_still(spots, place), "it stands still")
 
 
@@ -143,20 +129,16 @@ def _stands_still(spots: Spots, place: Ints) -> Bools:
 
 def _measured(looks: Sequence[Preprocessed], first: int, resolution: tuple[int, int], colour: Colour) -> Spots:
     """Fit and judge the lights of some images, the ``first`` and following."""
-    numbers = first + np.arange(len(looks))
-    crops = Crops.join(seen.crops for seen in looks)
-    fits = fit_spots(crops)
-    spots = Spots(np.repeat(numbers, [len(seen.crops) for seen in looks]), fits, ("",) * len(fits))
+    numbers = range(first, first + len(looks))
+    crops = Rows.join([seen.crops for seen in looks])
+    spots = Spots.of(np.repeat(numbers, [len(seen.crops) for seen in looks]), fit_spots(crops))
     if colour != "any":
         spots = spots.rejected(np.concatenate([seen.purity for seen in looks]) < _PURITY, f"not {colour}")
-    others = Spots(
-        np.repeat(numbers, [len(seen.others) for seen in looks]),
-        Fits.unknown(np.concatenate([seen.others for seen in looks])),
-        tuple(chain.from_iterable(seen.reasons for seen in looks)),
-    )
-    joined = Spots.join([_once(_judged(spots, resolution)), others])
-    order = np.argsort(joined.image, kind="stable")
-    return Spots(joined.image[order], joined.fits[order], tuple(joined.reasons[i] for i in order))
+    parts = [_once(_judged(spots, resolution))]
+    for number, seen in zip(numbers, looks, strict=True):
+        parts += [Spots.of(number, Fits.unknown(places), reason) for reason, places in seen.others.items()]
+    joined = Rows.join(parts)
+    return joined[np.argsort(joined.image, kind="stable")]
 
 
 def _judged(spots: Spots, resolution: tuple[int, int]) -> Spots:
@@ -165,12 +147,11 @@ def _judged(spots: Spots, resolution: tuple[int, int]) -> Spots:
     # In widths as they appear, the pixel's own included.
     apparent = np.sqrt(fits.width**2 + 1.0 / 12.0)
     distance = np.minimum(fits.uv + 0.5, np.array(resolution) - 0.5 - fits.uv).min(axis=1)
-    ratio = fits.ratio - 2.0 * fits.ratio_sigma
     spots = spots.rejected(distance < 2.0 * apparent, "cut by the border")
     spots = spots.rejected(fits.width < _SMALLEST, HOT)
     spots = spots.rejected(fits.significance < _FAINTEST, "too faint")
     spots = spots.rejected(fits.width > _LARGEST, LARGE)
-    spots = spots.rejected(ratio > _ELONGATED, "elongated: a streak or a reflection on an edge")
+    spots = spots.rejected(fits.ratio > _ELONGATED, "elongated: a streak or a reflection on an edge")
     spots = spots.rejected(fits.lobe > _LOBE, "another light beside it")
     spots = spots.rejected(fits.misfit > _MISFIT, "not a round spot")
     return spots.rejected(~fits.found | ~np.isfinite(fits.sigma), "no spot")
@@ -183,5 +164,4 @@ def _once(spots: Spots) -> Spots:
         rows = np.flatnonzero(spots.image == image)
         apart = np.linalg.norm(spots.fits.uv[rows, None] - spots.fits.uv[rows], axis=2) >= _SAME_PLACE
         kept[rows] = (apart | ~np.tri(len(rows), k=-1, dtype=bool)).all(axis=1)
-    rows = np.flatnonzero(kept)
-    return Spots(spots.image[rows], spots.fits[rows], tuple(spots.reasons[i] for i in rows))
+    return spots[kept]

@@ -7,13 +7,19 @@ move it. A spot is therefore a point-sampled Gaussian here, and 1/12 is taken of
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import MISSING, dataclass, fields, replace
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from typing_extensions import Self
+
     from urdfcal.arrays import Bools, Floats, Ints
+
+_Rows = TypeVar("_Rows", bound="Rows")
 
 PIXEL_VARIANCE = 1.0 / 12.0
 # Columns of the parameters: centre, peak, the triangle L of u = L d (density exp(-|u|²/2)), background and slopes.
@@ -32,6 +38,30 @@ _STRETCH, _SKEW = np.eye(COUNT)[L11] - np.eye(COUNT)[L22], np.eye(COUNT)[L12]
 _ROUND = 0.3
 # A pixel's own square has a standard deviation of 0.29: nothing is narrower. Windows are narrower than 1 / 0.02.
 _NARROWEST, _WIDEST = 0.27, 40.0
+
+
+class Rows:
+    """A dataclass of arrays with a row for each of n things; a field with a default is of all together."""
+
+    def __len__(self) -> int:
+        return len(getattr(self, fields(self)[0].name))  # type: ignore[arg-type]
+
+    def __getitem__(self, rows: Ints | Bools) -> Self:
+        return self._with(lambda name: getattr(self, name)[rows])
+
+    @staticmethod
+    def join(parts: Sequence[_Rows]) -> _Rows:
+        """All rows of several, one at least, in order."""
+
+        def joined(name: str) -> Any:
+            values = [getattr(part, name) for part in parts]
+            return Rows.join(values) if isinstance(values[0], Rows) else np.concatenate(values)
+
+        return parts[0]._with(joined)
+
+    def _with(self, values: Callable[[str], Any]) -> Self:
+        rows = [field.name for field in fields(self) if field.default_factory is MISSING]  # type: ignore[arg-type]
+        return replace(self, **{name: values(name) for name in rows})  # type: ignore[type-var]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,30 +84,16 @@ class Windows:
     def __getitem__(self, rows: Ints | Bools | slice) -> Windows:
         return Windows(self.u, self.v, self.values[rows], self.usable[rows], self.saturated[rows])
 
-    def within(self, spots: Floats, reach: Floats) -> Windows:
-        """The same windows, usable only within ``reach`` (n,) of the spots' centres."""
-        distance = (self.u - spots[:, U, None]) ** 2 + (self.v - spots[:, V, None]) ** 2
-        return Windows(self.u, self.v, self.values, self.usable & (distance <= reach[:, None] ** 2), self.saturated)
 
+def pixel_variance(floor: Floats, shot: Floats | float, light: Floats) -> Floats:
+    """Variance (n, P) of pixels, in counts²: constant, and proportional to the light that the spot adds to it.
 
-@dataclass(frozen=True, eq=False)
-class PixelNoise:
-    """Variance of a pixel: constant, and proportional to the light that the spot adds to it.
-
-    Attributes:
+    Args:
         floor: (n,) of the background. [counts²]
-        shot: (n,) per count of light. [counts]
+        shot: (n,) per count of light, or one for all. [counts]
+        light: (n, P) counts of the spot on them.
     """
-
-    floor: Floats
-    shot: Floats
-
-    def __getitem__(self, rows: Ints | Bools) -> PixelNoise:
-        return PixelNoise(self.floor[rows], self.shot[rows])
-
-    def variance(self, light: Floats) -> Floats:
-        """Variance of pixels with ``light`` (n, P) counts of the spot on them."""
-        return np.asarray(self.floor[:, None] + self.shot[:, None] * np.maximum(light, 0.0))
+    return np.asarray(floor[:, None] + np.reshape(shot, (-1, 1)) * np.maximum(light, 0.0))
 
 
 def light(windows: Windows, spots: Floats) -> Floats:
@@ -116,22 +132,7 @@ def jacobian(windows: Windows, spots: Floats) -> tuple[Floats, Floats]:
     return glow, J
 
 
-@dataclass(frozen=True, eq=False)
-class GaussianFit:
-    """What came of n fits.
-
-    Attributes:
-        spots: (n, 9) parameters.
-        covariances: (n, 9, 9) inverse Fisher information.
-        converged: (n,).
-    """
-
-    spots: Floats
-    covariances: Floats
-    converged: Bools
-
-
-def fit(windows: Windows, spots: Floats, variance: Floats) -> GaussianFit:
+def fit(windows: Windows, spots: Floats, variance: Floats) -> tuple[Floats, Floats, Bools]:
     """Least squares weighted by the pixels' variances, saturated pixels one-sided: damped Gauss-Newton.
 
     With the variances of a spot near the solution this is as good as maximum likelihood; letting them follow the
@@ -141,6 +142,9 @@ def fit(windows: Windows, spots: Floats, variance: Floats) -> GaussianFit:
         windows: n of them.
         spots: (n, 9) to start from.
         variance: (n, P) of the pixels. [counts²]
+
+    Returns:
+        Spots (n, 9), their covariances (n, 9, 9), the inverse Fisher information, and which (n,) have converged.
     """
     spots = spots.copy()
     stiffness = (_ROUND * (spots[:, L11] + spots[:, L22]) / 2.0) ** -2
@@ -151,10 +155,15 @@ def fit(windows: Windows, spots: Floats, variance: Floats) -> GaussianFit:
     for _ in range(_MAX_STEPS):
         if not active.size:
             break
-        step = _steps(H[active], gradient[active], damping[active])
+        scaled, scale = _scaled(H[active], damping[active])
+        step = np.linalg.solve(scaled, (gradient[active] * scale)[..., None])[..., 0] * scale
         trial = spots[active] + step
         trial_H, trial_gradient, trial_cost = _linearise(windows[active], trial, variance[active], stiffness[active])
-        better = (trial_cost <= cost[active]) & _possible(trial)
+        # A spot is as wide as a pixel at least, and not endless.
+        l11, l12, l22 = trial[:, [L11, L12, L22]].T
+        possible = (np.minimum(l11, l22) > 1.0 / _WIDEST) & (trial[:, PEAK] > 0.0)
+        possible &= np.maximum(np.hypot(l11, l12), l22) < 1.0 / _NARROWEST
+        better = possible & (trial_cost <= cost[active])
         # The step's length in the metric of the information: squared, how many standard deviations it goes.
         gain = np.sum(step * gradient[active], axis=1)
         rows = active[better]
@@ -164,14 +173,9 @@ def fit(windows: Windows, spots: Floats, variance: Floats) -> GaussianFit:
         done = better & (gain < _CONVERGED**2)
         converged[active[done]] = True
         active = active[~done & (damping[active] < _LARGEST_DAMPING)]
-    return GaussianFit(spots, _inverse(H), converged)
-
-
-def leverages(windows: Windows, solution: GaussianFit, variance: Floats) -> Floats:
-    """Share (n, P) of each pixel's noise that the fit takes up."""
-    _, J = jacobian(windows, solution.spots)
-    hat: Floats = np.einsum("nip,nij,njp->np", J, solution.covariances, J, optimize=True)
-    return np.clip(hat / variance, 0.0, 0.99)
+    # What the information matrices do not tell gets a huge variance.
+    scaled, scale = _scaled(H, np.zeros(len(H)))
+    return spots, np.linalg.inv(scaled) * scale[:, :, None] * scale[:, None, :], converged
 
 
 def _linearise(windows: Windows, spots: Floats, variance: Floats, stiffness: Floats) -> tuple[Floats, Floats, Floats]:
@@ -190,27 +194,8 @@ def _linearise(windows: Windows, spots: Floats, variance: Floats, stiffness: Flo
     return H, gradient, cost
 
 
-def _steps(H: Floats, gradient: Floats, damping: Floats) -> Floats:
-    diagonal = np.einsum("nii->ni", H)
-    scale = 1.0 / np.sqrt(np.maximum(diagonal, 1e-30))
-    scaled = H * scale[:, :, None] * scale[:, None, :]
-    scaled += (damping[:, None] + 1e-12)[..., None] * np.eye(COUNT)
-    return np.asarray(np.linalg.solve(scaled, (gradient * scale)[..., None])[..., 0] * scale)
-
-
-def _inverse(H: Floats) -> Floats:
-    """Inverses of information matrices; what they do not tell gets a huge variance."""
+def _scaled(H: Floats, damping: Floats) -> tuple[Floats, Floats]:
+    """Matrices (n, 9, 9) scaled to ones on their diagonals, which are then raised a little, and the scales (n, 9)."""
     scale = 1.0 / np.sqrt(np.maximum(np.einsum("nii->ni", H), 1e-30))
-    scaled = H * scale[:, :, None] * scale[:, None, :] + 1e-12 * np.eye(COUNT)
-    return np.asarray(np.linalg.inv(scaled) * scale[:, :, None] * scale[:, None, :])
-
-
-def _possible(spots: Floats) -> Bools:
-    """(n,) whether a spot is one: as wide as a pixel at least, and not endless."""
-    l11, l22 = spots[:, L11], spots[:, L22]
-    narrow, wide = 1.0 / _NARROWEST, 1.0 / _WIDEST
-    return np.asarray(
-        (np.minimum(l11, l22) > wide)
-        & (np.maximum(np.hypot(l11, spots[:, L12]), l22) < narrow)
-        & (spots[:, PEAK] > 0.0)
-    )
+    raised = (damping[:, None] + 1e-12)[..., None] * np.eye(COUNT)
+    return H * scale[:, :, None] * scale[:, None, :] + raised, scale

@@ -65,6 +65,11 @@ class Block(ABC, Generic[V]):
     def local(self, value: V) -> tuple[Floats, Floats]:
         """Return the coordinates (k,) of a value about the nominal one, and their derivative (k, k) by a step."""
 
+    def between(self, a: V, b: V) -> Floats:
+        """Return the step (k,) that leads from one value to another one nearby."""
+        (here, D), (there, _) = self.local(a), self.local(b)
+        return np.asarray(np.linalg.solve(D, there - here), dtype=float)
+
     def scale(self, value: V) -> Floats:
         """Return what a coordinate (k,) must move by to have about the same effect as 1 m or 1 rad."""
         del value
@@ -98,10 +103,16 @@ class Block(ABC, Generic[V]):
         if self.own_section:
             return ()
         offsets, _ = self.local(value)
+        nominal = self.coordinates or (None,) * len(self)
         return tuple(
-            {"name": name, "unit": unit, "offset": float(offset), "sigma": float(s) if np.isfinite(s) else None}
-            for name, unit, offset, s in zip(self.names, self.units, offsets, sigma, strict=True)
+            {"name": name, "unit": unit, "nominal": at, "offset": float(offset), "sigma": s if np.isfinite(s) else None}
+            for name, unit, at, offset, s in zip(self.names, self.units, nominal, offsets, sigma.tolist(), strict=True)
         )
+
+    @property
+    def coordinates(self) -> tuple[float, ...]:
+        """The nominal value's own coordinates, where it has any that offsets add to; by default none."""
+        return ()
 
     @property
     def active(self) -> Bools:
@@ -130,6 +141,11 @@ class VectorBlock(Block[Floats]):
     def local(self, value: Floats) -> tuple[Floats, Floats]:
         """Return the difference from the nominal value, and the identity."""
         return (value - self.nominal).ravel(), np.eye(len(self))
+
+    @property
+    def coordinates(self) -> tuple[float, ...]:
+        """The nominal value."""
+        return tuple(np.ravel(self.nominal).tolist())
 
 
 class LeftPoseBlock(Block[Floats]):

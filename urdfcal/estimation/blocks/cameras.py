@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from urdfcal.cameras.camera import Camera
 from urdfcal.estimation.blocks.base import POSE_AXES, POSE_UNITS, Block, LeftPoseBlock
+from urdfcal.estimation.blocks.scale import scale_of
 from urdfcal.estimation.state import Key, State
 
 if TYPE_CHECKING:
@@ -77,20 +79,42 @@ class LensBlock(Block[Camera]):
         return np.concatenate([[fx, fy, fx, fy], np.ones(len(self) - 4)])
 
 
+def lens_key_of(attachments: Attachments, c: int) -> Key[Camera]:
+    """Key of the lens that a camera has, perhaps with others: it is the same one before and after a move."""
+    return lens_key(attachments.cameras[int(attachments.lens[c])])
+
+
 def camera_values(attachments: Attachments, state: State) -> tuple[Camera, ...]:
-    """Lenses of all cameras, in the rig's order; none where the state holds none."""
-    return tuple(state[lens_key(name)] for name in attachments.cameras if lens_key(name) in state)
+    """Lenses of all cameras, in the rig's order and by their names; none where the state holds none."""
+    lenses = [state[key] for c in range(len(attachments.cameras)) if (key := lens_key_of(attachments, c)) in state]
+    named = zip(lenses, attachments.cameras, strict=False)
+    return tuple(lens if lens.name == name else replace(lens, name=name) for lens, name in named)
 
 
 def camera_poses(attachments: Attachments, state: State) -> Floats:
     """T_cam_frame (C, 4, 4) of all cameras: the frame each is attached to, in the camera. [m]."""
     poses: list[Floats] = []
-    for name, reference in zip(attachments.cameras, attachments.reference.tolist(), strict=True):
+    for c, (name, reference) in enumerate(zip(attachments.cameras, attachments.reference.tolist(), strict=True)):
         if pose_key(name) not in state:
             break
-        T = state[pose_key(name)]
-        poses.append(T if reference == len(poses) else T @ poses[reference])
+        T = own_pose(attachments, state, c)
+        poses.append(T if reference == c else T @ poses[reference])
     return np.array(poses).reshape(-1, 4, 4)
+
+
+def own_pose(attachments: Attachments, state: State, c: int) -> Floats:
+    """T_cam_frame (4, 4) of a reference camera; of the others T_cam_reference, a given baseline at its true length."""
+    T, scale = state[pose_key(attachments.cameras[c])], scale_of(state)
+    if scale == 1.0 or not has_scale(attachments, c):
+        return T
+    shrunk = np.array(T)
+    shrunk[:3, 3] /= scale
+    return shrunk
+
+
+def has_scale(attachments: Attachments, c: int) -> bool:
+    """Return whether a camera's baseline is given, in the unit of the board that calibrated it."""
+    return bool(attachments.reference[c] != c) and attachments.T_cam_reference[c] is not None
 
 
 def has_cameras(state: State) -> bool:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from urdfcal.estimation.blocks.base_pose import BASE
+from urdfcal.estimation.blocks.scale import SCALE, scale_of
 from urdfcal.estimation.measurements.base import ByFrame, Measurement, WorldPoints
 from urdfcal.estimation.measurements.point_geometry import by_frames, led_points, put_leds, seen_from
 
@@ -47,18 +47,21 @@ class Points(Measurement):
     sigma: Floats
 
     def predict(self, observed: Observations, links: Links, state: State) -> Floats:
-        """Return the LEDs' positions in the world, (N, m, 3). [m]."""
-        return self.points(observed, links, state)[1]
+        """Return the LEDs' positions in the world as the instrument measures them, (N, m, 3). [m]."""
+        return scale_of(state) * self.points(observed, links, state)[1]
 
     def linearise(self, observed: Observations, links: Links, state: State, J: Jacobian) -> ByFrame:
         """Differentiate the LEDs' positions in the world."""
         lever, p_base = led_points(observed, links, state)
         world = np.zeros_like(observed.row)
-        E = np.broadcast_to(state[BASE][:3, :3], (world.size, 3, 3)).copy()
+        E = np.repeat(scale_of(state) * np.swapaxes(links.R[0], 1, 2), world.shape[1], axis=0)
         E[~observed.valid.ravel()] = 0.0
         put_leds(J, observed, links, E)
         led_frame = links.attachments.led[observed.index["led"]]
-        return ByFrame(seen_from(links, p_base, world), by_frames(links, E, lever, p_base, led_frame, world))
+        p_world = seen_from(links, p_base, world)
+        if J.wants(SCALE):
+            J.put(SCALE, np.where(observed.valid[..., None], p_world, 0.0).reshape(-1, 3, 1))
+        return ByFrame(scale_of(state) * p_world, by_frames(links, E, lever, p_base, led_frame, world))
 
     def points(self, observed: Observations, links: Links, state: State) -> tuple[Ints, Floats]:
         """Return the world as the frame, and the LEDs' positions in it."""
@@ -66,8 +69,7 @@ class Points(Measurement):
         world = np.zeros_like(observed.row)
         return world, seen_from(links, p_base, world)
 
-    @classmethod
-    def defines_world(cls, attachments: Attachments) -> bool:
+    def defines_world(self, attachments: Attachments) -> bool:
         """Return True: the tracker's frame is the world."""
         del attachments
         return True

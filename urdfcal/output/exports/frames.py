@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 # What tf2, URDF and a launch file's arguments all take.
 _NAME = re.compile(r"\w[\w.-]*", re.ASCII)
+# Stand in names of things of several sessions, and of things that moved.
+_PLAIN = str.maketrans("/@", "__")
 # What angles round to.
 _READ_BACK = 1e-12
 _NUMBERS = ("x", "y", "z", "qx", "qy", "qz", "qw")
@@ -54,25 +56,29 @@ class FixedFrame:
 def found_frames(calibration: Calibration) -> tuple[FixedFrame, ...]:
     """The cameras' optical frames (z forward, x right, y down) and the LEDs', each in that of the link it is fixed to.
 
-    What is fixed in the world becomes fixed to the base link. A camera's is named as ROS drivers do,
-    ``<camera>_optical_frame``, an LED's as the LED; LEDs have no orientation: theirs is their link's.
+    What is fixed in the world becomes fixed to the base link, as in the last session that has it. A camera's is named
+    as ROS drivers do, ``<camera>_optical_frame``, an LED's as the LED, with _ for / and @; LEDs have no orientation:
+    theirs is their link's.
 
     Raises:
         OutputError: a name is none for a frame, that of a link, or two frames have one name.
     """
-    document, chain = calibration.document, calibration.chain
-    T_base_world, found = inverse(np.array(document.T_world_base)), []
+    document, chain, found = calibration.document, calibration.chain, []
+    bases = dict.fromkeys([*document.leds, *document.cameras], document.T_world_base)
+    for session in document.sessions.values():
+        bases |= dict.fromkeys([*session.leds, *session.cameras], session.T_world_base)
     for name, camera in document.cameras.items():
         T = np.array(camera.T_link_camera) if camera.T_cam_world is None else inverse(np.array(camera.T_cam_world))
-        found.append((f"{name}_optical_frame", camera.link, T))
+        found.append((name, f"{name}_optical_frame", camera.link, T))
     for name, led in document.leds.items():
         T = np.eye(4)
         T[:3, 3] = led.position
-        found.append((name, led.link, T))
+        found.append((name, name, led.link, T))
     frames = []
-    for name, link, T in found:
-        parent, T_parent_frame = (chain.base_link, T_base_world @ T) if link == WORLD else (link, T)
-        frames.append(FixedFrame(name, parent, frozen(T_parent_frame)))
+    for name, frame, link, T in found:
+        if link == WORLD:
+            link, T = chain.base_link, inverse(np.array(bases[name])) @ T
+        frames.append(FixedFrame(frame.translate(_PLAIN), link, frozen(T)))
     names = [frame.name for frame in frames]
     links = (chain.base_link, *(tip.link for tip in chain.tips))
     for i, name in enumerate(names):

@@ -15,7 +15,6 @@ that each joint moves is found, in the end such bodies get new places.
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
-from xml.parsers import expat
 
 import numpy as np
 import pinocchio as pin
@@ -26,7 +25,15 @@ from urdfcal.names import suggest
 from urdfcal.output.placing import joint_frames
 from urdfcal.robot.kinematics import link_poses
 from urdfcal.robot.mechanism import BASE, Mechanism
-from urdfcal.robot.urdf.markup import Edit, Element, apply_edits, changed_attributes, start_tag
+from urdfcal.robot.urdf.markup import (
+    Edit,
+    Element,
+    ElementReader,
+    apply_edits,
+    changed_attributes,
+    numbers_text,
+    start_tag,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -263,47 +270,49 @@ def joint_bodies(data: bytes, path: str) -> dict[str, Element]:
     Raises:
         RobotError: it is no MuJoCo file, or one whose text does not say where its bodies are.
     """
-    bodies: dict[str, Element] = {}
-    above: list[Element] = []
-    parser = expat.ParserCreate()
+    reader = _MjcfReader(path)
+    reader.read(data)
+    return reader.bodies
 
-    def refuse(what: str, remedy: str) -> None:
-        raise RobotError(what, where=f"{path}:{parser.CurrentLineNumber}", remedy=remedy)
 
-    def doctype(name: str, *_: object) -> None:
-        refuse(f"it has a document type, <!DOCTYPE {name} ...>", "Remove it: MuJoCo reads none.")
+class _MjcfReader(ElementReader):
+    """Gathers the body of every named joint."""
 
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        if not above and tag != "mujoco":
-            other = "For another URDF: urdfcal apply OUT OTHER.urdf."
-            refuse(f"the root element is <{tag}>, not <mujoco>", other if tag == "robot" else "Is it a MuJoCo file?")
+    def __init__(self, path: str) -> None:
+        super().__init__(path)
+        self.bodies: dict[str, Element] = {}
+
+    def doctype(self, name: str, system_id: str | None, public_id: str | None, internal_subset: int) -> None:
+        raise self.refusal(f"it has a document type, <!DOCTYPE {name} ...>", "Remove it: MuJoCo reads none.")
+
+    def started(self, element: Element) -> None:
+        tag, attributes = element.tag, element.attributes
+        if not self.opened and tag != "mujoco":
+            raise self.refusal(
+                f"the root element is <{tag}>, not <mujoco>",
+                "For another URDF: urdfcal apply OUT OTHER.urdf." if tag == "robot" else "Is it a MuJoCo file?",
+            )
         if tag == "include":
-            refuse("it includes another file, in which bodies may be", "Name the file that holds the robot's bodies.")
+            raise self.refusal(
+                "it includes another file, in which bodies may be", "Name the file that holds the robot's bodies."
+            )
         if tag == "compiler" and attributes.get("fusestatic") == "true":
-            refuse("fusestatic merges bodies, so that places are not those in the file", 'Write fusestatic="false".')
-        carriers = [i for i, element in enumerate(above) if element.tag == "body"]
-        # Other joints are of an equality, a tendon, a default.
-        if tag == "joint" and "name" in attributes and carriers and above[1].tag == "worldbody":
-            around = above[carriers[-1] - 1].tag
-            if around not in ("body", "worldbody"):
-                what = f"the body of joint {attributes['name']!r} is inside <{around}>"
-                refuse(what, "Write it directly in the body that carries it.")
-            bodies[attributes["name"]] = above[carriers[-1]]
-        above.append(Element(tag, attributes, parser.CurrentByteIndex, parser.CurrentLineNumber))
+            raise self.refusal(
+                "fusestatic merges bodies, so that places are not those in the file", 'Write fusestatic="false".'
+            )
+        if tag == "joint" and "name" in attributes:
+            self._joint(attributes["name"])
 
-    parser.StartDoctypeDeclHandler = doctype
-    parser.StartElementHandler = start
-    parser.EndElementHandler = lambda _: above.pop()
-    try:
-        parser.Parse(data, True)
-    except expat.ExpatError as error:
-        raise RobotError(
-            f"not well-formed XML: {expat.ErrorString(error.code)}",
-            where=f"{path}:{error.lineno}, column {error.offset + 1}",
-        ) from error
-    except (LookupError, ValueError) as error:
-        raise RobotError(f"its encoding cannot be read: {error}", where=path, remedy="Save it as UTF-8.") from error
-    return bodies
+    def _joint(self, name: str) -> None:
+        bodies = [i for i, element in enumerate(self.opened) if element.tag == "body"]
+        if not bodies or self.opened[1].tag != "worldbody":
+            return  # of an equality, a tendon, a default
+        above = self.opened[bodies[-1] - 1].tag
+        if above not in ("body", "worldbody"):
+            raise self.refusal(
+                f"the body of joint {name!r} is inside <{above}>", "Write it directly in the body that carries it."
+            )
+        self.bodies[name] = self.opened[bodies[-1]]
 
 
 def with_places(data: bytes, moved: Iterable[tuple[Element, Floats, Floats]]) -> bytes:
@@ -317,10 +326,10 @@ def with_places(data: bytes, moved: Iterable[tuple[Element, Floats, Floats]]) ->
     for body, old, new in moved:
         values = {}
         if not np.array_equal(old[:3, 3], new[:3, 3]):
-            values["pos"] = _text(new[:3, 3])
+            values["pos"] = numbers_text(new[:3, 3])
         if not np.array_equal(old[:3, :3], new[:3, :3]):
             x, y, z, w = pin.Quaternion(np.ascontiguousarray(new[:3, :3])).normalized().coeffs()
-            values["quat"] = _text(np.array([w, x, y, z]))
+            values["quat"] = numbers_text(np.array([w, x, y, z]))
         written = next((name for name in _OTHER_ORIENTATIONS if name in body.attributes), None)
         if written is not None and "quat" in values:
             attribute = start_tag(data, body).attributes[written]
@@ -328,7 +337,3 @@ def with_places(data: bytes, moved: Iterable[tuple[Element, Floats, Floats]]) ->
             edits.append(Edit(attribute.start("name"), attribute.end(), b"quat=" + quote + values.pop("quat") + quote))
         edits += changed_attributes(data, body, values)
     return apply_edits(data, edits)
-
-
-def _text(values: Floats) -> bytes:
-    return " ".join(repr(float(value) + 0.0) for value in values).encode()

@@ -32,29 +32,84 @@ class Element:
         attributes: their values, character references replaced.
         offset: of its ``<`` in the file's bytes.
         line: where it starts, from 1.
-        first: its first child of each tag, in document order; URDF readers look at no other.
+        children: in document order.
     """
 
     tag: str
     attributes: Mapping[str, str]
     offset: int
     line: int
-    first: dict[str, Element] = field(default_factory=dict)
+    children: list[Element] = field(default_factory=list)
+
+    def all(self, tag: str) -> list[Element]:
+        """Return its children of a tag; those deeper down are another's."""
+        return [child for child in self.children if child.tag == tag]
+
+    def first(self, tag: str) -> Element | None:
+        """Return its first child of a tag; URDF readers look at no other."""
+        return next((child for child in self.children if child.tag == tag), None)
 
 
-class Markup(NamedTuple):
-    """A URDF's root element and the links and joints directly below it.
+class ElementReader:
+    """Expat, and the elements that are open; subclasses look at what starts.
 
-    ``<joint>`` elements deeper down (transmission, gazebo, ros2_control) are not kinematic joints.
+    Attributes:
+        source: what to call the file in messages.
+        root: of the elements read.
+        opened: the elements that the next one is in, from the root on.
     """
 
-    root: Element
-    links: tuple[Element, ...]
-    joints: tuple[Element, ...]
+    def __init__(self, source: str) -> None:
+        """Prepare to read one file."""
+        self.source = source
+        self.root: Element
+        self.opened: list[Element] = []
+        self._parser = expat.ParserCreate()
+        self._parser.StartDoctypeDeclHandler = self.doctype
+        self._parser.StartElementHandler = self._start
+        self._parser.EndElementHandler = lambda _tag: self.opened.pop()
+
+    def read(self, data: bytes) -> None:
+        """Read a file's bytes.
+
+        Raises:
+            RobotError: they are no well-formed XML in an encoding that expat reads, or a subclass refuses them.
+        """
+        try:
+            self._parser.Parse(data, True)
+        except expat.ExpatError as error:
+            raise RobotError(
+                f"not well-formed XML: {expat.ErrorString(error.code)}",
+                where=f"{self.source}:{error.lineno}, column {error.offset + 1}",
+                remedy="`xmllint --noout FILE` shows the place.",
+            ) from error
+        except (LookupError, ValueError) as error:
+            # Raised by pyexpat for an encoding that is unknown to Python or takes several bytes a character.
+            what = f"its declared encoding cannot be read: {error}"
+            raise RobotError(what, where=self.source, remedy=_UTF8) from error
+
+    def refusal(self, what: str, remedy: str) -> RobotError:
+        """Make the error that something is wrong at the place that is being read."""
+        return RobotError(what, where=f"{self.source}:{self._parser.CurrentLineNumber}", remedy=remedy)
+
+    def doctype(self, name: str, system_id: str | None, public_id: str | None, internal_subset: int) -> None:
+        """Look at a document type, before expat reads its declarations: entities are never even defined."""
+
+    def started(self, element: Element) -> None:
+        """Look at an element, which is not yet among the opened ones."""
+
+    def _start(self, tag: str, attributes: dict[str, str]) -> None:
+        element = Element(tag, attributes, self._parser.CurrentByteIndex, self._parser.CurrentLineNumber)
+        self.started(element)
+        if self.opened:
+            self.opened[-1].children.append(element)
+        else:
+            self.root = element
+        self.opened.append(element)
 
 
-def parse(data: bytes, source: str) -> Markup:
-    """Read the elements of a URDF.
+def parse(data: bytes, source: str) -> Element:
+    """Read the elements of a URDF, and return the root.
 
     Args:
         data: the file's bytes, in UTF-8 (with or without byte order mark), ASCII, or a declared
@@ -66,72 +121,30 @@ def parse(data: bytes, source: str) -> Markup:
             too deeply nested, declare a document type with entities, or hold xacro macros.
     """
     _refuse_foreign_bytes(data, source)
-    handlers = _Handlers(source)
-    try:
-        handlers.parser.Parse(data, True)
-    except expat.ExpatError as error:
-        raise RobotError(
-            f"not well-formed XML: {expat.ErrorString(error.code)}",
-            where=f"{source}:{error.lineno}, column {error.offset + 1}",
-            remedy="`xmllint --noout FILE` shows the place.",
-        ) from error
-    except (LookupError, ValueError) as error:
-        # Raised by pyexpat for an encoding that is unknown to Python or takes several bytes a character.
-        raise RobotError(f"its declared encoding cannot be read: {error}", where=source, remedy=_UTF8) from error
-    return Markup(handlers.root, tuple(handlers.links), tuple(handlers.joints))
+    reader = _UrdfReader(source)
+    reader.read(data)
+    return reader.root
 
 
 _UTF8 = "Save it as UTF-8."
 
 
-class _Handlers:
-    """Expat's handlers and what they have gathered."""
-
-    def __init__(self, source: str) -> None:
-        self.root: Element
-        self.links: list[Element] = []
-        self.joints: list[Element] = []
-        self._open: list[Element] = []
-        self._source = source
-        self.parser = expat.ParserCreate()
-        self.parser.StartDoctypeDeclHandler = self._doctype
-        self.parser.StartElementHandler = self._start
-        self.parser.EndElementHandler = self._end
-
-    def _here(self) -> str:
-        return f"{self._source}:{self.parser.CurrentLineNumber}"
-
-    def _doctype(self, name: str, system_id: str | None, public_id: str | None, internal_subset: int) -> None:
-        # Called before expat reads the declarations: entities are never even defined.
+class _UrdfReader(ElementReader):
+    def doctype(self, name: str, system_id: str | None, public_id: str | None, internal_subset: int) -> None:
         if internal_subset or system_id or public_id:
-            raise RobotError(
+            raise self.refusal(
                 f"the document type <!DOCTYPE {name} ...> declares entities or names an external file",
-                where=self._here(),
-                remedy="Remove it: a URDF needs none, and entities can hide gigabytes or other files.",
+                "Remove it: a URDF needs none, and entities can hide gigabytes or other files.",
             )
 
-    def _start(self, tag: str, attributes: dict[str, str]) -> None:
-        if tag.startswith("xacro:"):
-            raise xacro_error(f"<{tag}> is not expanded", self._here())
-        if len(self._open) == MAX_DEPTH:
-            raise RobotError(
-                f"elements are nested more than {MAX_DEPTH} deep, <{tag}> in <{self._open[-1].tag}>",
-                where=self._here(),
-                remedy="Is it a URDF?",
+    def started(self, element: Element) -> None:
+        if element.tag.startswith("xacro:"):
+            raise xacro_error(f"<{element.tag}> is not expanded", f"{self.source}:{element.line}")
+        if len(self.opened) == MAX_DEPTH:
+            raise self.refusal(
+                f"elements are nested more than {MAX_DEPTH} deep, <{element.tag}> in <{self.opened[-1].tag}>",
+                "Is it a URDF?",
             )
-        element = Element(tag, attributes, self.parser.CurrentByteIndex, self.parser.CurrentLineNumber)
-        if not self._open:
-            self.root = element
-        else:
-            self._open[-1].first.setdefault(tag, element)
-            if len(self._open) == 1 and tag == "link":
-                self.links.append(element)
-            elif len(self._open) == 1 and tag == "joint":
-                self.joints.append(element)
-        self._open.append(element)
-
-    def _end(self, _tag: str) -> None:
-        self._open.pop()
 
 
 def xacro_error(what: str, where: str) -> RobotError:
@@ -175,6 +188,11 @@ def too_large(size: int, source: str) -> RobotError:
     return RobotError(
         f"the file has {size / 2**20:.0f} MB, more than {MAX_BYTES // 2**20} MB", where=source, remedy="Is it a URDF?"
     )
+
+
+def numbers_text(values: Iterable[float]) -> bytes:
+    """Write numbers as an attribute's value: the shortest ones that read back exactly."""
+    return " ".join(repr(float(value) + 0.0) for value in values).encode()  # + 0.0: no "-0.0"
 
 
 class Edit(NamedTuple):

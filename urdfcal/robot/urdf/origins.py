@@ -11,7 +11,7 @@ from urdfcal.arrays import inverse
 from urdfcal.errors import RobotError
 from urdfcal.names import suggest
 from urdfcal.robot.urdf import markup
-from urdfcal.robot.urdf.markup import Edit, apply_edits, changed_attributes, start_tag
+from urdfcal.robot.urdf.markup import Edit, apply_edits, changed_attributes, numbers_text, start_tag
 from urdfcal.robot.urdf.urdf import Urdf, UrdfJoint
 from urdfcal.rotations import matrix_to_rpy
 
@@ -74,7 +74,7 @@ def rewrite_origins(urdf: Urdf, placements: Mapping[str, ArrayLike]) -> bytes:
         if name not in urdf.joints:
             raise RobotError(f"there is no joint {name!r}", where=source, remedy=suggest(name, urdf.joints, "joints"))
         _check_rigid(T, name)
-    elements = {element.attributes["name"]: element for element in markup.parse(urdf.data, source).joints}
+    elements = {element.attributes["name"]: element for element in markup.parse(urdf.data, source).all("joint")}
     edits = [
         edit for name, T in new.items() for edit in _edits(urdf.data, elements[name], urdf.joints[name], T, source)
     ]
@@ -87,11 +87,11 @@ def rewrite_origins(urdf: Urdf, placements: Mapping[str, ArrayLike]) -> bytes:
 
 def _edits(data: bytes, element: Element, joint: UrdfJoint, T: Floats, source: str) -> Iterator[Edit]:
     old = joint.T_parent_joint
-    values = {"xyz": _text(T[:3, 3]), "rpy": _text(matrix_to_rpy(T[:3, :3]))}
+    values = {"xyz": numbers_text(T[:3, 3]), "rpy": numbers_text(matrix_to_rpy(T[:3, :3]))}
     changed = {"xyz": np.abs(T[:3, 3] - old[:3, 3]).max() > SAME, "rpy": np.abs(T[:3, :3] - old[:3, :3]).max() > SAME}
     if not any(changed.values()):
         return
-    origin = element.first.get("origin")
+    origin = element.first("origin")
     if origin is None:
         yield _inserted_origin(data, element, values)
         return
@@ -104,10 +104,6 @@ def _edits(data: bytes, element: Element, joint: UrdfJoint, T: Floats, source: s
     yield from changed_attributes(data, origin, {name: values[name] for name in values if changed[name]})
 
 
-def _text(values: Floats) -> bytes:
-    return " ".join(repr(float(value) + 0.0) for value in values).encode()  # + 0.0: no "-0.0"
-
-
 # A comment beside the opening tag belongs to that line, not to what is inserted below it.
 _REST_OF_LINE = re.compile(rb"[ \t]*<!--(?:(?!-->)[^\r\n])*-->(?=[ \t]*[\r\n])")
 _INDENTATION = re.compile(rb"(?:\r\n|\n|\r)[ \t]*\Z")
@@ -117,7 +113,7 @@ def _inserted_origin(data: bytes, joint: Element, values: Mapping[str, bytes]) -
     start = start_tag(data, joint).end
     beside = _REST_OF_LINE.match(data, start)
     start = beside.end() if beside else start
-    first_child = next(iter(joint.first.values())).offset
+    first_child = joint.children[0].offset
     # Line end and indentation as before the joint's first element; nothing when they share a line.
     indentation = _INDENTATION.search(data[start:first_child])
     line = indentation[0] if indentation else b""

@@ -5,16 +5,16 @@ from __future__ import annotations
 import os
 import re
 import sys
+from contextlib import suppress
 from itertools import islice
 from pathlib import Path
-from stat import S_ISDIR, S_ISREG
 from typing import TYPE_CHECKING
 
 from urdfcal.errors import RobotError
 from urdfcal.names import listed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
 
 SCHEME = "package://"
 
@@ -23,6 +23,9 @@ SCHEME = "package://"
 _DEPTH = 4
 _FOLDERS = 2000
 _IGNORE = ("CATKIN_IGNORE", "COLCON_IGNORE", "AMENT_IGNORE")
+_VARIABLES = ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH")
+# Unlike pathlib's, these do not raise at forbidden or overlong paths.
+_is_file, _is_folder = os.path.isfile, os.path.isdir
 
 
 def find_urdf(reference: str | Path, relative_to: Path | None = None) -> Path:
@@ -38,7 +41,7 @@ def find_urdf(reference: str | Path, relative_to: Path | None = None) -> Path:
     if str(reference).startswith(SCHEME):
         return _in_package(str(reference))
     path = Path(reference) if relative_to is None else relative_to / reference
-    if not _is(path, S_ISREG):
+    if not _is_file(path):
         raise _no_file(path)
     return path
 
@@ -51,13 +54,13 @@ def package_roots() -> list[Path]:
     """
     roots: list[Path] = []
     for entry in _entries("ROS_PACKAGE_PATH"):
-        if _is(entry / "package.xml", S_ISREG):
+        if _is_file(entry / "package.xml"):
             roots.append(entry.parent)
         else:
             roots += [entry, *(package.parent for package in _packages_below(entry))]
     roots += [prefix / "share" for prefix in _entries("AMENT_PREFIX_PATH")]
     roots += _example_robot_data()
-    return [root for root in dict.fromkeys(roots) if _is(root, S_ISDIR)]
+    return [root for root in dict.fromkeys(roots) if _is_folder(root)]
 
 
 def _in_package(reference: str) -> Path:
@@ -80,17 +83,14 @@ def _in_package(reference: str) -> Path:
             "add the folder that contains it to ROS_PACKAGE_PATH.",
         )
     for folder in folders:
-        if _is(folder / inside, S_ISREG):
+        if _is_file(folder / inside):
             return folder / inside
     raise _no_file(folders[0] / inside)
 
 
-_VARIABLES = ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH")
-
-
 def _package_folders(name: str) -> list[Path]:
     roots = package_roots()
-    folders = [root / name for root in roots if _is(root / name, S_ISDIR)]
+    folders = [root / name for root in roots if _is_folder(root / name)]
     # A package's true name is in its package.xml; a cloned folder may be called otherwise.
     return folders or [child for root in roots for child in _children(root) if _declared_name(child) == name]
 
@@ -112,9 +112,9 @@ def _packages_below(folder: Path) -> Iterator[Path]:
         below: list[Path] = []
         for child in islice((child for parent in level for child in _children(parent)), budget):
             budget -= 1
-            if any(_is(child / marker, S_ISREG) for marker in _IGNORE):
+            if any(_is_file(child / marker) for marker in _IGNORE):
                 continue
-            if _is(child / "package.xml", S_ISREG):
+            if _is_file(child / "package.xml"):
                 yield child
             else:
                 below.append(child)
@@ -140,30 +140,19 @@ def _example_robot_data() -> list[Path]:
     from importlib import metadata  # brings zipfile and email along
 
     folders = [Path(sys.prefix) / "share"]
-    try:
+    with suppress(metadata.PackageNotFoundError):
         # Asked of the distribution, as importing it would import all of Pinocchio.
         distribution = metadata.distribution("example-robot-data")
-    except metadata.PackageNotFoundError:
-        pass
-    else:
         folders.insert(0, Path(str(distribution.locate_file("cmeel.prefix/share"))))
-    return [folder for folder in folders if _is(folder / "example-robot-data", S_ISDIR)]
-
-
-def _is(path: Path, kind: Callable[[int], bool]) -> bool:
-    """Whether a file of this kind exists; unlike pathlib's, forbidden or overlong paths do not raise."""
-    try:
-        return kind(path.stat().st_mode)
-    except (OSError, ValueError):
-        return False
+    return [folder for folder in folders if _is_folder(folder / "example-robot-data")]
 
 
 def _no_file(path: Path) -> RobotError:
-    if _is(path, S_ISDIR):
+    if _is_folder(path):
         what, folder = "this is a folder, not a URDF", path
     else:
         what, folder = "there is no such file", path.parent
-    if not _is(folder, S_ISDIR):
+    if not _is_folder(folder):
         return RobotError(what, where=str(path), remedy=f"There is no folder {folder} either.")
     others = sorted(file.name for file in folder.glob("*.urdf"))
     return RobotError(what, where=str(path), remedy=f"That folder has: {listed(others)}." if others else "")

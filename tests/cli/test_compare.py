@@ -1,0 +1,149 @@
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from tests.worlds import seen
+from urdfcal.cli import run
+from urdfcal.io.writing import write_session
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+
+@pytest.fixture(scope="module")
+def results(simulated: Callable, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """One ur5 before, later, and after its elbow's encoder was mounted anew: other poses each time."""
+    folder = tmp_path_factory.mktemp("ur5")
+    data = simulated("ur5", poses=100)
+    q = data.truth.q.copy()
+    q[:, 2] += 0.002
+    first, second = np.arange(50), np.arange(50, 100)
+    sessions = {"before": data.session.at(first), "later": data.session.at(second), "slipped": seen(data, q).at(second)}
+    for name, session in sessions.items():
+        write_session(folder / f"session_{name}", session)
+        assert run(["calibrate", str(folder / f"session_{name}"), "-o", str(folder / name), "-q"]) == 0
+    return lambda name: folder / name
+
+
+def compared(capsys: pytest.CaptureFixture[str], a: Path, b: Path, code: int) -> tuple[list[str], dict[str, Any]]:
+    assert run(["compare", str(a), str(b)]) == code
+    printed = capsys.readouterr().out.splitlines()
+    assert run(["compare", str(a), str(b), "--json"]) == code
+    return printed, json.loads(capsys.readouterr().out)
+
+
+def test_an_arm_that_is_the_same_has_not_changed(
+    results: Callable[[str], Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    printed, found = compared(capsys, results("before"), results("later"), 0)
+    tip = found["tips_mm"]["tool0"]["rms"]
+    assert printed[0] == f"no change beyond chance: tips {tip:.2g} mm rms apart"
+    assert 0.01 < tip < 0.3
+    assert found["changed"] is False
+    assert (found["significant"], found["moves_tip_most"], found["joints_mm"]) == ([], None, {})
+    assert found["compared"] == len(found["parameters"]) > 10
+    assert printed[1].startswith(f"chi-square {found['chi2']:.0f} of {found['compared']} parameters; correlations are")
+    assert found["remarks"] == [
+        "not compared, since not estimated in both: the zero of shoulder_pan_joint, wrist_3_joint"
+    ]
+    assert printed[2:] == [f"- {remark}" for remark in found["remarks"]]
+
+
+def test_a_result_is_its_own_equal(results: Callable[[str], Path], capsys: pytest.CaptureFixture[str]) -> None:
+    printed, found = compared(capsys, results("before"), results("before") / "calibration.json", 0)
+    assert printed[0] == "no change beyond chance: tips 0 mm rms apart"
+    assert found["chi2"] == 0.0
+
+
+def test_an_encoder_that_slipped_is_named(results: Callable[[str], Path], capsys: pytest.CaptureFixture[str]) -> None:
+    printed, found = compared(capsys, results("before"), results("slipped"), 1)
+    (one,) = found["significant"]
+    assert (one["joint"], one["parameter"]) == ("elbow_joint", "theta")
+    assert one["change"] == pytest.approx(0.002, abs=4.0 * one["sigma"])
+    assert one["sigmas"] == pytest.approx(abs(one["change"]) / one["sigma"])
+    assert found["moves_tip_most"] == "elbow_joint"
+    moved, tip = found["joints_mm"]["elbow_joint"], found["tips_mm"]["tool0"]["rms"]
+    assert 0.5 < moved < 2.0
+    assert tip > found["expected_mm"]
+    assert printed[0] == (
+        f"the arm changed: elbow_joint.theta by {1e3 * one['change']:.2g} mrad ({one['sigmas']:.0f} sigma); "
+        f"tips {tip:.2g} mm rms apart, elbow_joint moves them most, by {moved:.2g} mm"
+    )
+    (row,) = [line.split() for line in printed if line.strip().startswith("elbow_joint.theta")]
+    assert row[1] == "mrad"
+    first, second, change = map(float, row[2:5])
+    assert change == pytest.approx(second - first, abs=0.0011)
+    # Turned round, the change has the other sign.
+    _, back = compared(capsys, results("slipped"), results("before"), 1)
+    assert back["significant"][0]["change"] == pytest.approx(-one["change"])
+
+
+def edited(path: Path, of: Path, edit: Callable[[dict[str, Any]], object]) -> Path:
+    document = json.loads((of / "calibration.json").read_text())
+    edit(document)
+    path.write_text(json.dumps(document))
+    return path
+
+
+def test_tips_apart_without_a_parameter_are_a_change(
+    results: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def move(document: dict[str, Any]) -> None:
+        document["robot"]["joints"]["elbow_joint"]["calibrated"][0][3] += 0.01
+
+    other = edited(tmp_path / "other.json", results("before"), move)
+    printed, found = compared(capsys, results("before"), other, 1)
+    assert found["significant"] == []
+    assert printed[0] == (
+        f"the arm changed: tips {found['tips_mm']['tool0']['rms']:.2g} mm rms apart where errors of both calibrations "
+        f"let expect at most {found['expected_mm']:.2g} mm, no single parameter beyond chance"
+    )
+
+
+def test_many_changes_are_counted_and_all_in_the_table(
+    results: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def change(document: dict[str, Any]) -> None:
+        estimated = [entry for entry in document["dh"] if entry["status"] == "estimated"]
+        for k, entry in enumerate(estimated[:5]):
+            entry["offset"] += (10.0 + k) * entry["sigma"]
+
+    other = edited(tmp_path / "other.json", results("before"), change)
+    printed, found = compared(capsys, results("before"), other, 1)
+    assert len(found["significant"]) == 5
+    assert printed[0].count(" sigma)") == 3
+    assert " and 2 more; tips " in printed[0]
+    assert sum(" mm " in line or " mrad " in line for line in printed[1:]) == 5
+
+
+def test_what_limits_the_comparison_is_said(
+    results: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def limit(document: dict[str, Any]) -> None:
+        document["verdict"] = {"level": "doubtful", "sentence": "Check it.", "reasons": ["a lamp"]}
+        document["warnings"] = ["a lamp"]
+        for entry in [entry for entry in document["dh"] if entry["parameter"] in "da" and "sigma" in entry]:
+            del entry["sigma"]
+            entry |= {"status": "fixed", "reason": "not asked for"}
+
+    other = edited(tmp_path / "other.json", results("before"), limit)
+    printed, found = compared(capsys, results("before"), other, 0)
+    assert f"- {other}: doubtful: Check it." in printed
+    alone = found["only_in_one"]
+    assert len(alone) > 3
+    assert (
+        f"- {len(alone)} parameters were estimated in only one of the two and are not compared: what they hold in one, "
+        f"others may hold in the other ({', '.join(alone[:3])}, ...)"
+    ) in printed
+
+
+def test_another_robot_is_refused(
+    results: Callable[[str], Path], calibrated: Callable[[str], Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["compare", str(results("before")), str(calibrated("elbow3r") / "result")]) == 2
+    assert "only the second has joint_1, joint_2, joint_3" in capsys.readouterr().err

@@ -1,0 +1,202 @@
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from urdfcal.cli import run
+from urdfcal.cli.judging import _length, _verdict
+from urdfcal.estimation.acceptance import Acceptance
+from urdfcal.io.writing import write_session
+from urdfcal.robot.urdf.urdf import Urdf
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+NEW = np.arange(50, 62)
+
+
+@pytest.fixture
+def result(calibrated: Callable[[str], Path]) -> Path:
+    return calibrated("elbow3r") / "result"
+
+
+@pytest.fixture
+def new(simulated: Callable, tmp_path: Path) -> Path:
+    """Twelve poses of the same arm, after those it was calibrated with."""
+    session = simulated("elbow3r", poses=62).session
+    write_session(tmp_path / "new", session.at(NEW))
+    return tmp_path / "new"
+
+
+def verified(capsys: pytest.CaptureFixture[str], *arguments: object, code: int = 0) -> dict[str, object]:
+    assert run(["verify", *map(str, arguments), "--json"]) == code
+    return json.loads(capsys.readouterr().out)
+
+
+def test_the_verdict_is_the_exit_code(result: Path, new: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    found = verified(capsys, result, new, "--limit", "5mm")
+    low, high = found["interval_mm"]
+    assert 0.0 < low < found["rms_mm"] < high < 0.5
+    assert (found["configurations"], found["limit_mm"], found["within"]) == (12, 5.0, True)
+    for limit, code, words in (
+        (1.01 * high, 0, r"within [\d.]+ mm"),
+        (0.99 * high, 1, r"whether it is within [\d.]+ mm cannot be told: more poses are needed"),
+        (1.01 * low, 1, r"whether it is within [\d.]+ mm cannot be told: more poses are needed"),
+        (0.99 * low, 1, r"not within [\d.]+ mm"),
+    ):
+        assert run(["verify", str(result), str(new), "--limit", f"{limit:.6f}mm"]) == code
+        line = capsys.readouterr().out.splitlines()[0]
+        assert re.fullmatch(rf"[\d.]+ mm rms \(95 %: [\d.]+ to [\d.]+\) in 12 configurations: {words}", line), line
+        within = verified(capsys, result, new, "--limit", f"{limit:.6f}mm", code=code)["within"]
+        assert within is {"w": True, "n": False}.get(words[0] if "told" not in words else "")
+
+
+def test_the_nominal_arm_is_told_from_the_calibrated_one(
+    result: Path, new: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    limit = ["--limit", "0.5mm"]
+    calibrated = verified(capsys, result / "elbow3r_calibrated.urdf", new, *limit)
+    folder = verified(capsys, result, new, *limit)
+    file = verified(capsys, result / "calibration.json", new, *limit)
+    assert folder == file
+    assert calibrated["rms_mm"] == pytest.approx(folder["rms_mm"], rel=1e-6)
+    assert (calibrated["outside_domain"], type(folder["outside_domain"])) == (None, list)
+    nominal = verified(capsys, new / "elbow3r.urdf", new, *limit, code=1)
+    assert nominal["rms_mm"] > 3.0 * calibrated["rms_mm"]
+    assert nominal["within"] is False
+
+
+def test_a_session_of_the_corrected_robot_is_not_corrected_twice(
+    result: Path, simulated: Callable, new: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    urdf = Urdf.read(result / "elbow3r_calibrated.urdf")
+    session = simulated("elbow3r", poses=62).session.at(NEW)
+    chain = type(session.chain).from_urdf(urdf, session.chain.tip_link, session.chain.base_link)
+    again = replace(session, urdf=urdf, chain=chain, urdf_reference="elbow3r_calibrated.urdf")
+    write_session(tmp_path / "again", again)
+    found, first = (verified(capsys, result, of, "--limit", "5mm") for of in (tmp_path / "again", new))
+    assert found["rms_mm"] == pytest.approx(first["rms_mm"], rel=1e-6)
+
+
+def test_another_robots_result_is_refused(
+    calibrated: Callable[[str], Path], new: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["verify", str(calibrated("ur5") / "result"), str(new), "--limit", "1mm"]) == 2
+    assert "elbow3r.urdf: joint 'joint_1' was not calibrated. Calibrated are shoulder_pan_joint" in (
+        capsys.readouterr().err
+    )
+    urdf = calibrated("ur5") / "result" / "ur5_robot_calibrated.urdf"
+    assert run(["verify", str(urdf), str(new), "--limit", "1mm", "--tip", "tool0"]) == 2
+    assert "the arm's joints are shoulder_pan_joint" in capsys.readouterr().err
+
+
+def test_links_of_a_urdf_may_have_other_names(result: Path, new: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    given = result / "elbow3r_calibrated.urdf"
+    renamed = new.parent / "renamed.xml"
+    text = given.read_text()
+    renamed.write_text(text.replace('"tool0"', '"flange"').replace('"base_link"', '"foot"'))
+    assert '"flange"' in renamed.read_text()
+    assert run(["verify", str(renamed), str(new), "--limit", "1mm"]) == 2
+    assert "there is no link" in capsys.readouterr().err
+    found = verified(capsys, renamed, new, "--limit", "1mm", "--tip", "flange", "--base", "foot")
+    assert found["rms_mm"] == pytest.approx(verified(capsys, given, new, "--limit", "1mm")["rms_mm"], rel=1e-6)
+    assert run(["verify", str(result), str(new), "--limit", "1mm", "--tip", "tool0"]) == 2
+    assert "--tip and --base go with a URDF" in capsys.readouterr().err
+
+
+def test_poses_outside_the_calibrated_ranges_are_said(
+    result: Path, new: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    document = json.loads((result / "calibration.json").read_text())
+    values = [line.split(",")[2] for line in (new / "joints.csv").read_text().splitlines()[1:]]
+    low, high = min(map(float, values)), max(map(float, values))
+    document["domain"]["joints"] = {"joint_2": [low, high - 0.2]}
+    narrow = tmp_path / "calibration.json"
+    narrow.write_text(json.dumps(document))
+    (one,) = verified(capsys, narrow, new, "--limit", "5mm")["outside_domain"]
+    assert (one["joint"], one["unit"]) == ("joint_2", "rad")
+    assert one["beyond"] == pytest.approx(0.2)
+    assert run(["verify", str(narrow), str(new), "--limit", "5mm"]) == 0
+    assert "- joint_2 was calibrated from " in capsys.readouterr().out
+
+    del document["domain"]  # as files of earlier versions
+    narrow.write_text(json.dumps(document))
+    assert verified(capsys, narrow, new, "--limit", "5mm")["outside_domain"] is None
+    assert run(["verify", str(narrow), str(new), "--limit", "5mm"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == 1
+
+
+def test_the_measurements_of_the_calibration_are_no_new_ones(
+    result: Path, new: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said = "- these are the measurements that it was calibrated with: others will be further off"
+    own = result.parent / "session"
+    for session, code, is_new in ((own, 0, False), (new, 0, True)):
+        assert verified(capsys, result, session, "--limit", "5mm", code=code)["new"] is is_new
+        assert run(["verify", str(result), str(session), "--limit", "5mm"]) == code
+        assert (said in capsys.readouterr().out.splitlines()) is not is_new
+    # What is said of them does not make them new; the same path, measured anew, is.
+    again = tmp_path / "again"
+    shutil.copytree(own, again)
+    (again / "session.yaml").write_text((again / "session.yaml").read_text() + "# a remark\n")
+    assert verified(capsys, result, again, "--limit", "5mm")["new"] is False
+    rows = (again / "detections.csv").read_text().splitlines()
+    (again / "detections.csv").write_text("\n".join(rows[:-1]) + "\n")
+    assert verified(capsys, result, again, "--limit", "5mm")["new"] is True
+    assert verified(capsys, own / "truth.urdf", own, "--limit", "5mm")["new"] is True
+
+
+def test_outliers_are_said(
+    simulated: Callable, result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    session = simulated("elbow3r", poses=62).session.at(NEW)
+    (detections,) = session.measurements
+    uv = np.array(detections.uv)
+    uv[[3, 14]] -= 200.0 * np.sign(uv[[3, 14]] - [640.0, 512.0])
+    write_session(tmp_path / "spoilt", replace(session, measurements=(replace(detections, uv=uv),)))
+    assert run(["verify", str(result), str(tmp_path / "spoilt"), "--limit", "5mm"]) == 0
+    assert "- 2 of 24 measurements are outliers, and do not count" in capsys.readouterr().out.splitlines()
+
+
+def test_the_verdict_of_too_many_outliers_says_so() -> None:
+    found = Acceptance(1.0, (0.25, 0.9), 12, 12, 12, 1e-3)
+    assert _verdict(found) == (
+        "1000 mm rms (95 %: 250 to 900) in 12 configurations: whether it is within 1 mm cannot be told: too many "
+        "measurements are outliers"
+    )
+
+
+@pytest.mark.parametrize(
+    ("limit", "millimetres"), [("0.3mm", 0.3), ("3e-4m", 0.3), ("0.3 mm", 0.3), ("3E-1mm", 0.3), (".5m", 500.0)]
+)
+def test_a_limit_has_a_unit(limit: str, millimetres: float) -> None:
+    assert 1e3 * _length(None, None, limit) == pytest.approx(millimetres)
+
+
+@pytest.mark.parametrize(
+    ("limit", "told"),
+    [
+        ("0.3", "is without a unit: write it as 0.3mm, or in metres as 3e-4m"),
+        ("0.3cm", "is in cm, not in mm or m: write it as 0.3mm"),
+        ("wide", "is no length: write it as 0.3mm or 3e-4m"),
+        ("1.2.3mm", "is no length"),
+        ("0mm", "is not positive"),
+        ("-1mm", "is not positive"),
+        ("1e999m", "is not positive"),
+    ],
+)
+def test_what_is_no_length_is_refused(limit: str, told: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["verify", "result", "session", f"--limit={limit}"]) == 2
+    assert told in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_missing_result_is_told_how_to_make_one(new: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["verify", str(new / "nowhere"), str(new), "--limit", "1mm"]) == 2
+    assert "Name a folder that `urdfcal calibrate` wrote" in capsys.readouterr().err

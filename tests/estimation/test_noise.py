@@ -1,0 +1,101 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from tests.worlds import declared
+from urdfcal.estimation.noise import _Likelihood, _Part, find_noise
+from urdfcal.estimation.whitening import joint_covariance
+from urdfcal.pipeline import calibrate
+from urdfcal.session.knowledge import Estimate
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from urdfcal.estimation.noise import FoundNoise
+    from urdfcal.result.fitted import FittedCalibration
+    from urdfcal.session.model import Session
+
+
+def calibrated(session: Session) -> FittedCalibration:
+    return calibrate(replace(session, estimate=Estimate("dh", "fixed")), force=True)
+
+
+def noise_of(session: Session, undeclared: tuple[str, ...] = ()) -> dict[str, FoundNoise]:
+    calibration = calibrated(session)
+    return {of.name: of for of in find_noise(calibration.problem, calibration.fit, undeclared)}
+
+
+@pytest.mark.parametrize("rig", ["so101", "tiago", "panda"])
+def test_the_noise_that_was_simulated_is_found(rig: str, simulated: Callable) -> None:
+    session = simulated(rig, poses=50).session
+    found = noise_of(session)
+    assert list(found) == ["pixel", "joint"]
+    for name, true in (("pixel", session.noise.pixel), ("joint", session.noise.joint)):
+        assert found[name].declared == pytest.approx(true)
+        assert abs(np.log(found[name].found / true)) < 4.0 * found[name].relative_sigma
+        assert found[name].ratio == 1.0  # nothing contradicts what is declared
+    assert found["pixel"].known
+    assert (found["pixel"].unit, found["joint"].unit) == ("px", "rad")
+
+
+@pytest.mark.parametrize(("pixel", "joint"), [(20.0, None), (0.2, None), (1.0, 0.05)])
+def test_what_is_declared_does_not_change_what_is_found(pixel: float, joint: float | None, simulated: Callable) -> None:
+    data = simulated("panda", poses=50)
+    right, wrong = noise_of(data.session), noise_of(declared(data, 0.0, pixel, joint))
+    for name in ("pixel", "joint"):
+        # An estimate with other weights leaves other residuals, within its own error.
+        assert wrong[name].found == pytest.approx(right[name].found, rel=0.05)
+    assert wrong["pixel"].ratio == pytest.approx(pixel * right["pixel"].declared / right["pixel"].found, rel=0.05) or (
+        pixel == 1.0 and wrong["pixel"].ratio == 1.0
+    )
+    if joint is not None:
+        assert wrong["joint"].ratio > 100.0
+
+
+def test_nothing_declared_is_never_contradicted(simulated: Callable) -> None:
+    data = simulated("so101", poses=50)
+    found = noise_of(declared(data, 0.0, 1.0, 0.0), ("joint",))["joint"]
+    assert found.declared is None
+    assert found.ratio == 1.0
+    assert noise_of(declared(data, 0.0, 1.0, 0.0))["joint"].ratio == 0.0  # declared to be none, and there is some
+
+
+def test_outliers_are_no_noise(simulated: Callable) -> None:
+    clean = noise_of(simulated("panda", poses=50).session)["pixel"].found
+    assert noise_of(simulated("panda", poses=50, outliers=0.1).session)["pixel"].found == pytest.approx(clean, rel=0.15)
+
+
+def test_the_score_is_the_derivative_of_the_likelihood(simulated: Callable) -> None:
+    calibration = calibrated(simulated("so101", poses=20).session)
+    problem, fit = calibration.problem, calibration.fit
+    parts = [_Part.of(problem, fit, of, kept) for of, kept in zip(problem.observations, fit.kept, strict=True)]
+    likelihood = _Likelihood(tuple(parts), *fit.parameters.prior_residuals(fit.state))
+    variances = np.array([1.7, (3e-4) ** 2])
+    score = likelihood.at(variances).score
+    for k in range(2):
+        step = np.where(np.arange(2) == k, 1e-4, 0.0)
+        before, after = (likelihood.at(variances * np.exp(sign * step)).value for sign in (-1.0, 1.0))
+        assert (after - before) / 2e-4 == pytest.approx(score[k], rel=1e-4, abs=1e-4)
+    best, _ = likelihood.maximise(variances)
+    np.testing.assert_allclose(likelihood.at(best).score, 0.0, atol=0.05)
+    held, _ = likelihood.maximise(variances, hold=1)
+    assert held[1] == variances[1]
+    assert held[0] != variances[0]
+
+
+def test_noise_of_joints_that_move_nothing_that_is_seen_is_unknown(
+    simulated: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def nothing(*arguments: object) -> np.ndarray:
+        return 0.0 * joint_covariance(*arguments)
+
+    calibration = calibrated(simulated("so101", poses=20).session)
+    monkeypatch.setattr("urdfcal.estimation.noise.joint_covariance", nothing)
+    pixel, joint = find_noise(calibration.problem, calibration.fit)
+    assert pixel.known
+    assert not joint.known
+    assert joint.ratio == 1.0

@@ -1,0 +1,258 @@
+"""``urdfcal verify`` and ``compare``: a calibration judged by new poses, or by a later calibration."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import asdict
+from math import inf
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from urdfcal.cli.console import PATH, json_option, seed_option, sheet, status_line, terminal
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from urdfcal.estimation.acceptance import Acceptance
+    from urdfcal.result.calibration import Calibration
+    from urdfcal.result.changes import ArmChanges, ParameterChange
+    from urdfcal.robot.mechanism import Mechanism
+    from urdfcal.session.model import Session
+
+_METRES = {"mm": 1e-3, "m": 1.0}
+_NAMED = 3  # changes in the verdict; the table has them all
+
+
+def _length(ctx: click.Context, param: click.Parameter, text: str) -> float:
+    """A length in m, of text with a unit."""
+    del ctx, param
+    found = re.fullmatch(r"\s*([+-]?[0-9.]+(?:[eE][+-]?[0-9]+)?)\s*([a-zA-Zµ]*)\s*", text)
+    try:
+        value = float(found[1]) if found else None
+    except ValueError:
+        value = None
+    if found is None or value is None:
+        raise click.BadParameter(f"{text!r} is no length: write it as 0.3mm or 3e-4m")
+    if found[2] not in _METRES:
+        wrong = f"in {found[2]}, not in mm or m" if found[2] else "without a unit"
+        raise click.BadParameter(f"{text!r} is {wrong}: write it as {found[1]}mm, or in metres as 3e-4m")
+    if not 0.0 < value < inf:
+        raise click.BadParameter(f"{text!r} is not positive")
+    return value * _METRES[found[2]]
+
+
+@click.command("verify")
+@click.argument("result", metavar="RESULT|ROBOT.urdf")
+@click.argument("session", type=PATH)
+@click.option("--limit", required=True, callback=_length, metavar="0.3mm", help="What the rms error may be at most.")
+@click.option("--tip", metavar="LINK", help="With a URDF: link at the end of the chain.  [default: the session's]")
+@click.option("--base", metavar="LINK", help="With a URDF: link at its start.  [default: the session's]")
+@seed_option
+@json_option
+@click.pass_context
+def verify(
+    ctx: click.Context, result: str, session: Path, limit: float, tip: str | None, base: str | None, seed: int,
+    as_json: bool,
+) -> None:  # fmt: skip
+    """Judge a calibration by SESSION, a dozen new poses, and say whether the rms error at the LED is within a limit.
+
+    Base pose and LED positions (and camera poses, for pixels) are fitted; the arm is that of RESULT, a folder that
+    calibrate has written, its calibration.json, or a URDF. The measurements' own noise counts as error; in pixels, a
+    common factor of all lengths is not seen.
+
+    Exit code 0: the 95 % interval is within the limit; 1: it is not, or that cannot be told.
+    """
+    from urdfcal.estimation.acceptance import accept, outside
+    from urdfcal.io.folder import read_session
+    from urdfcal.result.calibration import Calibration
+
+    calibration = None
+    if _is_urdf(result):
+        measured = read_session(session)
+        chain = _urdf_chain(result, measured, tip, base)
+    elif tip or base:
+        raise click.UsageError("--tip and --base go with a URDF: a result names its links")
+    else:
+        calibration = Calibration.load(result)
+        measured = read_session(session)
+        chain = _calibrated_chain(calibration, measured, session)
+    for warning in measured.warnings:
+        click.echo(f"- {warning}", err=True)
+    with status_line() as say:
+        say("fitting base, LEDs and cameras")
+        found = accept(chain, measured, limit, seed)
+    domain = None if calibration is None else calibration.document.domain
+    new = calibration is None or not _calibrated_with(calibration, measured)
+    beyond = outside(measured, domain.joints) if domain else ()
+    if as_json:
+        shown = {
+            "rms_mm": 1e3 * found.rms,
+            "interval_mm": [1e3 * end for end in found.interval],
+            "configurations": found.configurations,
+            "limit_mm": 1e3 * limit,
+            "within": found.within,
+            "measurements": found.measurements,
+            "outliers": found.outliers,
+            "new": new,
+            "outside_domain": None if domain is None else [asdict(joint) for joint in beyond],
+        }
+        click.echo(json.dumps(shown, indent=2))
+    else:
+        click.echo(_verdict(found))
+        if not new:
+            click.echo("- these are the measurements that it was calibrated with: others will be further off")
+        for remark in (*_left_out(found), *map(str, beyond)):
+            click.echo(f"- {remark}")
+    ctx.exit(0 if found.within else 1)
+
+
+def _is_urdf(reference: str) -> bool:
+    path = Path(reference)
+    return (
+        reference.startswith("package://")
+        or path.suffix in (".urdf", ".xml")
+        or (path.is_file() and path.suffix != ".json")
+    )
+
+
+def _urdf_chain(reference: str, session: Session, tip: str | None, base: str | None) -> Mechanism:
+    from urdfcal.robot.chain import read_mechanism
+    from urdfcal.robot.urdf.urdf import Urdf
+
+    links = [link.link for link in session.chain.tips]
+    return read_mechanism(Urdf.read(reference), [tip or links[0], *links[1:]], base or session.chain.base_link)
+
+
+def _calibrated_chain(calibration: Calibration, session: Session, folder: Path) -> Mechanism:
+    """The session's joints, to its own links, with the calibrated placements."""
+    from urdfcal.robot.apply import apply_to_mechanism
+
+    where = session.urdf_reference or str(folder)
+    return apply_to_mechanism(session.chain, calibration.chain, calibration.placements, where)
+
+
+def _calibrated_with(calibration: Calibration, session: Session) -> bool:
+    """Whether every table of a session is one that the calibration was made from."""
+    made_from = set(calibration.document.provenance.sha256.values())
+    tables = [sha256 for name, sha256 in session.sha256.items() if name.endswith(".csv")]
+    return bool(tables) and made_from.issuperset(tables)
+
+
+def _verdict(found: Acceptance) -> str:
+    low, high = map(_millimetres, found.interval)
+    limit = f"within {1e3 * found.limit:.3g} mm"
+    why = "too many measurements are outliers" if found.too_many_outliers else "more poses are needed"
+    told = {True: limit, False: f"not {limit}", None: f"whether it is {limit} cannot be told: {why}"}
+    return (
+        f"{_millimetres(found.rms)} mm rms (95 %: {low} to {high}) in {found.configurations} configurations: "
+        f"{told[found.within]}"
+    )
+
+
+def _millimetres(metres: float) -> str:
+    """A length in mm with two digits, of large ones those before the point."""
+    millimetres = round(1e3 * metres, 6)  # what is less is rounding
+    return f"{millimetres:.2g}" if millimetres < 99.5 else f"{millimetres:.0f}"
+
+
+def _left_out(found: Acceptance) -> Sequence[str]:
+    count = found.measurements + found.outliers
+    return [f"{found.outliers} of {count} measurements are outliers, and do not count"] if found.outliers else []
+
+
+@click.command("compare")
+@click.argument("first", type=PATH, metavar="RESULT_A")
+@click.argument("second", type=PATH, metavar="RESULT_B")
+@seed_option
+@json_option
+@click.pass_context
+def compare(ctx: click.Context, first: Path, second: Path, seed: int, as_json: bool) -> None:
+    """Tell whether the arm changed between two calibrations of it, and which joint.
+
+    Both are folders that calibrate has written, or their calibration.json. Each parameter that both have estimated is
+    tested by its own standard deviations, at a chance of 1 % for all of them together.
+
+    Exit code 0: no change beyond chance; 1: the arm changed.
+    """
+    from urdfcal.result.calibration import Calibration
+    from urdfcal.result.changes import find_changes
+
+    a, b = Calibration.load(first), Calibration.load(second)
+    changes = find_changes(a, b, seed)
+    remarks = [
+        f"{path}: {of.assessment.level}: {of.assessment.sentence}"
+        for path, of in ((first, a), (second, b))
+        if of.assessment.level != "good"
+    ]
+    if changes.alone:
+        remarks.append(
+            f"{len(changes.alone)} parameters were estimated in only one of the two and are not compared: what they "
+            f"hold in one, others may hold in the other ({', '.join(changes.alone[:_NAMED])}"
+            f"{', ...' if len(changes.alone) > _NAMED else ''})"
+        )
+    if changes.unseen:
+        remarks.append(f"not compared, since not estimated in both: the zero of {', '.join(changes.unseen)}")
+    if as_json:
+        click.echo(json.dumps({**_changes(changes), "seed": seed, "remarks": remarks}, indent=2))
+    else:
+        click.echo(_sentence(changes))
+        if changes.significant:
+            terminal().print(_table(changes))
+        click.echo(
+            f"chi-square {changes.chi2:.0f} of {len(changes.parameters)} parameters; correlations are unknown, so each "
+            "one is tested alone, at 1 % for all together (Bonferroni)"
+        )
+        for remark in remarks:
+            click.echo(f"- {remark}")
+    ctx.exit(1 if changes.changed else 0)
+
+
+def _sentence(changes: ArmChanges) -> str:
+    tips = f"tips {_millimetres(changes.tip.rms)} mm rms apart"
+    if not changes.changed:
+        return f"no change beyond chance: {tips}"
+    if not changes.significant:
+        most = f"where errors of both calibrations let expect at most {_millimetres(changes.expected or 0.0)} mm"
+        return f"the arm changed: {tips} {most}, no single parameter beyond chance"
+    named = ", ".join(map(str, changes.significant[:_NAMED]))
+    more = len(changes.significant) - _NAMED
+    joint, moved = next(iter(changes.joints.items()))
+    return (
+        f"the arm changed: {named}{f' and {more} more' if more > 0 else ''}; {tips}, {joint} moves them most, "
+        f"by {_millimetres(moved)} mm"
+    )
+
+
+def _table(changes: ArmChanges) -> object:
+    title = "changes beyond chance; tip: what all of the joint's move it by"
+    rows = sheet(title, ["parameter", "unit", "first", "second", "change", "sigma", "sigmas", "tip (mm)"], texts=2)
+    for p in changes.significant:
+        values = [f"{1e3 * value:.3f}" for value in (*p.offsets, p.change, p.sigma)]
+        tip = f"{1e3 * changes.joints[p.joint]:.3f}"
+        rows.add_row(f"{p.joint}.{p.parameter}", "mm" if p.unit == "m" else "mrad", *values, f"{p.sigmas:.1f}", tip)
+    return rows
+
+
+def _changes(changes: ArmChanges) -> dict[str, Any]:
+    return {
+        "changed": changes.changed,
+        "significant": [_parameter(p) for p in changes.significant],
+        "parameters": [_parameter(p) for p in changes.parameters],
+        "chi2": changes.chi2,
+        "compared": len(changes.parameters),
+        "only_in_one": list(changes.alone),
+        "unseen": list(changes.unseen),
+        "tips_mm": {
+            link: {name: 1e3 * value for name, value in asdict(of).items()} for link, of in changes.tips.items()
+        },
+        "expected_mm": None if changes.expected is None else 1e3 * changes.expected,
+        "moves_tip_most": next(iter(changes.joints), None),
+        "joints_mm": {joint: 1e3 * moved for joint, moved in changes.joints.items()},
+    }
+
+
+def _parameter(p: ParameterChange) -> dict[str, Any]:
+    return {**asdict(p), "change": p.change, "sigmas": p.sigmas}

@@ -1,0 +1,170 @@
+"""``urdfcal evaluate`` and ``dh``: robots compared, a session explained by one, and the rows of one."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from urdfcal.cli.console import PATH, base_option, json_option, seed_option, sheet, terminal, tip_option
+from urdfcal.errors import SessionError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from urdfcal.arrays import Floats
+    from urdfcal.robot.dh import Convention, DHTable
+
+# Points this many times farther apart than the arm reaches are in another unit.
+_FAR = 20.0
+
+
+@click.command("evaluate")
+@click.argument("urdf", metavar="A.urdf")
+@click.argument("other", metavar="B.urdf|SESSION")
+@click.option("--tip", metavar="LINK", help="Link at the end of the chain.  [default: the session's]")
+@base_option
+@click.option("--poses", type=click.IntRange(min=4), help="Configurations compared.  [default: 1000]")
+@click.option("--points", type=PATH, help="With a session: this points.csv instead of its own measurements.")
+@seed_option
+@json_option
+def evaluate(
+    urdf: str,
+    other: str,
+    tip: str | None,
+    base: str | None,
+    poses: int | None,
+    points: Path | None,
+    seed: int,
+    as_json: bool,
+) -> None:
+    """Compare the tips of two versions of a robot over its workspace, or the residuals of a session under one.
+
+    With a session, base pose and LED positions (and camera poses, for pixels) are fitted; the arm is A's.
+    """
+    if Path(other).is_dir() or other.endswith((".yaml", ".yml")):
+        if tip or base or poses:
+            what = "with a session, links and poses are the session's: leave --tip, --base, --poses out"
+            raise click.UsageError(what)
+        result = _session(urdf, Path(other), points)
+    elif not Path(other).exists() and not other.startswith("package://"):
+        raise SessionError("there is no such file or folder", where=other, remedy="Name a URDF, or a session's folder.")
+    elif points is not None:
+        raise click.UsageError("--points goes with a session")
+    elif tip is None:
+        raise click.UsageError("two URDFs need --tip LINK")
+    else:
+        result = compared(urdf, other, tip, base, poses or 1000, seed)
+    if as_json:
+        click.echo(json.dumps(result, indent=2))
+    else:
+        _print_residuals(result)
+
+
+def compared(a: str, b: str, tip: str, base: str | None, poses: int, seed: int) -> dict[str, Any]:
+    """How far the tips of two URDFs are apart over the workspace, in mm and mrad."""
+    import numpy as np
+
+    from urdfcal.estimation.evaluation import compare
+    from urdfcal.robot.chain import Chain
+
+    chain_a, chain_b = (Chain.from_urdf(path, tip, base) for path in (a, b))
+    q = chain_a.random_values(poses, np.random.default_rng(seed))
+    difference = compare(chain_a, chain_b, q)
+    units = {"position": "mm", "orientation": "mrad", "position_unaligned": "mm", "orientation_unaligned": "mrad"}
+    spreads = {f"{name}_{unit}": _spread(getattr(difference, name), 1e3) for name, unit in units.items()}
+    return {"a": a, "b": b, "poses": poses, "seed": seed, **spreads}
+
+
+def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
+    import numpy as np
+
+    from urdfcal.estimation.evaluation import explain
+    from urdfcal.io.folder import read_points, read_session
+    from urdfcal.robot.chain import read_mechanism
+    from urdfcal.robot.urdf.urdf import Urdf
+
+    session = read_session(folder)
+    for warning in session.warnings:
+        click.echo(f"- {warning}", err=True)
+    if points is not None:
+        measured, leds = read_points(points, session)
+        extent = float(np.ptp(measured.xyz, axis=0).max())
+        if extent > _FAR * session.chain.reach:
+            what = f"the points are spread over {extent:.0f} m, the arm reaches {session.chain.reach:.1f} m"
+            remedy = "Coordinates are in metres; these look like millimetres."
+            raise SessionError(what, where=str(points), remedy=remedy)
+        session = replace(session, measurements=(measured,), leds=leds, moved={})
+    links = [tip.link for tip in session.chain.tips]
+    chain = read_mechanism(Urdf.read(urdf), links, session.chain.base_link)
+    explained = explain(chain, session)
+    result: dict[str, Any] = {"a": urdf, "session": str(folder), "points": points and str(points)}
+    for table, residual in zip(session.measurements, explained.residuals, strict=True):
+        unit, scale = table.report
+        result[f"residual_{unit}"] = {"sightings": len(residual), **_spread(np.linalg.norm(residual, axis=1), scale)}
+    return result
+
+
+def _spread(values: Floats, scale: float) -> dict[str, float]:
+    from urdfcal.estimation.evaluation import Spread
+
+    return {name: scale * value for name, value in asdict(Spread.of(values)).items()}
+
+
+def _print_residuals(result: Mapping[str, Any]) -> None:
+
+    against = result.get("b") or result.get("points") or result["session"]
+    rows = sheet(f"{result['a']}\nagainst {against}", ["", "rms", "mean", "median", "95 %", "max"])
+    for name, spread in result.items():
+        if isinstance(spread, dict):
+            quantity, _, unit = name.rpartition("_")
+            cells = [f"{spread[key]:.4f}" for key in ("rms", "mean", "median", "p95", "max")]
+            rows.add_row(f"{quantity.replace('_', ' ')} ({unit})", *cells)
+    terminal().print(rows)
+
+
+@click.command("dh")
+@click.argument("urdf", metavar="ROBOT.urdf")
+@tip_option
+@base_option
+@click.option(
+    "--convention", type=click.Choice(["standard", "modified"]), default="standard",
+    help="Distal rows (Rossi's eq. 2), or Craig's.",
+)  # fmt: skip
+@json_option
+def dh(urdf: str, tip: str, base: str | None, convention: Convention, as_json: bool) -> None:
+    """Print the Denavit-Hartenberg rows of a robot's chain of joints."""
+    from urdfcal.robot.chain import Chain
+    from urdfcal.robot.dh import DHTable
+
+    table = DHTable.from_chain(Chain.from_urdf(urdf, tip, base))
+    if as_json:
+        click.echo(json.dumps(table.to_dict(convention), indent=2))
+    else:
+        _print_rows(table, convention)
+
+
+def _print_rows(table: DHTable, convention: Convention) -> None:
+    import numpy as np
+
+    data = table.to_dict(convention)
+    order = ("theta", "d", "a", "alpha", "beta") if convention == "standard" else ("a", "alpha", "beta", "theta", "d")
+    scales = {name: (1e3, "mm") if name in "da" else (np.degrees(1.0), "deg") for name in order}
+    rows = sheet(
+        f"{table.chain.name}: {table.chain.base_link} to {table.chain.tip_link}, {convention} DH",
+        ["joint", "type", *(f"{name} ({unit})" for name, (_, unit) in scales.items())],
+        texts=2,
+    )
+    for row in data["rows"]:
+        # Rounding first, or tiny negative numbers print as -0.0000.
+        cells = [f"{round(scale * row[name], 4) + 0.0:.4f}" for name, (scale, _) in scales.items()]
+        rows.add_row(row["joint"], row["type"], *cells)
+    console = terminal()
+    console.print(rows)
+    console.print(data["composition"])
+    for name in ("base", "tool"):
+        matrix = np.round(data[name], 6) + 0.0
+        console.print(f"{name} = {np.array2string(matrix, suppress_small=True, prefix='base = ')}")

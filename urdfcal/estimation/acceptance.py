@@ -1,0 +1,192 @@
+"""Whether an arm is as good as it must be, from poses that its calibration has not seen (METHOD 13)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from urdfcal.arrays import rms
+from urdfcal.errors import RobotError, SessionError
+from urdfcal.estimation.assessment import MANY_OUTLIERS
+from urdfcal.estimation.evaluation import explain
+from urdfcal.estimation.validation import rms_interval
+from urdfcal.session.trajectory import REPEAT
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from urdfcal.arrays import Bools, Floats, Ints
+    from urdfcal.estimation.observations import Observations
+    from urdfcal.estimation.solver import Progress
+    from urdfcal.robot.mechanism import Mechanism
+    from urdfcal.session.model import Session
+
+
+@dataclass(frozen=True)
+class Acceptance:
+    """The error of an arm at the LED, in poses that it was not calibrated with.
+
+    Attributes:
+        rms: what the measurements' own noise adds is in it; what the fit of base, LEDs and cameras took away, too. [m]
+        interval: of the rms, 95 %. [m]
+        configurations: how many distinct ones were judged, of a moving arm seconds.
+        measurements: how many count.
+        outliers: how many were left out.
+        limit: what the rms may be at most. [m]
+    """
+
+    rms: float
+    interval: tuple[float, float]
+    configurations: int
+    measurements: int
+    outliers: int
+    limit: float
+
+    @property
+    def too_many_outliers(self) -> bool:
+        """Whether so many measurements were left out that the rest does not speak for all."""
+        return self.outliers > MANY_OUTLIERS * (self.outliers + self.measurements)
+
+    @property
+    def within(self) -> bool | None:
+        """Whether the arm is within the limit; None where that cannot be told."""
+        low, high = self.interval
+        if self.too_many_outliers or low <= self.limit < high:
+            return None
+        return high <= self.limit
+
+
+def accept(
+    chain: Mechanism, session: Session, limit: float, seed: int = 0, progress: Progress | None = None
+) -> Acceptance:
+    """Judge an arm by a session: base, LEDs and camera poses are fitted to it, the arm is not.
+
+    Args:
+        chain: the arm, calibrated.
+        session: what was measured in new poses; its own chain is not used.
+        limit: what the rms error at the LED may be at most. [m]
+        seed: of the bootstrap.
+        progress: called after every solver step.
+
+    Raises:
+        RobotError: the arm has other joints than the session.
+        SessionError: there are too few measurements to tell anything beside base, LEDs and cameras.
+        CalibrationError: no start from these measurements.
+    """
+    if chain.names != session.chain.names:
+        raise RobotError(
+            f"the arm's joints are {', '.join(chain.names)}, the session's {', '.join(session.chain.names)}",
+            remedy="Name a calibration of the robot that was measured.",
+        )
+    explained = explain(chain, session, progress)
+    problem, fit = explained.problem, explained.fit
+    observations = problem.observations
+    distance = [
+        np.linalg.norm(problem.residual(of, fit.state), axis=-1) * problem.metres_per_unit(of, fit.state)
+        for of in observations
+    ]
+    unit = problem.readings.unit
+    numbers, taken = _numbers(observations, fit.kept, unit), fit.parameters.count
+    if numbers <= taken:
+        raise SessionError(
+            f"{numbers} measured numbers of distinct configurations cannot judge an arm beside {taken} unknowns of "
+            "base, LEDs and cameras",
+            remedy="Measure more poses: a dozen, well apart.",
+        )
+    kept = [values[used] for values, used in zip(distance, fit.kept, strict=True)]
+    found = rms(np.concatenate(kept))
+    low, high = rms_interval(observations, fit.kept, distance, unit, seed)
+    scale, width = _taken_away(numbers, taken)
+    outliers, measurements = fit.counts
+    judged = [unit[of.pose][used.any(axis=1)] for of, used in zip(observations, fit.kept, strict=True)]
+    return Acceptance(
+        rms=scale * found,
+        interval=tuple(scale * found * (end / found) ** width for end in (low, high)) if found else (0.0, 0.0),
+        configurations=len(np.unique(np.concatenate(judged))),
+        measurements=measurements,
+        outliers=outliers,
+        limit=limit,
+    )
+
+
+def _taken_away(numbers: int, taken: int) -> tuple[float, float]:
+    """What makes up for unknowns that were fitted to the same measurements: factors on an rms, and on its interval.
+
+    The interval is that of its logarithm. It is wider by as much as fewer independent configurations are left, of
+    which Student's t counts three errors each.
+    """
+    from scipy.special import stdtrit
+
+    scale, left = float(np.sqrt(numbers / (numbers - taken))), (numbers - taken) / 3.0
+    return scale, scale * float(stdtrit(left, 0.975) / stdtrit(np.inf, 0.975))
+
+
+def _numbers(observations: Sequence[Observations], kept: Sequence[Bools], unit: Ints) -> int:
+    """How many errors of the arm were measured: three of an LED in a configuration, however often it was seen there.
+
+    One camera sees two of them. What repeats a configuration repeats its errors.
+    """
+    seen: dict[tuple[int, int], int] = {}
+    for observed, used in zip(observations, kept, strict=True):
+        keys = [np.broadcast_to(unit[observed.pose][:, None], used.shape)[used]]
+        keys += [observed.index[name][used] for name in sorted(observed.index, key=lambda name: name != "led")]
+        for one, led, *_ in np.unique(np.stack(keys, axis=1), axis=0).tolist():
+            seen[one, led] = seen.get((one, led), 0) + observed.dimension
+    return sum(min(count, 3) for count in seen.values())
+
+
+@dataclass(frozen=True)
+class OutsideDomain:
+    """A joint that poses take where its calibration has not measured it.
+
+    Attributes:
+        joint: its name.
+        unit: of its values, rad or m.
+        low: least value that was measured in the calibration. [unit]
+        high: largest one. [unit]
+        beyond: how far the farthest pose is outside. [unit]
+        poses: how many are.
+    """
+
+    joint: str
+    unit: str
+    low: float
+    high: float
+    beyond: float
+    poses: int
+
+    def __str__(self) -> str:
+        counted = "a pose is" if self.poses == 1 else f"{self.poses} poses are"
+        return (
+            f"{self.joint} was calibrated from {self.low:.2f} to {self.high:.2f} {self.unit}: {counted} outside, "
+            f"by up to {self.beyond:.2g} {self.unit}"
+        )
+
+
+def outside(session: Session, domain: Mapping[str, Sequence[float]]) -> tuple[OutsideDomain, ...]:
+    """Find the joints that a session's poses take out of the ranges that a calibration has measured.
+
+    Args:
+        session: new poses.
+        domain: least and largest value of each joint; of others nothing is said. [rad or m]
+    """
+    found = []
+    values = session.chain.readings(session.q)
+    for joint, q in zip(session.chain.actuated_joints, values.T, strict=True):
+        if joint.name in domain:
+            low, high = domain[joint.name]
+            beyond = _beyond(q, low, high, turns=not joint.prismatic)
+            far = beyond > REPEAT  # what is nearer repeats what was measured
+            if far.any():
+                size, count = float(beyond.max()), int(np.count_nonzero(far))
+                found.append(OutsideDomain(joint.name, joint.unit, low, high, size, count))
+    return tuple(found)
+
+
+def _beyond(q: Floats, low: float, high: float, *, turns: bool) -> Floats:
+    """How far values are from a range; the arm is the same where a joint has turned once more."""
+    shifted = q + 2.0 * np.pi * np.array([-1.0, 0.0, 1.0])[:, None] if turns else q[None]
+    result: Floats = np.maximum(np.maximum(low - shifted, shifted - high), 0.0).min(axis=0)
+    return result

@@ -1,0 +1,197 @@
+"""The evidence on an estimate: noise, scale, regions left out, and effects that it leaves unexplained (METHOD 14)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from urdfcal.arrays import rms
+from urdfcal.estimation.assessment import DOUBTFUL_CHI2, MANY_OUTLIERS, MISFIT_CHI2
+from urdfcal.estimation.diagnosis.doctor import diagnose
+from urdfcal.estimation.diagnosis.family import undone
+from urdfcal.estimation.diagnosis.residuals import Unexplained
+from urdfcal.estimation.diagnosis.scatter import scatter
+from urdfcal.estimation.diagnosis.trials import suspect
+from urdfcal.estimation.joint_models.linear import LinearJointModel
+from urdfcal.estimation.noise import find_noise
+from urdfcal.estimation.regions import joint_regions, tip_regions
+from urdfcal.estimation.scale import find_scale
+from urdfcal.estimation.uncertainty import rigid_loss, tip_error
+from urdfcal.estimation.validation import hold_out, jackknife, region_interval, rms_samples
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
+
+    from urdfcal.arrays import Bools, Floats
+    from urdfcal.estimation.diagnosis.doctor import Finding
+    from urdfcal.estimation.diagnosis.trials import Suspicion
+    from urdfcal.estimation.model_selection import Comparison
+    from urdfcal.estimation.noise import FoundNoise
+    from urdfcal.estimation.problem import Problem
+    from urdfcal.estimation.scale import LengthScale
+    from urdfcal.estimation.solver import Progress, Solution
+    from urdfcal.session.model import Session
+
+
+# Of thousands of poses an even selection is left out region by region: what they show there is no noise.
+_MOST_POSES = 1000
+
+
+@dataclass(frozen=True)
+class Regions:
+    """What the estimate is worth in a region that was not measured, from leaving out each that was.
+
+    Attributes:
+        count: how many were left out, clusters of joint space or of tip positions, whichever came out worse.
+        rms: of the distances in them. [m]
+        interval: of what a further region may show, 95 %. [m]
+        rms_nominal: the same of the nominal arm. [m]
+    """
+
+    count: int
+    rms: float
+    interval: tuple[float, float]
+    rms_nominal: float
+
+
+@dataclass(frozen=True)
+class TipError:
+    """The error of the calibrated tip that is to be expected over the workspace.
+
+    Attributes:
+        rms: of positions, after the best alignment at the base. [m]
+        interval: 95 %, of the estimate's covariance where the model holds; else up to what left-out regions show. [m]
+    """
+
+    rms: float
+    interval: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What speaks for and against an estimate beside its residuals.
+
+    Attributes:
+        noise: of each kind of measurement and of the joint readings, declared and found.
+        scale: what the unit of the instrument's lengths does.
+        findings: effects that explain the residuals beyond chance, the largest share first.
+        regions: the error in regions that were left out.
+        tip: the error of the calibrated tip that is to be expected.
+        bends: what the joints do that no URDF can hold, one sentence for each joint model; none of a rigid arm.
+        rigid_loss: how far the rigid arm's tip is off for that at the measured poses, root mean square. [m]
+        improvement: 95 % interval of the nominal arm's rms error on held-out poses less the calibrated one's. [m]
+        undone: that a correction which the session's URDF has is taken back; None where none is.
+        suspicion: the change of the session that would make it fit; None where it fits, or no single one does.
+    """
+
+    noise: tuple[FoundNoise, ...]
+    scale: LengthScale
+    findings: tuple[Finding, ...]
+    regions: Regions
+    tip: TipError
+    bends: tuple[str, ...]
+    rigid_loss: float
+    improvement: tuple[float, float]
+    undone: str | None
+    suspicion: Suspicion | None
+
+
+def gather(
+    session: Session,
+    problem: Problem,
+    comparison: Comparison,
+    seed: int,
+    undeclared: Collection[str] = (),
+    progress: Progress | None = None,
+) -> Evidence:
+    """Collect the evidence on the chosen model.
+
+    Args:
+        session: what was measured.
+        problem: of its measurements.
+        comparison: the models that were tried.
+        seed: of the bootstrap.
+        undeclared: keys of ``noise`` of which the session says nothing.
+        progress: called after every solver step of trials, where the fit is absurd.
+    """
+    fit = comparison.chosen.fit
+    noise = find_noise(problem, fit, undeclared)
+    unexplained = Unexplained.of(session, problem, fit, noise)
+    # What is not modelled scatters unevenly, too: only where nothing of the kind is found is it the noise.
+    findings = diagnose(session, unexplained) or scatter(session, problem, fit)
+    regions = _regions(problem, comparison)
+    cut, kept = fit.counts
+    # Then something about the session may be wrong: it is looked for by trial, which takes seconds.
+    absurd = fit.reduced_chi2 > MISFIT_CHI2 or cut > MANY_OUTLIERS * (cut + kept)
+    tip = _tip(problem, fit, regions, holds=not findings and fit.reduced_chi2 < DOUBTFUL_CHI2)
+    calibrated = session.chain.with_placements(problem.arm.placements(problem.offsets(fit.state)))
+    models = (model for model in problem.joint_models if isinstance(model, LinearJointModel))
+    bends = tuple(m.summary(problem.readings, fit.state[m.key]) for m in models if np.any(fit.state[m.key]))
+    return Evidence(
+        noise=noise,
+        scale=find_scale(problem, fit, unexplained),
+        findings=findings,
+        regions=regions,
+        tip=tip,
+        bends=bends,
+        rigid_loss=rigid_loss(problem, fit.state) if bends else 0.0,
+        improvement=_improvement(problem, comparison, seed),
+        undone=undone(session, calibrated, tip.rms),
+        suspicion=suspect(session, progress) if absurd else None,
+    )
+
+
+def _tip(problem: Problem, fit: Solution, regions: Regions, *, holds: bool) -> TipError:
+    expected, (low, high) = tip_error(problem, fit)
+    if holds:
+        return TipError(expected, (low, high))
+    return TipError(max(expected, regions.rms), (low, max(high, regions.interval[1])))
+
+
+def widened(problem: Problem, comparison: Comparison) -> Comparison:
+    """Return the comparison with the chosen estimate's covariance widened by regions left out, if there is a misfit.
+
+    A misfit is no white noise: scaled by the reduced chi-square, 95 % intervals of the parameters of simulated arms
+    that sag or whose encoders err hold 61 to 83 %; with the jackknife over regions 82 to 94 %.
+    """
+    fit = comparison.chosen.fit
+    if not fit.misfit:
+        return comparison
+    thinned, (thin,) = _thinned(problem, [fit])
+    wide = replace(fit, spread=jackknife(thinned, thin, joint_regions(thinned)))
+    return comparison.with_chosen(replace(comparison.chosen, fit=wide))
+
+
+def _thinned(problem: Problem, fits: Sequence[Solution]) -> tuple[Problem, list[Solution]]:
+    """An even selection of the poses."""
+    even = [observed.even(_MOST_POSES) for observed in problem.observations]
+    problem = problem.with_observations([of.at(some) for of, some in zip(problem.observations, even, strict=True)])
+    return problem, [
+        replace(fit, kept=tuple(kept[some] for kept, some in zip(fit.kept, even, strict=True))) for fit in fits
+    ]
+
+
+def _regions(problem: Problem, comparison: Comparison) -> Regions:
+    problem, fits = _thinned(problem, [trial.fit for trial in (comparison.chosen, comparison.nominal_arm)])
+    found = []
+    for divide in (joint_regions, tip_regions):
+        region = divide(problem)
+        chosen, nominal = (hold_out(problem, fit, region) for fit in fits)
+        kept = fits[0].kept
+        interval = region_interval(problem.observations, kept, chosen.distance, region)
+        found.append(Regions(chosen.folds, _rms(chosen.distance, kept), interval, _rms(nominal.distance, kept)))
+    return max(found, key=lambda of: of.interval[1])
+
+
+def _improvement(problem: Problem, comparison: Comparison, seed: int) -> tuple[float, float]:
+    unit, kept = problem.readings.unit, comparison.chosen.fit.kept
+    trials = [trial.held_out.distance for trial in (comparison.nominal_arm, comparison.chosen)]
+    samples = [rms_samples(problem.observations, kept, of, unit, seed) for of in trials]
+    low, high = np.percentile(samples[0] - samples[1], [2.5, 97.5])
+    return float(low), float(high)
+
+
+def _rms(distance: tuple[Floats, ...], kept: tuple[Bools, ...]) -> float:
+    return rms(np.concatenate([of[used] for of, used in zip(distance, kept, strict=True)]))

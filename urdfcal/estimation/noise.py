@@ -1,0 +1,203 @@
+"""Estimate the noise of measurements and joint readings from the residuals (METHOD 8)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from urdfcal.arrays import one_blas_thread, rms
+from urdfcal.estimation.linearize import Tangent
+from urdfcal.estimation.whitening import block_diagonal, joint_covariance
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+    from urdfcal.arrays import Bools, Floats
+    from urdfcal.estimation.observations import Observations
+    from urdfcal.estimation.problem import Problem
+    from urdfcal.estimation.solver import Solution
+
+# Of thousands of poses an even selection tells the noise to a few per cent.
+_MOST_POSES = 300
+_ROUNDS = 30
+# Logarithms of variances that change by less in a round have settled; a round may change them by this at most.
+_SETTLED, _LARGEST_STEP = 1e-3, 1.5
+# Joint readings err by something: below this nothing is told from zero. Where nothing is said, a good encoder's. [rad]
+_LEAST_JOINT, _USUAL_JOINT = 1e-6, 1e-4
+# Measurements without any noise, as simulated ones may be, count as a thousandth of what is declared.
+_LEAST_SHARE = 1e-3
+# Standard deviation of the logarithm up to which a noise counts as known.
+_KNOWN = 0.5
+# Information on a variance's logarithm where the residuals say nothing, as of joints that move nothing that is seen: a
+# standard deviation of one decade of the noise. Ten poses say a hundred times more.
+_VAGUE = (2.0 * np.log(10.0)) ** -2
+# Fall of twice the log-likelihood that contradicts what is declared: chance 1e-4 (chi-square, one degree of freedom).
+_CONTRADICTED = 15.1
+
+
+@dataclass(frozen=True)
+class FoundNoise:
+    """The standard deviation of one kind of reading, as declared and as found.
+
+    Attributes:
+        name: key of ``noise`` in the session.
+        unit: px, m, or rad for joint readings.
+        declared: as the session says; None where it says nothing.
+        found: from the residuals.
+        relative_sigma: standard deviation of the logarithm of ``found``.
+        chi2: by how much twice the log-likelihood falls if the declared one is taken for it; 0 where nothing is said.
+    """
+
+    name: str
+    unit: str
+    declared: float | None
+    found: float
+    relative_sigma: float
+    chi2: float
+
+    @property
+    def known(self) -> bool:
+        """Whether the residuals tell it, to half of itself or so."""
+        return self.relative_sigma < _KNOWN
+
+    @property
+    def ratio(self) -> float:
+        """Declared over found; 1 where nothing is declared, or the residuals do not contradict it."""
+        if self.declared is None or self.chi2 < _CONTRADICTED:
+            return 1.0
+        return self.declared / self.found
+
+
+def find_noise(problem: Problem, fit: Solution, undeclared: Collection[str] = ()) -> tuple[FoundNoise, ...]:
+    """Estimate variance components by restricted maximum likelihood, on the derivatives at an estimate.
+
+    The covariance of a pose's measurements is ``sum_k v_k C_k + v_q J_q J_q^T``: as declared for each kind, times its
+    factor, and what the joint readings' noise does to it, which grows with the lever arm and moves all measurements of
+    a pose together. Fisher scoring on the logarithms (Patterson and Thompson, Biometrika 58, 1971).
+
+    Args:
+        problem: what was measured.
+        fit: an estimate; its outliers have no part.
+        undeclared: keys of ``noise``, joint perhaps among them, of which the session says nothing.
+
+    Returns:
+        One for each kind of measurement, and one for the joint readings, the last.
+    """
+    with one_blas_thread():
+        parts = [
+            _Part.of(problem, fit, observed, kept)
+            for observed, kept in zip(problem.observations, fit.kept, strict=True)
+        ]
+        likelihood = _Likelihood(tuple(parts), *fit.parameters.prior_residuals(fit.state))
+        declared = np.array([*np.ones(len(parts)), max(problem.joint_sigma, _LEAST_JOINT) ** 2])
+        start = np.array([*np.ones(len(parts)), max(problem.joint_sigma, _USUAL_JOINT) ** 2])
+        found, best = likelihood.maximise(start)
+        sigma = 0.5 * np.sqrt(np.diag(np.linalg.inv(best.information + _VAGUE * np.eye(len(found)))))
+        falls = []
+        for k in range(len(found)):
+            _, held = likelihood.maximise(np.where(np.arange(len(found)) == k, declared, found), hold=k)
+            falls.append(max(0.0, 2.0 * (best.value - held.value)))
+    names = [(of.table.noise, of.table.unit, rms(of.table.sigma)) for of in problem.observations]
+    names.append(("joint", "rad", 1.0))
+    return tuple(
+        FoundNoise(
+            name,
+            unit,
+            None if name in undeclared else problem.joint_sigma if name == "joint" else usual,
+            usual * float(np.sqrt(found[k])),
+            float(sigma[k]),
+            0.0 if name in undeclared else falls[k],
+        )
+        for k, (name, unit, usual) in enumerate(names)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """One kind of measurement at N poses of M numbers: residuals, derivatives, and the covariances to be scaled."""
+
+    residual: Floats
+    J: Floats
+    C: Floats
+    K: Floats
+    rest: Floats
+
+    @classmethod
+    def of(cls, problem: Problem, fit: Solution, observed: Observations, kept: Bools) -> _Part:
+        some = observed.even(_MOST_POSES)
+        at = Tangent.at(problem, observed.at(some), fit.state, fit.parameters).linearise()
+        N, m, D = at.residual.shape
+        used = np.repeat(kept[some], D, axis=1)
+        both = used[:, :, None] * used[:, None, :]
+        return cls(
+            at.residual.reshape(N, m * D) * used,
+            at.J.reshape(N, m * D, -1) * used[..., None],
+            block_diagonal(observed.covariance[some]) * both,
+            joint_covariance(at, problem.arm.chain.reading_jacobian, 1.0) * both,
+            np.eye(m * D) * ~used[:, :, None],
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _LikelihoodValue:
+    """The restricted log-likelihood, its derivative by the variances' logarithms, and its Fisher information."""
+
+    value: float
+    score: Floats
+    information: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class _Likelihood:
+    parts: tuple[_Part, ...]
+    r_prior: Floats
+    J_prior: Floats
+
+    def maximise(self, variances: Floats, hold: int | None = None) -> tuple[Floats, _LikelihoodValue]:
+        """Return the likeliest variances, one of them held, and the likelihood there."""
+        free = np.arange(len(variances)) != hold
+        least = np.append(np.full(len(self.parts), _LEAST_SHARE**2), _LEAST_JOINT**2)
+        for _ in range(_ROUNDS):
+            at = self.at(variances)
+            information = at.information[np.ix_(free, free)]
+            damped = information + _VAGUE * np.eye(len(information))
+            step = np.zeros(len(variances))
+            step[free] = np.clip(np.linalg.solve(damped, at.score[free]), -_LARGEST_STEP, _LARGEST_STEP)
+            moved = np.maximum(variances * np.exp(step), least)
+            change = np.abs(np.log(moved / variances)).max()
+            variances = moved
+            if change < _SETTLED:
+                break
+        return variances, self.at(variances)
+
+    def at(self, variances: Floats) -> _LikelihoodValue:
+        """Evaluate."""
+        count = len(variances)
+        H, g = self.J_prior.T @ self.J_prior, self.J_prior.T @ self.r_prior
+        whitened, value = [], -0.5 * float(self.r_prior @ self.r_prior)
+        for k, part in enumerate(self.parts):
+            L = np.linalg.cholesky(variances[k] * part.C + variances[-1] * part.K + part.rest)
+            W = np.linalg.inv(L)
+            J, r = W @ part.J, (W @ part.residual[..., None])[..., 0]
+            whitened.append((W, J, r))
+            H, g = H + np.einsum("nij,nik->jk", J, J), g + np.einsum("nij,ni->j", J, r)
+            value -= float(np.sum(np.log(np.diagonal(L, axis1=1, axis2=2)))) + 0.5 * float(np.sum(r**2))
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
+        scaled = H * np.outer(scale, scale)
+        covariance = np.linalg.pinv(scaled, hermitian=True) * np.outer(scale, scale)
+        step = -covariance @ g
+        value += 0.5 * float(g @ covariance @ g) - 0.5 * float(np.linalg.slogdet(H)[1])
+        score, information = np.zeros(count), np.zeros((count, count))
+        for k, (part, (W, J, r)) in enumerate(zip(self.parts, whitened, strict=True)):
+            Wt = np.swapaxes(W, 1, 2)
+            left = r + J @ step
+            shares = {k: variances[k] * (W @ part.C @ Wt), count - 1: variances[-1] * (W @ part.K @ Wt)}
+            for i, V in shares.items():
+                taken = np.sum((J @ covariance) * (V @ J))
+                explained = np.einsum("ni,nij,nj->", left, V, left)
+                score[i] += 0.5 * (explained - np.trace(V, axis1=1, axis2=2).sum() + taken)
+                for j, U in shares.items():
+                    information[i, j] += 0.5 * np.einsum("nij,nji->", V, U)
+        return _LikelihoodValue(value, score, information)

@@ -1,0 +1,86 @@
+"""The parts of the result document that hold the evidence on it, and what all its parts are made of."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+
+# Rotations are written with all their digits.
+_RIGID = 1e-9
+
+
+def _rigid(T: list[list[float]]) -> list[list[float]]:
+    M = np.array(T)
+    if (
+        not np.allclose(M[:3, :3].T @ M[:3, :3], np.eye(3), rtol=0.0, atol=_RIGID)
+        or np.linalg.det(M[:3, :3]) < 0.0
+        or M[3].tolist() != [0.0, 0.0, 0.0, 1.0]
+    ):
+        raise ValueError("it is no rigid transform")
+    return T
+
+
+Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
+Interval = Annotated[list[float], Field(min_length=2, max_length=2)]
+Row = Annotated[list[float], Field(min_length=4, max_length=4)]
+Transform = Annotated[list[Row], Field(min_length=4, max_length=4), AfterValidator(_rigid)]
+Sigmas = list[float | None]
+"""Standard deviations; None where a value is fixed."""
+
+
+class Section(BaseModel):
+    """Keys that are absent from the file stay absent: ``model_dump(exclude_unset=True)`` gives what was read."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class TipSection(Section):
+    """The error of the calibrated tip that is to be expected over the workspace, the bases aligned. [mm]."""
+
+    rms_mm: float
+    interval_mm: Interval
+
+
+class RegionsSection(Section):
+    """Prediction errors in regions left out of the estimate; the interval is that of a further region. [mm]."""
+
+    count: int
+    rms_nominal_mm: float
+    rms_mm: float
+    interval_mm: Annotated[list[float | None], Field(min_length=2, max_length=2)]
+
+
+class ScaleSection(Section):
+    """What 0.1 % of the instrument's length unit is at the tip, and the common factor of all lengths. [mm, 1]."""
+
+    tip_mm_per_permille: float
+    factor: float
+    factor_sigma: float | None
+    declared_sigma: float | None = None
+
+
+class NoiseEntry(Section):
+    """The standard deviation of one kind of reading; found to that share of itself."""
+
+    unit: str
+    declared: float | None
+    found: float
+    relative_sigma: float
+
+
+class FindingEntry(Section):
+    """An effect or event that explains a share of the squared residuals; from a pose on, or in all of them."""
+
+    name: str
+    sentence: str
+    share: float
+    pose: str | None
+    alike: list[str]
+
+
+class DomainSection(Section):
+    """The ranges of the joint values that were measured. [rad or m]."""
+
+    joints: dict[str, Interval]
