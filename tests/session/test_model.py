@@ -17,10 +17,12 @@ from urdfcal.io.folder import read_rig, read_session
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.io.writing import write_session
 from urdfcal.session.knowledge import Estimate, Led, LedDistance, Noise, Tolerances
-from urdfcal.session.model import RigDescription, Session, Stand
+from urdfcal.session.rig_description import RigDescription, Stand
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from urdfcal.session.model import Session
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from urdfcal.robot.kinematics import LinkMotion
 
 _EVERY = slice(None)
+# Newton's method on a pose that is a centimetre off arrives in four steps at 1e-12; beside a singularity it does not.
+_NEWTON, _ZERO, _SINGULAR = 8, 1e-11, 1e-2
 
 
 class Jacobian:
@@ -144,3 +146,20 @@ def _by_placements(
         if values is not None
     ]
     return sum(parts[1:], start=parts[0]) if parts else np.zeros(shape)
+
+
+def fulfilled(problem: Problem, observed: Observations, state: State, parameters: Parameters) -> Observations:
+    """Move joint readings to where the arm, as a state has it, does what was observed; other poses are left out.
+
+    That something is zero, as a ball's distance from its socket, stays true however all turn together, but a residual
+    turns along, and its derivative would look like information. Newton's method, with the shortest step of each pose.
+    """
+    for _ in range(_NEWTON):
+        at = Tangent.at(problem, observed, state, parameters).linearise()
+        r, J = at.residual.reshape(len(at.residual), -1, 1), at.J_q
+        done = np.abs(r[..., 0]).max(axis=1) < _ZERO
+        if done.all():
+            break
+        q = observed.readings.q - (np.linalg.pinv(J, rcond=_SINGULAR) @ r)[..., 0]
+        observed = replace(observed, readings=replace(observed.readings, q=q))
+    return observed.at(done) if done.any() else observed

@@ -21,7 +21,8 @@ from urdfcal.robot.urdf.urdf import Urdf, find_urdf
 from urdfcal.session.attachments import WORLD
 from urdfcal.session.exclusion import labels, leave_out
 from urdfcal.session.knowledge import Excluded, Led
-from urdfcal.session.model import Positions, RigDescription, Session, Stand
+from urdfcal.session.model import Positions, Session
+from urdfcal.session.rig_description import RigDescription, Stand
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -151,7 +152,9 @@ def read_rig(path: str | Path) -> RigDescription:
         remedy = "It says where the first camera stands that is on no link."
         raise SessionError("the key 'stand' is missing", where=document.place(), remedy=remedy)
     with document.placing():
-        return RigDescription(**setup, stand=stand)
+        return RigDescription(
+            **setup, stand=stand, places={name: np.array(place) for name, place in keys.places.items()}
+        )
 
 
 def read_points(path: str | Path, session: Session) -> tuple[Points, tuple[Led, ...]]:

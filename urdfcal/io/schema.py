@@ -13,7 +13,17 @@ from urdfcal.names import flaw
 from urdfcal.robot.dh import Parameter  # noqa: TC001  # pydantic needs it at run time
 from urdfcal.rotations import rpy_to_matrix
 from urdfcal.session.attachments import CameraMount
-from urdfcal.session.knowledge import ArmGeometry, Estimate, Freedom, Led, LedDistance, Noise, TimeOffset, Tolerances
+from urdfcal.session.knowledge import (
+    ArmGeometry,
+    Estimate,
+    Freedom,
+    Led,
+    LedDistance,
+    Noise,
+    PlaceDistance,
+    TimeOffset,
+    Tolerances,
+)
 
 
 def _named(name: str) -> str:
@@ -58,6 +68,14 @@ class LedDistanceKeys(_Keys):
     """The distance of two LEDs, in m."""
 
     leds: tuple[Name, Name] = Field(strict=False)
+    distance: Positive
+    sigma: Positive
+
+
+class PlaceDistanceKeys(_Keys):
+    """The distance of two places, in m."""
+
+    places: tuple[Name, Name] = Field(strict=False)
     distance: Positive
     sigma: Positive
 
@@ -199,6 +217,7 @@ class SetupFile(_Keys):
         AfterValidator(_at_least_one),
     ]
     led_distances: list[LedDistanceKeys] = []
+    place_distances: list[PlaceDistanceKeys] = []
     cameras: _Cameras | None = None
     noise: NoiseKeys = NoiseKeys()
     estimate: _Estimate = EstimateKeys()
@@ -215,6 +234,7 @@ class SetupFile(_Keys):
             "leds": tuple(Led(name, **dict(led)) for name, led in self.leds.items()),
             "mounts": self.cameras.mounts if self.cameras is not None else (),
             "led_distances": tuple(LedDistance(**dict(distance)) for distance in self.led_distances),
+            "place_distances": tuple(PlaceDistance(**dict(distance)) for distance in self.place_distances),
             "noise": Noise(**own, other=noise),
             "estimate": Estimate(**dict(self.estimate)),
             "tolerances": Tolerances(tolerances.length, tolerances.angle, tolerances.zero, exceptions),
@@ -226,9 +246,15 @@ class SetupFile(_Keys):
 class RigFile(SetupFile):
     """rig.yaml."""
 
-    cameras: _Cameras
     estimate: Annotated[_Estimate, AfterValidator(_at_rest)] = EstimateKeys()
     stand: StandKeys | None = None
+    places: dict[Name, Vector] = {}
+
+    @model_validator(mode="after")
+    def _measured(self) -> RigFile:
+        if self.cameras is None and not self.places:
+            raise ValueError("there are neither cameras nor places to touch: nothing can be measured")
+        return self
 
 
 if TYPE_CHECKING:
@@ -258,6 +284,8 @@ class SessionFile(_Tables):
             if self.frames is not None and "camera" not in kind.keys:
                 both = f"frames and {kind.kind} are both named"
                 raise ValueError(f"{both}: {kind.kind} belong to an arm that stands still")
+        if self.place_distances and not any("place" in kind.keys for kind in self.tables):
+            raise ValueError("place_distances are given, but nothing that names places, such as contacts")
         if self.frames is not None and self.cameras is None:
             raise ValueError("frames are named, but no cameras")
         if self.frames is None and self.estimate.time_offset is not None:

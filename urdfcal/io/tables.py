@@ -179,7 +179,7 @@ def read_measurements(
     index = {key: table.indices(key, names[key], _KNOWN.get(key, f"{key}s")) for key in looked_up}
     if frames is not None:
         index["pose"] = frames.poses(table, index["camera"], names["camera"])
-    numbers = table.numbers(kind.columns, _MISSING)
+    numbers = table.numbers(kind.columns, _MISSING, positive=kind.positive)
     own = "sigma" in table.columns
     spread = table.numbers(["sigma"], positive=True)[:, 0] if own else np.full(len(numbers), sigma)
     order = np.lexsort([index[key] for key in reversed(kind.keys)])

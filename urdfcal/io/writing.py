@@ -129,6 +129,7 @@ def _write_files(folder: Path, session: Positions, urdf: Urdf) -> None:
         "robot": {"urdf": reference, "base_link": chain.base_link, "tip_link": chain.tip_link},
         "leds": {led.name: _said(link=led.link, position=led.position, sigma=led.sigma) for led in session.leds},
         "led_distances": [vars(of) | {"leds": list(of.leds)} for of in session.led_distances],
+        "place_distances": [vars(of) | {"places": list(of.places)} for of in session.place_distances],
     }
     if session.rig.cameras:
         mounts = {mount.camera: _mount_keys(mount) for mount in session.mounts}

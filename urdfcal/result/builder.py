@@ -13,6 +13,8 @@ from urdfcal.estimation.blocks.arm import LENGTHS
 from urdfcal.estimation.blocks.base_pose import BASE
 from urdfcal.estimation.blocks.cameras import lens_key, pose_key
 from urdfcal.estimation.blocks.leds import LEDS
+from urdfcal.estimation.blocks.places import PLACES
+from urdfcal.estimation.blocks.planes import PLANES
 from urdfcal.estimation.joint_models.time_offset import TIME_OFFSETS
 from urdfcal.estimation.measurements.pixels import triangulate
 from urdfcal.estimation.model_selection import Trial
@@ -33,7 +35,8 @@ if TYPE_CHECKING:
 def build_document(of: FittedCalibration) -> d.ResultDocument:
     """Collect everything that a fitted calibration says."""
     parameters = _parameters(of)
-    listed: dict[str, Any] = {"parameters": parameters} if parameters else {}  # absent where there are none
+    parts = {"places": _places(of), "planes": _planes(of), "parameters": parameters}
+    listed: dict[str, Any] = {key: part for key, part in parts.items() if part}  # absent where there are none
     named = of.session.excluded.named
     excluded: dict[str, Any] = {"excluded": named} if named else {}
     return d.ResultDocument(
@@ -174,6 +177,24 @@ def _leds(of: FittedCalibration) -> dict[str, d.LedEntry]:
     return result
 
 
+def _places(of: FittedCalibration) -> dict[str, d.PlaceEntry]:
+    sigmas = of.sigmas_of(PLACES).reshape(-1, 3)
+    return {
+        name: d.PlaceEntry(position=of.fit.state[PLACES][k].tolist(), sigma=_known(sigmas[k]))
+        for k, name in enumerate(of.session.named("place"))
+    }
+
+
+def _planes(of: FittedCalibration) -> dict[str, d.PlaneEntry]:
+    sigmas = of.sigmas_of(PLANES).reshape(-1, 3)
+    return {
+        name: d.PlaneEntry(
+            normal=of.fit.state[PLANES][k, :3].tolist(), offset=of.fit.state[PLANES][k, 3], sigma=_known(sigmas[k])
+        )
+        for k, name in enumerate(of.session.named("plane"))
+    }
+
+
 def _camera(of: FittedCalibration, c: int) -> d.CameraEntry:
     """A camera's lens, and its pose in the world or on its link; of an arm that moved its clock's time offset."""
     camera, T, attachments = of.estimate.cameras[c], of.estimate.T_cam_frame[c], of.session.attachments
@@ -271,6 +292,7 @@ def _evidence(of: FittedCalibration) -> dict[str, Any]:
             factor=scale.factor,
             factor_sigma=scale.sigma if np.isfinite(scale.sigma) else None,
             declared_sigma=scale.declared,
+            unit=scale.unit,
         ),
         "noise": {
             noise.name: e.NoiseEntry(

@@ -120,7 +120,17 @@ def restored(session: Session) -> Session:
     if excluded.whole is None:
         return session
     again = leave_out(excluded.whole, excluded)
-    settings = ("noise", "tolerances", "estimate", "joint_models", "led_distances", "folder", "sha256", "warnings")
+    settings = (
+        "noise",
+        "tolerances",
+        "estimate",
+        "joint_models",
+        "led_distances",
+        "place_distances",
+        "folder",
+        "sha256",
+        "warnings",
+    )
     if not _same(session, again, {*settings, "excluded"}):
         return replace(session, excluded=Excluded())
     own = {name: getattr(session, name) for name in settings if not _same(getattr(session, name), getattr(again, name))}

@@ -63,10 +63,35 @@ class LedDistance:
     sigma: float
 
     def __post_init__(self) -> None:
-        where = f"distance of LEDs {self.leds[0]!r} and {self.leds[1]!r}"
-        if self.leds[0] == self.leds[1]:
-            raise SessionError("an LED has no distance to itself", where=where)
-        _keep_numbers(self, where, "distance", "sigma")
+        _check_distance(self, "LED", self.leds)
+
+    @property
+    def between(self) -> tuple[str, str]:
+        """The names of its ends."""
+        return self.leds
+
+
+@dataclass(frozen=True)
+class PlaceDistance:
+    """The known distance of two places, as of sockets in one plate.
+
+    Attributes:
+        places: the two.
+        distance: between them. [m]
+        sigma: how well it is known, one standard deviation. [m]
+    """
+
+    places: tuple[str, str]
+    distance: float
+    sigma: float
+
+    def __post_init__(self) -> None:
+        _check_distance(self, "place", self.places)
+
+    @property
+    def between(self) -> tuple[str, str]:
+        """The names of its ends."""
+        return self.places
 
 
 @dataclass(frozen=True)
@@ -210,6 +235,13 @@ class Excluded:
 
 def _numbers(values: Mapping[str, float], where: str, *, zero: bool = False) -> ReadOnly[str, float]:
     return ReadOnly({str(name): finite_number(value, name, where, zero=zero) for name, value in values.items()})
+
+
+def _check_distance(distance: object, what: str, ends: tuple[str, str]) -> None:
+    where = f"distance of {what}s {ends[0]!r} and {ends[1]!r}"
+    if ends[0] == ends[1]:
+        raise SessionError(f"{'an' if what == 'LED' else 'a'} {what} has no distance to itself", where=where)
+    _keep_numbers(distance, where, "distance", "sigma")
 
 
 def _keep_numbers(declared: object, where: str, *names: str, zero: bool = False) -> None:

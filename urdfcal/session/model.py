@@ -15,11 +15,11 @@ from urdfcal.errors import SessionError
 from urdfcal.names import check_known, check_names
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.session.attachments import Attachments, CameraMount, attach
-from urdfcal.session.knowledge import Estimate, Excluded, Led, LedDistance, Noise, Tolerances
+from urdfcal.session.knowledge import Estimate, Excluded, Led, LedDistance, Noise, PlaceDistance, Tolerances
 from urdfcal.session.trajectory import AT_REST, Motion, Trajectory
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
     from pathlib import Path
 
     from typing_extensions import Self
@@ -49,6 +49,8 @@ class Measurements(Rebuilt, ABC):
         dimension: D, the numbers of one measurement.
         columns: the columns that hold these; none where they are zero.
         array: the field that holds these; empty where there is none.
+        positive: whether they all are.
+        repeats: whether different poses may well show the same, as a bar of one length does.
         noise: the key of ``noise`` that says the usual standard deviation.
         usual: its default.
         unit: of the numbers.
@@ -60,6 +62,8 @@ class Measurements(Rebuilt, ABC):
     dimension: ClassVar[int]
     columns: ClassVar[tuple[str, ...]] = ()
     array: ClassVar[str] = ""
+    positive: ClassVar[bool] = False
+    repeats: ClassVar[bool] = False
     noise: ClassVar[str]
     usual: ClassVar[float]
     unit: ClassVar[str]
@@ -166,6 +170,7 @@ class Setup(Rebuilt):
         chain: the joints that are calibrated; a tree of them where LEDs and cameras are on different links.
         leds: on links of the robot, or in the world.
         led_distances: measured between them.
+        place_distances: known between the places that measurements name.
         rig: the cameras; none where something else measures.
         mounts: of the eye-in-hand cameras.
         urdf: the robot description; None for a chain from elsewhere.
@@ -182,6 +187,7 @@ class Setup(Rebuilt):
     chain: Mechanism
     leds: tuple[Led, ...]
     led_distances: tuple[LedDistance, ...] = ()
+    place_distances: tuple[PlaceDistance, ...] = ()
     rig: Rig = field(default_factory=Rig)
     mounts: tuple[CameraMount, ...] = ()
     urdf: Urdf | None = None
@@ -196,6 +202,7 @@ class Setup(Rebuilt):
 
     def __post_init__(self) -> None:
         keep(self, leds=tuple(self.leds), led_distances=tuple(self.led_distances), mounts=tuple(self.mounts))
+        keep(self, place_distances=tuple(self.place_distances))
         keep(self, sha256=ReadOnly(self.sha256), joint_models=ReadOnly(self.joint_models))
         for name in (name for distance in self.led_distances for name in distance.leds):
             check_known(name, self.led_names, "LEDs", "led_distances")
@@ -223,44 +230,6 @@ class Setup(Rebuilt):
     def led_names(self) -> tuple[str, ...]:
         """The LEDs' names, in order."""
         return tuple(led.name for led in self.leds)
-
-
-@dataclass(frozen=True, eq=False)
-class Stand:
-    """Where a camera stands and looks.
-
-    Attributes:
-        position: (3,) in the base link's frame. [m]
-        look_at: (3,) point on its optical axis, in the base link's frame. [m]
-    """
-
-    position: Floats
-    look_at: Floats
-
-    def __post_init__(self) -> None:
-        places = {name: finite_array(getattr(self, name), (3,), name, "stand") for name in ("position", "look_at")}
-        keep(self, **places)
-        if np.array_equal(self.position, self.look_at):
-            raise SessionError("the camera looks at its own place", where="stand")
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class RigDescription(Setup):
-    """A rig: a setup and where it stands, enough to simulate a session.
-
-    Attributes:
-        stand: of the first camera that stands still; None where all ride on the robot.
-    """
-
-    stand: Stand | None = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.stand is None and len(self.attachments.eye_to_hand):
-            raise SessionError("where the first camera stands is not given", where="stand")
-        if self.stand is not None and self.mounts and not len(self.attachments.eye_to_hand):
-            remedy = "Leave the key 'stand' out."
-            raise SessionError("no camera stands: all ride on the robot", where="stand", remedy=remedy)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -323,7 +292,7 @@ class Session(Positions):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        keep(self, measurements=tuple(self.measurements))
+        keep(self, measurements=_numbered_alike(self.measurements))
         if not self.measurements:
             raise SessionError("there are no measurements", remedy="There is nothing to calibrate from.")
         counts = {"pose": len(self.poses), "led": len(self.leds), "camera": len(self.rig.cameras)}
@@ -337,6 +306,18 @@ class Session(Positions):
                     raise SessionError("a moving arm is measured by cameras alone", where="session")
                 if np.any(table.index["camera"] != self.motion.camera[table.pose]):
                     raise SessionError("a detection is by another camera than its frame", where=table.kind)
+        places = self.named("place")
+        for name in (name for known in self.place_distances for name in known.places if places):
+            check_known(name, places, "places", "place_distances")
+
+    def named(self, key: str) -> tuple[str, ...]:
+        """Return what only tables name under a key, such as places; all tables of the session number it alike."""
+        return next((table.names[key] for table in self.measurements if key in table.names), ())
+
+    def measured_of(self, key: str) -> frozenset[int]:
+        """Return the indices under a key of which there are measurements."""
+        tables = (table.index[key] for table in self.measurements if key in table.index)
+        return frozenset(i for column in tables for i in np.unique(column).tolist())
 
     def find(self, kind: type[Kind]) -> Kind | None:
         """Return the measurements of a kind; None if there are none."""
@@ -393,3 +374,21 @@ class Session(Positions):
     def unmeasured(self) -> Positions:
         """Return the same without its measurements."""
         return Positions(**{f.name: getattr(self, f.name) for f in fields(Positions)})
+
+
+def _numbered_alike(tables: Iterable[Measurements]) -> tuple[Measurements, ...]:
+    """Number what several tables name, such as places, alike in all of them."""
+    tables = tuple(tables)
+    names: dict[str, dict[str, None]] = {}
+    for table in tables:
+        for key, own in table.names.items():
+            names[key] = names.get(key, {}) | dict.fromkeys(own)
+    result = []
+    for table in tables:
+        every = {key: tuple(names[key]) for key in table.names}
+        if every != dict(table.names):
+            index = {key: np.array([every[key].index(of) for of in own]) for key, own in table.names.items()}
+            changes: dict[str, Any] = {key: number[table.index[key]] for key, number in index.items()}
+            table = replace(table, **changes, names=every)
+        result.append(table)
+    return tuple(result)

@@ -82,13 +82,21 @@ class Scene:
     def _points(self, q: Floats, *, mirrored: bool = False) -> Floats:
         """Return the LEDs (N, C, L, 3) in the cameras' frames. [m]."""
         T_base_frame = self._frames(q)
-        leds = np.concatenate([self.leds, np.ones((len(self.leds), 1))], axis=1)
-        p_base = (T_base_frame[self.attachments.led] @ leds[:, None, :, None])[..., 0]  # (L, N, 4)
+        p_base = self._leds_in_base(T_base_frame)
         if mirrored:
             p_base = p_base * [1.0, 1.0, -1.0, 1.0]
         T_cam_base = self.T_cam_frame[:, None] @ inverse(T_base_frame)[self.attachments.camera]  # (C, N, 4, 4)
         points = T_cam_base.swapaxes(0, 1)[:, :, None] @ p_base.swapaxes(0, 1)[:, None, :, :, None]
         return np.asarray(points[..., :3, 0])
+
+    def led_positions(self, q: Floats) -> Floats:
+        """Return the LEDs (N, L, 3) in the base link's frame at joint values ``q`` (N, n). [m]."""
+        return np.asarray(self._leds_in_base(self._frames(q)).swapaxes(0, 1)[..., :3])
+
+    def _leds_in_base(self, T_base_frame: Floats) -> Floats:
+        """Return the LEDs (L, N, 4) in homogeneous coordinates. [m]."""
+        leds = np.concatenate([self.leds, np.ones((len(self.leds), 1))], axis=1)
+        return np.asarray((T_base_frame[self.attachments.led] @ leds[:, None, :, None])[..., 0])
 
     def _frames(self, q: Floats) -> Floats:
         """Return T_base_frame (F, N, 4, 4) of the world and of the links that carry LEDs or cameras. [m]."""

@@ -1,7 +1,7 @@
 """What every kind of measurement must do, whatever it measures.
 
-A new kind is tested here on an invented session, in which every LED is measured once in every pose, each time with
-things of its own; one that can make nothing of that needs an entry in ``SESSIONS``.
+A new kind is tested here on an invented session, in which every LED is measured once in every pose, by turns with
+three things of its own; one that can make nothing of that needs an entry in ``SESSIONS``.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from urdfcal.estimation.observations import Observations
     from urdfcal.session.model import Session
 
+_THINGS = 3
 GEOMETRIES = ("dh", "offsets", "full", "none")
 
 
@@ -59,15 +60,15 @@ poses or so. It may have measurements of other kinds as well, if they are needed
 def invented(kind: type[Measurement], simulated: Callable) -> Session:
     """Beside two cameras' detections, one measurement of each LED in each pose by each camera, if it has to do with it.
 
-    What the nominal robot predicts is measured; in each row of other things that the table names.
+    What the nominal robot predicts is measured, of three things by turns where the table names such.
     """
     session = branched(simulated)
     counts = {"pose": len(session.poses), "led": len(session.leds), "camera": len(session.rig.cameras)}
     known = [key for key in kind.keys if key in counts]
     index = dict(zip(known, np.indices([counts[key] for key in known]).reshape(len(known), -1), strict=True))
     rows = np.arange(index["pose"].size)
-    own = {key: rows for key in kind.keys if key not in counts}
-    names = {key: tuple(f"{key}{row}" for row in rows) for key in own}
+    own = {key: rows % _THINGS for key in kind.keys if key not in counts}
+    names = {key: tuple(f"{key}{thing}" for thing in range(_THINGS)) for key in own}
     zero = {kind.array: np.zeros((len(rows), kind.dimension))} if kind.array else {}
     table = kind(**index, **own, **zero, sigma=np.array(kind.usual), names=names)
     session = replace(session, measurements=(*session.measurements, table))

@@ -11,7 +11,7 @@ import numpy as np
 from urdfcal.arrays import one_blas_thread
 from urdfcal.estimation.blocks.base_pose import BaseBlock
 from urdfcal.estimation.blocks.cameras import CameraPoseBlock, LensBlock, camera_poses, camera_values
-from urdfcal.estimation.blocks.leds import LEDS, LedDistances, LedsBlock
+from urdfcal.estimation.blocks.leds import LEDS, LedsBlock
 from urdfcal.estimation.blocks.scale import ScaleBlock
 from urdfcal.estimation.linearize import Tangent
 from urdfcal.estimation.parameters import Parameters
@@ -236,7 +236,4 @@ def _everything(session: Session, state: State) -> Parameters:
     blocks += [CameraPoseBlock.of(lens.name, T, free) for lens, T in zip(lenses, poses, strict=True)]
     blocks += [LensBlock.of(lens, np.full(len(lens.parameters), np.inf)) for lens in lenses]
     size = sum(len(block) for block in blocks)
-    nothing: Sequence[Any] = ()
-    return Parameters(
-        tuple(blocks), np.eye(size), np.zeros(size, dtype=bool), LedDistances.of(session.led_names, nothing)
-    )
+    return Parameters(tuple(blocks), np.eye(size), np.zeros(size, dtype=bool))

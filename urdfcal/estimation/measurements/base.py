@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from urdfcal.session.model import Measurements
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from urdfcal.arrays import Bools, Floats, Ints
     from urdfcal.estimation.blocks.base import Block
     from urdfcal.estimation.linearize import Jacobian
@@ -18,7 +20,7 @@ if TYPE_CHECKING:
     from urdfcal.estimation.model_spec import ModelSpec
     from urdfcal.estimation.observations import Observations
     from urdfcal.estimation.start import Start
-    from urdfcal.estimation.state import State
+    from urdfcal.estimation.state import Key, State
     from urdfcal.session.attachments import Attachments
     from urdfcal.session.model import Session
 
@@ -60,7 +62,12 @@ class Measurement(Measurements):
 
     S measurements of D = ``dimension`` numbers each are arranged by pose as (N, m) ``Observations``. Register the
     class in ``urdfcal.estimation.measurements``.
+
+    Attributes:
+        own: of the keys that name things of unknown place, the block of these unknowns, as many for each thing.
     """
+
+    own: ClassVar[Mapping[str, Key[Any]]] = {}
 
     @property
     def covariances(self) -> Floats:

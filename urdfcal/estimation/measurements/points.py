@@ -7,23 +7,22 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from urdfcal.estimation.blocks.base_pose import BASE
 from urdfcal.estimation.blocks.scale import SCALE, scale_of
-from urdfcal.estimation.measurements.base import ByFrame, Measurement, WorldPoints
-from urdfcal.estimation.measurements.point_geometry import by_frames, led_points, put_leds, seen_from
+from urdfcal.estimation.measurements.base import WorldPoints
+from urdfcal.estimation.measurements.leds_in_world import LedPositions
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from typing import Any
+
     from urdfcal.arrays import Floats, Ints
-    from urdfcal.estimation.linearize import Jacobian
-    from urdfcal.estimation.links import Links
-    from urdfcal.estimation.observations import Observations
-    from urdfcal.estimation.state import State
+    from urdfcal.estimation.state import Key, State
     from urdfcal.session.attachments import Attachments
     from urdfcal.session.model import Session
 
 
 @dataclass(frozen=True, eq=False)
-class Points(Measurement):
+class Points(LedPositions):
     """LEDs measured in 3-D, sorted by pose and LED.
 
     Attributes:
@@ -47,28 +46,17 @@ class Points(Measurement):
     xyz: Floats
     sigma: Floats
 
-    def predict(self, observed: Observations, links: Links, state: State) -> Floats:
-        """Return the LEDs' positions in the world as the instrument measures them, (N, m, 3). [m]."""
-        return scale_of(state) * self.points(observed, links, state)[1]
+    def measured(self, p_world: Floats, index: Mapping[str, Ints], state: State) -> Floats:
+        """Return the points as the instrument measures them."""
+        del index
+        return scale_of(state) * p_world
 
-    def linearise(self, observed: Observations, links: Links, state: State, J: Jacobian) -> ByFrame:
-        """Differentiate the LEDs' positions in the world."""
-        lever, p_base = led_points(observed, links, state)
-        world = np.zeros_like(observed.row)
-        E = np.broadcast_to(scale_of(state) * state[BASE][:3, :3], (world.size, 3, 3)).copy()
-        E[~observed.valid.ravel()] = 0.0
-        put_leds(J, observed, links, E)
-        led_frame = links.attachments.led[observed.index["led"]]
-        p_world = seen_from(links, p_base, world)
-        if J.wants(SCALE):
-            J.put(SCALE, np.where(observed.valid[..., None], p_world, 0.0).reshape(-1, 3, 1))
-        return ByFrame(scale_of(state) * p_world, by_frames(links, E, lever, p_base, led_frame, world))
-
-    def points(self, observed: Observations, links: Links, state: State) -> tuple[Ints, Floats]:
-        """Return the world as the frame, and the LEDs' positions in it."""
-        _, p_base = led_points(observed, links, state)
-        world = np.zeros_like(observed.row)
-        return world, seen_from(links, p_base, world)
+    def derivatives(
+        self, p_world: Floats, index: Mapping[str, Ints], state: State
+    ) -> tuple[Floats, Mapping[Key[Any], Floats]]:
+        """Return the scale times the identity, and the points by the scale."""
+        del index
+        return np.broadcast_to(scale_of(state) * np.eye(3), (len(p_world), 3, 3)), {SCALE: p_world[..., None]}
 
     @classmethod
     def defines_world(cls, attachments: Attachments) -> bool:

@@ -12,8 +12,8 @@ import numpy as np
 
 from urdfcal.errors import SessionError
 from urdfcal.estimation.blocks.arm import parameter_tolerance
-from urdfcal.estimation.measurements import Detections, Points
-from urdfcal.io.checks.content import check_images, check_names_by_rays, frozen_recording
+from urdfcal.estimation.measurements import Detections, Distances, Points
+from urdfcal.io.checks.content import check_images, check_names_by_rays, frozen_recording, told
 from urdfcal.io.csv_table import repeats
 from urdfcal.names import listed
 from urdfcal.session.attachments import WORLD
@@ -129,6 +129,8 @@ def check(inputs: Inputs) -> tuple[dict[type[Measurement], MeasurementTable], tu
     for kind, table in inputs.tables.items():
         tables[kind], odd = frozen_recording(inputs, table)
         warnings += odd
+    tables, odd = told(tables)
+    warnings += odd
     if Detections in tables:
         rays_meet, odd = check_names_by_rays(inputs.positions.rig, tables[Detections])
         tables[Detections], outside = check_images(inputs, tables[Detections], rays_meet)
@@ -241,6 +243,12 @@ def _check_noise_units(inputs: Inputs) -> None:
 
 
 def _check_point_units(inputs: Inputs) -> None:
+    table = inputs.tables.get(Distances)
+    far = np.flatnonzero(table.measurements.values[:, 0] > _TOO_WIDE * inputs.scale) if table is not None else ()
+    if table is not None and len(far):
+        first = table.first(np.asarray(far))
+        what = f"a distance of {table.measurements.values[first, 0]:g} m looks like millimetres: {inputs.reach}"
+        raise SessionError(what, where=table.place(first, "distance"), remedy="Write metres.")
     table = inputs.tables.get(Points)
     if table is None:
         return
