@@ -13,6 +13,7 @@ from urdfcal.estimation.blocks.arm import ArmBlock
 from urdfcal.estimation.blocks.base_pose import BaseBlock
 from urdfcal.estimation.blocks.leds import LEDS, LedDistances, LedsBlock
 from urdfcal.estimation.blocks.scale import ScaleBlock
+from urdfcal.estimation.blocks.targets import target_blocks
 from urdfcal.names import check_names
 
 if TYPE_CHECKING:
@@ -190,10 +191,10 @@ class Parameters:
 
 
 def choose_parameters(session: Session, problem: Problem, state: State, spec: ModelSpec) -> Parameters:
-    """List the blocks of an estimate, with tolerances and what was measured of LEDs and cameras as priors.
+    """List the blocks of an estimate, with tolerances and what was measured of LEDs, targets and cameras as priors.
 
     Args:
-        session: LED and camera knowledge, tolerances.
+        session: LED, target and camera knowledge, tolerances.
         problem: whose parameters they are.
         state: where priors without a known value are centred.
         spec: which of arm, lenses and camera poses are estimated.
@@ -214,6 +215,7 @@ def choose_parameters(session: Session, problem: Problem, state: State, spec: Mo
     in_world = any(table.defines_world(session.attachments) for table in tables)
     blocks.append(BaseBlock.of(fixed=None if in_world else "nothing is measured in the world: the base link is it"))
     blocks.append(LedsBlock.of(session.leds, state[LEDS], priors=spec.priors))
+    blocks += target_blocks(session.targets, state, priors=spec.priors)
     sets = [table.blocks(session, spec, state) for table in tables]
     first = sum(len(block) for block in blocks)
     size = first + sum(len(block) for of in sets for block in of.blocks)
@@ -231,5 +233,5 @@ def choose_parameters(session: Session, problem: Problem, state: State, spec: Mo
         tuple(blocks),
         frozen(correlation),
         frozen(measured, bool),
-        LedDistances.of(session.led_names, session.led_distances),
+        LedDistances.of([led.name for led in session.leds], session.led_distances),
     )

@@ -11,8 +11,11 @@ from urdfcal.estimation.blocks.base_pose import BASE
 from urdfcal.estimation.blocks.scale import SCALE, scale_of
 from urdfcal.estimation.measurements.base import ByFrame, Measurement, WorldPoints
 from urdfcal.estimation.measurements.point_geometry import by_frames, led_points, put_leds, seen_from
+from urdfcal.estimation.target_start import TargetViews, space_poses
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from urdfcal.arrays import Floats, Ints
     from urdfcal.estimation.linearize import Jacobian
     from urdfcal.estimation.links import Links
@@ -75,6 +78,16 @@ class Points(Measurement):
         """Return True: the tracker's frame is the world."""
         del attachments
         return True
+
+    def target_views(self, session: Session) -> Iterator[TargetViews]:
+        """Align each target with its points at every pose."""
+        attachments = session.attachments
+        target, first = attachments.led[self.led] - attachments.first_target, len(session.leds)
+        for t in np.unique(target[target >= 0]).tolist():
+            mine = np.flatnonzero(target == t)
+            points = attachments.target_points[self.led[mine] - first]
+            pose, T = space_poses(self.pose[mine], points, self.xyz[mine])
+            yield TargetViews(t, 0, np.eye(4), pose, T)
 
     def world_points(self, session: Session) -> WorldPoints:
         """Return the points as they are."""
