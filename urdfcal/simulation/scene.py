@@ -94,6 +94,14 @@ class Scene:
         towards = np.sum(T[..., :3, 2] * T[..., :3, 3], axis=-1) / np.linalg.norm(T[..., :3, 3], axis=-1)
         return np.asarray(towards > _FACING)
 
+    def turned_to(self, q: Floats) -> Bools:
+        """Return which LEDs and points of targets (N, C, L + M) face which cameras: LEDs shine to all sides."""
+        shown = np.ones((len(q), len(self.cameras), len(self.leds)), dtype=bool)
+        shown[..., self.led_count :] = self.faced(q)[
+            ..., self.attachments.led[self.led_count :] - self.attachments.first_target
+        ]
+        return shown
+
     def outlined(self) -> Scene:
         """Return the same scene with only the outermost points of targets: where they are seen, all is."""
         kept, attachments = list(range(self.led_count)), self.attachments
@@ -180,14 +188,11 @@ def simulate_detections(
     Returns:
         The detections, and the rows (K,) of the outliers among them.
     """
-    uv = scene.pixels(q)[np.arange(len(q))[:, None], views]
+    each = np.arange(len(q))[:, None]
+    uv, inside = scene.pixels(q)[each, views], scene.turned_to(q)[each, views]
     uv = uv + noise[0] * noise_rng.standard_normal(uv.shape)
-    inside = np.zeros(uv.shape[:-1], dtype=bool)
     for c, one in enumerate(scene.cameras):
-        inside[views == c] = one.in_image(uv[views == c])
-    faced = scene.faced(q)[np.arange(len(q))[:, None], views]
-    own = scene.attachments.led[scene.led_count :] - scene.attachments.first_target
-    inside[..., scene.led_count :] &= faced[..., own]
+        inside[views == c] &= one.in_image(uv[views == c])
     pose, view, led = np.nonzero(inside)
     camera, uv = views[pose, view], uv[inside]
     rows = np.sort(outlier_rng.choice(len(uv), round(outliers * len(uv)), replace=False))
