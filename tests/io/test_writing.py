@@ -16,6 +16,8 @@ from urdfcal.io.folder import read_session
 from urdfcal.io.schema import SessionFile
 from urdfcal.io.writing import write_session
 from urdfcal.session.knowledge import Estimate, Led, LedDistance, Noise, Tolerances
+from urdfcal.session.pattern import FramePattern
+from urdfcal.session.target import Target
 
 if TYPE_CHECKING:
     from urdfcal.session.model import Session
@@ -195,6 +197,7 @@ def test_every_key_that_is_read_is_written(tmp_path: Path, session: Session) -> 
     # Frames are only of an arm that moves; what is left out is written back in test_excluding.py.
     full = replace(
         session,
+        targets=(Target("probe", FramePattern()),),
         led_distances=(LedDistance(session.led_names[:2], 0.1, 1e-3),),
         estimate=Estimate("dh", "fixed"),
         joint_models={"zero_offset": True},

@@ -129,7 +129,7 @@ def test_sightings_that_do_not_fit_are_refused(changes: dict[str, Any], message:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"leds": ()}, "there is no LED"),
+        ({"leds": ()}, "there is neither an LED nor a target"),
         ({"leds": (Led("a"), Led("a"))}, "two LEDs are named 'a'"),
         ({"leds": (Led("a "),)}, "'a ' begins or ends with a blank"),
         ({"q": np.zeros((8, 4))}, r"q has shape \(8, 4\), not \(8, 5\)"),

@@ -9,11 +9,14 @@ import numpy as np
 
 from urdfcal.arrays import Bools, Floats, Ints, inverse
 from urdfcal.errors import CalibrationError
+from urdfcal.estimation.blocks.base_pose import BASE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from urdfcal.estimation.measurements.pixels import Detections
+    from urdfcal.estimation.start import Start
+    from urdfcal.estimation.state import State
     from urdfcal.session.model import Session
 
 _ENOUGH = 6
@@ -29,14 +32,19 @@ class Views:
     """What the cameras saw, and where the links that carry LEDs and cameras were.
 
     Attributes:
-        session: the cameras, and what is attached where.
-        links: (F, N, 4, 4) T_base_link of the session's frames 1, 2, ... at every pose. [m]
+        at: the session, and where the links of the nominal arm are.
         detections: of the session.
+        state: where the targets are, as far as that is known.
     """
 
-    session: Session
-    links: Floats
+    at: Start
     detections: Detections
+    state: State
+
+    @property
+    def session(self) -> Session:
+        """The cameras, and what is attached where."""
+        return self.at.session
 
     def base(self, T_cam_frame: Sequence[Floats | None], leds: Floats) -> Floats:
         """T_world_base by PnP of the eye-to-hand camera of known pose that sees most; the first one's is known."""
@@ -54,13 +62,13 @@ class Views:
         return self.resect(c, T_world_base, leds)
 
     def meet(self, T_world_base: Floats, T_cam_frame: Sequence[Floats | None], leds: Floats, wanted: Bools) -> Floats:
-        """Put LEDs (L, 3) where the rays that see them meet: least squares in their own frame, robust to no outlier.
+        """Put LEDs (L + M, 3) where the rays that see them meet: least squares in their frames, robust to no outlier.
 
         An LED that is not wanted, or whose rays are too few, stays where it is.
         """
         detections, attachments = self.detections, self.session.attachments
         leds = leds.copy()
-        for index in np.flatnonzero(wanted & np.isin(np.arange(len(leds)), detections.led)):
+        for index in np.intersect1d(np.flatnonzero(wanted), detections.led):
             A, b = np.zeros((3, 3)), np.zeros(3)
             for c, lens in enumerate(self.session.rig.cameras):
                 rows = np.flatnonzero((detections.led == index) & (detections.camera == c))
@@ -94,10 +102,13 @@ class Views:
 
     def _placed(self, c: int, T_world_base: Floats) -> tuple[Ints, Floats]:
         """A camera's detections of LEDs of roughly known position: rows, and T_view_led (S, 4, 4) of their frames."""
-        session, frames, d = self.session, self.session.attachments, self.detections
-        given = np.array([led.position is not None for led in session.leds])
-        # Where an LED stands in the world is known at most where the world is the base.
-        known = (frames.led != 0) | (given & (frames.camera[c] != 0))
+        frames, d = self.session.attachments, self.detections
+        given = self.at.placed(self.state)
+        carrier = frames.carrier[frames.led]
+        # Where an LED stands in the world is known at most where the world is the base; a target without its pose is
+        # nowhere.
+        known = np.where(frames.led < frames.first_target, carrier != 0, (carrier != 0) & given)
+        known |= given & (frames.camera[c] != 0)
         mine = np.flatnonzero((d.camera == c) & known[d.led])
         T = np.empty((len(mine), 4, 4))
         for frame in np.unique(frames.led[d.led[mine]]):
@@ -110,10 +121,7 @@ class Views:
         return inverse(self._frame(pose, view_frame, T_world_base)) @ self._frame(pose, led_frame, T_world_base)
 
     def _frame(self, pose: Ints, frame: int, T_world_base: Floats) -> Floats:
-        if frame == 0:
-            return np.broadcast_to(inverse(T_world_base), (len(pose), 4, 4))
-        result: Floats = self.links[frame - 1, pose]
-        return result
+        return self.at.frame(frame, pose, self.state.replace({BASE: T_world_base}))
 
     def resect(self, camera: int, T_world_base: Floats, leds: Floats) -> Floats:
         """The camera's place in its frame (4, 4) by PnP on the nominal arm's LED positions."""

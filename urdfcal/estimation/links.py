@@ -1,4 +1,4 @@
-"""Where the frames of LEDs and cameras are at every pose, seen from the base link."""
+"""Where the frames of LEDs, targets and cameras are at every pose, seen from the base link."""
 
 from __future__ import annotations
 
@@ -8,17 +8,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.arrays import inverse
+from urdfcal.estimation.blocks.base_pose import BASE
+from urdfcal.estimation.blocks.targets import target_key
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from urdfcal.arrays import Floats
+    from urdfcal.estimation.state import State
     from urdfcal.session.attachments import Attachments
 
 
 @dataclass(frozen=True, eq=False)
 class Links:
-    """Poses of the frames that LEDs and cameras are fixed in: 0 is the world, the others are links.
+    """Poses of the frames that LEDs, points of targets and cameras are fixed in: the world, links, targets.
 
     Attributes:
         attachments: what is fixed in which frame.
@@ -31,11 +34,16 @@ class Links:
     p: tuple[Floats, ...]
 
     @classmethod
-    def of(cls, attachments: Attachments, T_world_base: Floats, R: Sequence[Floats], p: Sequence[Floats]) -> Links:
-        """Take the world beside the links' rotations (N, 3, 3) and origins (N, 3)."""
-        T, N = inverse(T_world_base), len(R[0]) if R else 1
+    def of(cls, attachments: Attachments, state: State, R: Sequence[Floats], p: Sequence[Floats]) -> Links:
+        """Take the world and the targets of a state beside the links' rotations (N, 3, 3) and origins (N, 3)."""
+        T, N = inverse(state[BASE]), len(R[0]) if R else 1
         world = np.broadcast_to(T[:3, :3], (N, 3, 3)), np.broadcast_to(T[:3, 3], (N, 3))
-        return cls(attachments, (world[0], *R), (world[1], *p))
+        every_R, every_p = [world[0], *R], [world[1], *p]
+        for name, carrier in attachments.carried:
+            T = state[target_key(name)]
+            every_p.append(every_p[carrier] + every_R[carrier] @ T[:3, 3])
+            every_R.append(every_R[carrier] @ T[:3, :3])
+        return cls(attachments, tuple(every_R), tuple(every_p))
 
     def __len__(self) -> int:
         """Return the number of poses."""

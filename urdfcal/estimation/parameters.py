@@ -15,6 +15,7 @@ from urdfcal.estimation.blocks.known_distances import KnownDistances
 from urdfcal.estimation.blocks.leds import LEDS, LedsBlock
 from urdfcal.estimation.blocks.places import PLACES
 from urdfcal.estimation.blocks.scale import ScaleBlock
+from urdfcal.estimation.blocks.targets import target_blocks
 from urdfcal.names import check_names
 
 if TYPE_CHECKING:
@@ -195,10 +196,10 @@ class Parameters:
 
 
 def choose_parameters(session: Session, problem: Problem, state: State, spec: ModelSpec) -> Parameters:
-    """List the blocks of an estimate, with tolerances and what was measured of LEDs and cameras as priors.
+    """List the blocks of an estimate, with tolerances and what was measured of LEDs, targets and cameras as priors.
 
     Args:
-        session: LED and camera knowledge, tolerances.
+        session: LED, target and camera knowledge, tolerances.
         problem: whose parameters they are.
         state: where priors without a known value are centred.
         spec: which of arm, lenses and camera poses are estimated.
@@ -219,6 +220,7 @@ def choose_parameters(session: Session, problem: Problem, state: State, spec: Mo
     in_world = any(table.defines_world(session.attachments) for table in tables)
     blocks.append(BaseBlock.of(fixed=None if in_world else "nothing is measured in the world: the base link is it"))
     blocks.append(LedsBlock.of(session.leds, state[LEDS], priors=spec.priors))
+    blocks += target_blocks(session.targets, state, priors=spec.priors)
     # Places that several kinds of measurement name are one block.
     sets = {of.blocks[0].key if of.blocks else of: of for of in (t.blocks(session, spec, state) for t in tables)}
     first = sum(len(block) for block in blocks)
@@ -234,6 +236,7 @@ def choose_parameters(session: Session, problem: Problem, state: State, spec: Mo
         blocks += of.blocks
     check_names("unknowns", [name for block in blocks for name in block.names])
     places = session.named("place"), session.place_distances, session.measured_of("place")
-    distances = (KnownDistances.of(LEDS, session.led_names, session.led_distances), KnownDistances.of(PLACES, *places))
+    leds = tuple(led.name for led in session.leds)
+    distances = (KnownDistances.of(LEDS, leds, session.led_distances), KnownDistances.of(PLACES, *places))
     known = tuple(of for of in distances if len(of))
     return Parameters(tuple(blocks), frozen(correlation), frozen(measured, bool), known)

@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from urdfcal.arrays import frozen
 from urdfcal.estimation.blocks.base_pose import BASE
 from urdfcal.estimation.blocks.cameras import camera_poses, camera_values
-from urdfcal.estimation.blocks.leds import LEDS
+from urdfcal.estimation.blocks.targets import point_places, target_key
 from urdfcal.estimation.joint_models.time_offset import time_offsets
 
 if TYPE_CHECKING:
@@ -25,7 +27,8 @@ class Snapshot:
     Attributes:
         offsets: (rows, columns) of the arm's parameterization, with what it can hold of the joint models. [rad, m]
         T_world_base: (4, 4) the base link in the world. [m]
-        leds: (L, 3) LED positions, each in the frame that it is attached to. [m]
+        leds: (L + M, 3) LED positions and points of targets, each in the frame that it is attached to. [m]
+        targets: (T, 4, 4) each target in the frame that carries it. [m]
         cameras: lenses, in the rig's order; none where cameras have no part.
         T_cam_frame: (C, 4, 4) in each camera the frame that it is fixed in: the world, or a link. [m]
         time_offsets: (C,) of the cameras' clocks, t_robot = t_camera + offset; empty where the arm stood still. [s]
@@ -34,6 +37,7 @@ class Snapshot:
     offsets: Floats
     T_world_base: Floats
     leds: Floats
+    targets: Floats
     cameras: tuple[Camera, ...]
     T_cam_frame: Floats
     time_offsets: Floats
@@ -44,7 +48,10 @@ class Snapshot:
         return cls(
             offsets=frozen(problem.offsets(state)),
             T_world_base=state[BASE],
-            leds=state[LEDS],
+            leds=frozen(point_places(problem.attachments, state)),
+            targets=frozen(
+                np.array([state[target_key(name)] for name in problem.attachments.targets]).reshape(-1, 4, 4)
+            ),
             cameras=camera_values(problem.attachments, state),
             T_cam_frame=frozen(camera_poses(problem.attachments, state)),
             time_offsets=time_offsets(state),

@@ -239,10 +239,11 @@ def _read_yaml(path: Path, name: str) -> Document:
 
 
 def _read_mechanism(document: Document, keys: SetupFile, urdf: Urdf) -> Mechanism:
-    """The joints to the tip link and to every other link that carries an LED or a camera."""
+    """The joints to the tip link and to every other link that carries an LED, a target or a camera."""
     links = {keys.robot.tip_link: ("robot", "tip_link")}
-    for name, led in keys.leds.items():
-        links.setdefault(led.link or WORLD, ("leds", name))
+    for key, named in (("leds", keys.leds), ("targets", keys.targets)):
+        for name, keys_of in named.items():
+            links.setdefault(keys_of.link or WORLD, (key, name))
     for mount in keys.cameras.mounts if keys.cameras is not None else ():
         links.setdefault(mount.link, ("cameras", mount.camera))
     base = keys.robot.base_link or urdf.root
@@ -275,8 +276,10 @@ def _read_setup(document: Document, keys: SetupFile) -> dict[str, Any]:
         path = _file(document, "cameras", keys.cameras.file)
         rig = read_kalibr(path)
         hashes[keys.cameras.file] = Source.read(path).sha256
+    with document.placing():
+        own = keys.setup()
     return {
-        **keys.setup(),
+        **own,
         "chain": chain,
         "urdf": urdf,
         "urdf_reference": keys.robot.urdf,

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from urdfcal.robot.mechanism import Mechanism
     from urdfcal.robot.urdf.urdf import Urdf
+    from urdfcal.session.target import Target
 
 # Three positions are the fewest that fix a base pose.
 MIN_POSES = 3
@@ -169,6 +170,7 @@ class Setup(Rebuilt):
     Attributes:
         chain: the joints that are calibrated; a tree of them where LEDs and cameras are on different links.
         leds: on links of the robot, or in the world.
+        targets: boards, tags and other rigid bodies with points, there as well.
         led_distances: measured between them.
         place_distances: known between the places that measurements name.
         rig: the cameras; none where something else measures.
@@ -185,7 +187,8 @@ class Setup(Rebuilt):
     """
 
     chain: Mechanism
-    leds: tuple[Led, ...]
+    leds: tuple[Led, ...] = ()
+    targets: tuple[Target, ...] = ()
     led_distances: tuple[LedDistance, ...] = ()
     place_distances: tuple[PlaceDistance, ...] = ()
     rig: Rig = field(default_factory=Rig)
@@ -201,14 +204,15 @@ class Setup(Rebuilt):
     folder: Path | None = None
 
     def __post_init__(self) -> None:
-        keep(self, leds=tuple(self.leds), led_distances=tuple(self.led_distances), mounts=tuple(self.mounts))
-        keep(self, place_distances=tuple(self.place_distances))
+        several = ("leds", "targets", "led_distances", "place_distances", "mounts")
+        keep(self, **{name: tuple(getattr(self, name)) for name in several})
         keep(self, sha256=ReadOnly(self.sha256), joint_models=ReadOnly(self.joint_models))
         for name in (name for distance in self.led_distances for name in distance.leds):
-            check_known(name, self.led_names, "LEDs", "led_distances")
-        if not self.leds:
-            raise SessionError("there is no LED", remedy="Name at least one.")
+            check_known(name, [led.name for led in self.leds], "LEDs", "led_distances")
+        if not self.leds and not self.targets:
+            raise SessionError("there is neither an LED nor a target", remedy="Name at least one.")
         check_names("LEDs", self.led_names)
+        check_names("targets", [target.name for target in self.targets])
         rows = rows_of(self.chain).labels if self.tolerances.joints else ()
         for joint in self.tolerances.joints:
             between = f" between {self.chain.base_link!r} and {self.chain.tip_link!r}"
@@ -223,13 +227,14 @@ class Setup(Rebuilt):
 
     @cached_property
     def attachments(self) -> Attachments:
-        """What LEDs and cameras are attached to."""
-        return attach(self.chain, [led.link for led in self.leds], self.rig, {m.camera: m for m in self.mounts})
+        """What LEDs, targets and cameras are attached to."""
+        mounts = {mount.camera: mount for mount in self.mounts}
+        return attach(self.chain, [led.link for led in self.leds], self.targets, self.rig, mounts)
 
-    @property
+    @cached_property
     def led_names(self) -> tuple[str, ...]:
-        """The LEDs' names, in order."""
-        return tuple(led.name for led in self.leds)
+        """What the tables call the LEDs, then the targets' points, in order."""
+        return (*(led.name for led in self.leds), *(name for of in self.targets for name in of.point_names))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -295,7 +300,7 @@ class Session(Positions):
         keep(self, measurements=_numbered_alike(self.measurements))
         if not self.measurements:
             raise SessionError("there are no measurements", remedy="There is nothing to calibrate from.")
-        counts = {"pose": len(self.poses), "led": len(self.leds), "camera": len(self.rig.cameras)}
+        counts = {"pose": len(self.poses), "led": len(self.led_names), "camera": len(self.rig.cameras)}
         for table in self.measurements:
             if "camera" in table.keys and not self.rig.cameras:
                 raise SessionError(f"there are {table.kind}, but no cameras", remedy="Give the session a rig.")

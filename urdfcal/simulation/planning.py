@@ -254,7 +254,8 @@ def _in_view(scene: Scene, count: int, rng: np.random.Generator) -> tuple[Floats
         values = scene.chain.joint_values(readings)
         pixels = scene.pixels(values)
         # A mimic joint may leave its own limits while its master keeps to them.
-        good = scene.in_image(pixels, MARGIN).all(axis=(1, 2)) & ((values >= lower) & (values <= upper)).all(axis=1)
+        good = ((values >= lower) & (values <= upper)).all(axis=1)
+        good &= scene.in_image(pixels, MARGIN).all(axis=(1, 2)) & scene.faced(values).all(axis=(1, 2))
         q.append(values[good])
         uv.append(pixels[good])
         drawn += _BATCH

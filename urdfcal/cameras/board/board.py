@@ -41,6 +41,7 @@ class Board:
         square: side of a square, m.
         marker: side of the markers, black border included, m; ChArUco only.
         dictionary: OpenCV's name of the markers' dictionary, such as DICT_4X4_50; ChArUco only.
+        legacy: printed as before OpenCV 4.6: of an even number of rows the first square is white; ChArUco only.
 
     Raises:
         CameraError: there is no such board.
@@ -52,6 +53,7 @@ class Board:
     square: float
     marker: float | None = None
     dictionary: str | None = None
+    legacy: bool = False
 
     def __post_init__(self) -> None:
         if self.kind not in get_args(BoardKind):
@@ -111,7 +113,9 @@ class Board:
         import cv2
 
         dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, str(self.dictionary)))
-        return cv2.aruco.CharucoBoard((self.columns, self.rows), self.square, self.marker or 0.0, dictionary)
+        board = cv2.aruco.CharucoBoard((self.columns, self.rows), self.square, self.marker or 0.0, dictionary)
+        board.setLegacyPattern(self.legacy)
+        return board
 
     def _check_markers(self) -> None:
         import cv2

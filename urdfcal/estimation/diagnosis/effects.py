@@ -11,6 +11,7 @@ import numpy as np
 from urdfcal.estimation.blocks.base_pose import BASE
 from urdfcal.estimation.blocks.cameras import has_cameras, lens_key, pose_key
 from urdfcal.estimation.blocks.leds import LEDS
+from urdfcal.estimation.blocks.targets import target_key
 from urdfcal.estimation.diagnosis.residuals import Part
 from urdfcal.estimation.diagnosis.torque import gravity_torques
 
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from urdfcal.robot.mechanism import Joint, Mechanism
     from urdfcal.session.model import Session
 
-Movable = Literal["joint", "led", "camera", "base"]
+Movable = Literal["joint", "led", "target", "camera", "base"]
 
 # Joints that moved by less between poses did not move. [rad or m]
 _STILL = 1e-6
@@ -33,7 +34,7 @@ _TURN = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """Something that may have moved: a joint, an LED, a camera, or the robot's base.
+    """Something that may have moved: a joint, an LED, a target, a camera, or the robot's base.
 
     Attributes:
         kind: of it.
@@ -48,8 +49,10 @@ class Subject:
     @property
     def called(self) -> str:
         """What a sentence calls it."""
-        return {"joint": self.name, "led": f"LED {self.name!r}", "camera": f"camera {self.name!r}"}.get(
-            self.kind, "the robot's base"
+        if self.kind == "joint":
+            return self.name
+        return (
+            "the robot's base" if self.kind == "base" else f"{'LED' if self.kind == 'led' else self.kind} {self.name!r}"
         )
 
     def size(self, motion: Floats) -> str:
@@ -81,8 +84,10 @@ def subjects(session: Session, problem: Problem, state: State) -> Iterator[Subje
     for j, joint in enumerate(problem.arm.chain.joints):
         if joint.mimic is None:
             yield Subject("joint", joint.name, partial(Part.by_joint, joint=j))
-    for k, name in enumerate(session.led_names):
-        yield Subject("led", name, partial(Part.by, key=LEDS, coordinates=slice(3 * k, 3 * k + 3)))
+    for k, led in enumerate(session.leds):
+        yield Subject("led", led.name, partial(Part.by, key=LEDS, coordinates=slice(3 * k, 3 * k + 3)))
+    for target in session.targets:
+        yield Subject("target", target.name, partial(Part.by, key=target_key(target.name)))
     if has_cameras(state) and len(session.rig.names) > 1:
         for c, name in enumerate(session.rig.names):
             yield Subject("camera", name, partial(Part.by, key=pose_key(name), camera=c))

@@ -13,11 +13,13 @@ from urdfcal.estimation.blocks.base_pose import BaseBlock
 from urdfcal.estimation.blocks.cameras import CameraPoseBlock, LensBlock, camera_poses, camera_values
 from urdfcal.estimation.blocks.leds import LEDS, LedsBlock
 from urdfcal.estimation.blocks.scale import ScaleBlock
+from urdfcal.estimation.blocks.targets import target_blocks
 from urdfcal.estimation.linearize import Tangent
 from urdfcal.estimation.parameters import Parameters
 from urdfcal.estimation.robust import norm_quantile
 from urdfcal.estimation.whitening import JointNoise, joint_covariance
 from urdfcal.session.knowledge import Led
+from urdfcal.session.target import Target
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -227,9 +229,10 @@ def solve_score(gram: Floats, score: Floats, scale: Floats) -> tuple[float, Floa
 
 
 def _everything(session: Session, state: State) -> Parameters:
-    """Base, LEDs, scale, and the pose and the lens of every camera, all of them free."""
-    led_names = [Led(name) for name in session.led_names]
-    blocks: list[Block[Any]] = [BaseBlock.of(fixed=None), LedsBlock.of(led_names, state[LEDS], priors=False)]
+    """Base, LEDs, targets, scale, and the pose and the lens of every camera, all of them free."""
+    leds = [Led(led.name) for led in session.leds]
+    blocks: list[Block[Any]] = [BaseBlock.of(fixed=None), LedsBlock.of(leds, state[LEDS], priors=False)]
+    blocks += target_blocks([Target(of.name, of.pattern) for of in session.targets], state, priors=False)
     blocks.append(ScaleBlock.of(np.inf))
     attachments, free = session.attachments, np.full(6, np.inf)
     lenses, poses = camera_values(attachments, state), camera_poses(attachments, state)

@@ -11,7 +11,7 @@ import numpy as np
 from urdfcal.session.model import Measurements
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
 
     from urdfcal.arrays import Bools, Floats, Ints
     from urdfcal.estimation.blocks.base import Block
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from urdfcal.estimation.observations import Observations
     from urdfcal.estimation.start import Start
     from urdfcal.estimation.state import Key, State
+    from urdfcal.estimation.target_start import TargetViews
     from urdfcal.session.attachments import Attachments
     from urdfcal.session.model import Session
 
@@ -124,6 +125,11 @@ class Measurement(Measurements):
         """Return LED positions in the world that the measurements give in closed form; None if they give none."""
         del session
         return None
+
+    def target_views(self, session: Session) -> Iterator[TargetViews]:
+        """Find where targets were, one pose of one target by one viewer at a time; by default nothing is said."""
+        del session
+        return iter(())
 
     def start(self, at: Start, state: State) -> State:
         """Add first values of the measurement's own unknowns, and of the base if it is not there yet.

@@ -67,7 +67,7 @@ class Contacts(LedPositions):
     def start(self, at: Start, state: State) -> State:
         """Put each place where its contacts are in the median; unknown LEDs by what leaves their places still."""
         T, p = self.started(at, state)
-        lost = np.unique(self.led[at.unknown_leds[self.led]])
+        lost = np.intersect1d(self.led, np.flatnonzero(at.unknown_leds))
         if lost.size:  # R led + p - place = 0 is linear in both
             mine = np.isin(self.led, lost)
             which, (_, where) = np.searchsorted(lost, self.led[mine]), np.unique(self.place[mine], return_inverse=True)

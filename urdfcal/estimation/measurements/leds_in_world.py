@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.estimation.blocks.base_pose import BASE
-from urdfcal.estimation.blocks.leds import LEDS
+from urdfcal.estimation.blocks.targets import point_places, target_key
 from urdfcal.estimation.measurements.base import ByFrame, Measurement
 from urdfcal.estimation.measurements.point_geometry import by_frames, carry, led_points, put_leds, seen_from
 
@@ -76,11 +76,16 @@ class LedPositions(Measurement):
 
         Where nothing has placed the base yet the base link's frame is the world.
         """
-        frame = at.session.attachments.led[self.led]
-        T = np.concatenate([np.broadcast_to(np.eye(4), (1, *at.links.shape[1:])), at.links])[frame, self.pose]
-        if BASE in state:
-            T = np.where((frame > 0)[:, None, None], state[BASE] @ T, T)
-        return T, (T[:, :3, :3] @ state[LEDS][self.led][..., None])[..., 0] + T[:, :3, 3]
+        attachments = at.session.attachments
+        unplaced = {target_key(name): np.eye(4) for name in attachments.targets if target_key(name) not in state}
+        state, frames = state.replace(unplaced), attachments.led[self.led]
+        T = np.empty((len(self), 4, 4))
+        for frame in np.unique(frames).tolist():
+            mine = frames == frame
+            T[mine] = at.frame(frame, self.pose[mine], state)
+        T = state[BASE] @ T if BASE in state else T
+        points = point_places(attachments, state)[self.led]
+        return T, (T[:, :3, :3] @ points[..., None])[..., 0] + T[:, :3, 3]
 
 
 def _slots(observed: Observations, p_world: Floats) -> tuple[Ints, Floats, dict[str, Ints]]:

@@ -22,6 +22,7 @@ from urdfcal.estimation.blocks.cameras import (
 )
 from urdfcal.estimation.blocks.leds import LEDS
 from urdfcal.estimation.blocks.scale import SCALE, scale_of
+from urdfcal.estimation.blocks.targets import point_places
 from urdfcal.estimation.camera_prior import CameraPrior
 from urdfcal.estimation.camera_start import Views
 from urdfcal.estimation.measurements.base import BlockSet, ByFrame, Measurement, WorldPoints
@@ -34,6 +35,7 @@ from urdfcal.estimation.measurements.point_geometry import (
     seen_from,
 )
 from urdfcal.estimation.measurements.points import TriangulatedPoints
+from urdfcal.estimation.target_start import TargetViews, picture_poses, place_targets
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -179,15 +181,28 @@ class Detections(Measurement):
         found = triangulate(session)
         return None if found is None else WorldPoints(found.pose, found.led, found.xyz, complete=False)
 
+    def target_views(self, session: Session) -> Iterator[TargetViews]:
+        """Find each target in every picture of each camera by PnP."""
+        attachments = session.attachments
+        target, first = attachments.led[self.led] - attachments.first_target, len(session.leds)
+        for t in np.unique(target[target >= 0]).tolist():
+            for c, lens in enumerate(session.rig.cameras):
+                mine = np.flatnonzero((target == t) & (self.camera == c))
+                points = attachments.target_points[self.led[mine] - first]
+                pose, T = picture_poses(lens, self.pose[mine], points, self.uv[mine])
+                yield TargetViews(t, int(attachments.camera[c]), attachments.T_cam_frame[c], pose, T)
+
     def start(self, at: Start, state: State) -> State:
         """Place the base if need be, then the cameras, by PnP, and unknown LEDs where the cameras' rays meet."""
-        attachments, views = at.session.attachments, Views(at.session, at.links, self)
+        attachments, views = at.session.attachments, Views(at, self, state)
         T_cam_frame = list(attachments.T_cam_frame)
-        leds = state[LEDS]
+        leds = point_places(attachments, state)
         if BASE in state:
             T_world_base = state[BASE]
         else:
             T_world_base = views.base(T_cam_frame, leds) if len(attachments.eye_to_hand) else np.eye(4)
+            state = place_targets(at, [self], state.replace({BASE: T_world_base}))
+            views = Views(at, self, state)
         for c, T in enumerate(T_cam_frame):
             if T is None:
                 reference = T_cam_frame[int(attachments.reference[c])]
@@ -195,7 +210,7 @@ class Detections(Measurement):
                 by_reference = None if known is None or reference is None else known @ reference
                 T_cam_frame[c] = views.place(c, T_world_base, leds, by_reference)
         leds = views.meet(T_world_base, T_cam_frame, leds, at.unknown_leds)
-        values: dict[Key[Floats], Floats] = {BASE: T_world_base, LEDS: leds}
+        values: dict[Key[Floats], Floats] = {BASE: T_world_base, LEDS: leds[: len(at.session.leds)]}
         return state.replace({**values, **camera_state(at.session, np.array(T_cam_frame))})
 
 

@@ -10,9 +10,10 @@ import numpy as np
 from urdfcal.estimation.blocks.scale import SCALE, scale_of
 from urdfcal.estimation.measurements.base import WorldPoints
 from urdfcal.estimation.measurements.leds_in_world import LedPositions
+from urdfcal.estimation.target_start import TargetViews, space_poses
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
     from typing import Any
 
     from urdfcal.arrays import Floats, Ints
@@ -63,6 +64,16 @@ class Points(LedPositions):
         """Return True: the tracker's frame is the world."""
         del attachments
         return True
+
+    def target_views(self, session: Session) -> Iterator[TargetViews]:
+        """Align each target with its points at every pose."""
+        attachments = session.attachments
+        target, first = attachments.led[self.led] - attachments.first_target, len(session.leds)
+        for t in np.unique(target[target >= 0]).tolist():
+            mine = np.flatnonzero(target == t)
+            points = attachments.target_points[self.led[mine] - first]
+            pose, T = space_poses(self.pose[mine], points, self.xyz[mine])
+            yield TargetViews(t, 0, np.eye(4), pose, T)
 
     def world_points(self, session: Session) -> WorldPoints:
         """Return the points as they are."""

@@ -269,11 +269,12 @@ def unseen(inputs: Inputs) -> Iterator[str]:
     if len(blind) > (0 if inputs.frames is None else _MOST * len(labels)):
         path = (inputs.frames or inputs.joints).table.path
         yield f"{path}: {len(blind)} of {len(labels)} poses have no measurement and do not count: {listed(blind)}"
-    leds = _named(tables, "led")
-    if dark := [
-        name for i, name in enumerate(inputs.positions.led_names) if i not in leds and name not in excluded.leds
-    ]:
+    positions, names = inputs.positions, inputs.positions.led_names
+    leds = {names[i] for i in _named(tables, "led")} | set(excluded.leds)
+    if dark := [led.name for led in positions.leds if led.name not in leds]:
         yield f"{inputs.document.place('leds')}: never seen: {listed(dark)}"
+    if dark := [of.name for of in positions.targets if of.point_names and leds.isdisjoint(of.point_names)]:
+        yield f"{inputs.document.place('targets')}: never seen: {listed(dark)}"
     used = _named(tables, "camera")
     if used and (
         idle := [
