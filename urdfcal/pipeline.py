@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from urdfcal.errors import CalibrationError, SessionError
+from urdfcal.errors import CalibrationError, SessionError, placed
 from urdfcal.estimation.assessment import assess
 from urdfcal.estimation.blocks.arm import no_offsets
 from urdfcal.estimation.blocks.cameras import without_cameras
@@ -75,6 +75,15 @@ def calibrate(
         from urdfcal.io.folder import read_session
 
         session = read_session(session)
+    with placed(session.folder or "session"):
+        return _calibrate(
+            session, method=method, priors=priors, starts=starts, seed=seed, force=force, progress=progress
+        )
+
+
+def _calibrate(
+    session: Session, *, method: Method, priors: bool, starts: int, seed: int, force: bool, progress: Progress | None
+) -> FittedCalibration:
     table = rows_of(session.chain)
     arm: ArmParameterization = PlacementTable(session.chain) if session.estimate.geometry == "full" else table
     problem = Problem.of(session, arm)

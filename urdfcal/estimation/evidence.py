@@ -10,7 +10,9 @@ import numpy as np
 from urdfcal.arrays import rms
 from urdfcal.estimation.assessment import DOUBTFUL_CHI2, MANY_OUTLIERS, MISFIT_CHI2
 from urdfcal.estimation.diagnosis.doctor import diagnose
+from urdfcal.estimation.diagnosis.family import undone
 from urdfcal.estimation.diagnosis.residuals import Unexplained
+from urdfcal.estimation.diagnosis.scatter import scatter
 from urdfcal.estimation.diagnosis.trials import suspect
 from urdfcal.estimation.noise import find_noise
 from urdfcal.estimation.regions import joint_regions, tip_regions
@@ -77,6 +79,7 @@ class Evidence:
         regions: the error in regions that were left out.
         tip: the error of the calibrated tip that is to be expected.
         improvement: 95 % interval of the nominal arm's rms error on held-out poses less the calibrated one's. [m]
+        undone: that a correction which the session's URDF has is taken back; None where none is.
         suspicion: the change of the session that would make it fit; None where it fits, or no single one does.
     """
 
@@ -86,6 +89,7 @@ class Evidence:
     regions: Regions
     tip: TipError
     improvement: tuple[float, float]
+    undone: str | None
     suspicion: Suspicion | None
 
 
@@ -110,17 +114,22 @@ def gather(
     fit = comparison.chosen.fit
     noise = find_noise(problem, fit, undeclared)
     unexplained = Unexplained.of(session, problem, fit, noise)
-    findings, regions = diagnose(session, unexplained), _regions(problem, comparison)
+    # What is not modelled scatters unevenly, too: only where nothing of the kind is found is it the noise.
+    findings = diagnose(session, unexplained) or scatter(session, problem, fit)
+    regions = _regions(problem, comparison)
     cut, kept = fit.counts
     # Then something about the session may be wrong: it is looked for by trial, which takes seconds.
     absurd = fit.reduced_chi2 > MISFIT_CHI2 or cut > MANY_OUTLIERS * (cut + kept)
+    tip = _tip(problem, fit, regions, holds=not findings and fit.reduced_chi2 < DOUBTFUL_CHI2)
+    calibrated = session.chain.with_placements(problem.arm.placements(problem.offsets(fit.state)))
     return Evidence(
         noise=noise,
         scale=find_scale(problem, fit, unexplained),
         findings=findings,
         regions=regions,
-        tip=_tip(problem, fit, regions, holds=not findings and fit.reduced_chi2 < DOUBTFUL_CHI2),
+        tip=tip,
         improvement=_improvement(problem, comparison, seed),
+        undone=undone(session, calibrated, tip.rms),
         suspicion=suspect(session, progress) if absurd else None,
     )
 

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 # Readings farther apart than this are not joined by a curve. A cubic is off by 5/384 h^4 of the fourth derivative: with
 # a joint that swings at 0.5 rad/s every four seconds by 1e-5 rad at 0.15 s, and 2e-3 rad at 0.5 s.
 LONGEST_GAP = 0.15
+# Readings that would need more are none: a stamp repeated but for rounding, a value that is no angle. [rad/s or m/s]
+_FASTEST = 1e9
 # Frames this near to where the log has nothing are left out: an offset of tens of milliseconds must not carry them
 # there, and a spline's last pieces are its worst. [s]
 MARGIN = 0.1
@@ -156,6 +158,11 @@ class JointLog:
             raise SessionError("a log of joint values is not finite", where="session")
         if np.diff(self.time).min() <= 0.0:
             raise SessionError("the times of the joint values do not increase", where="session")
+        with np.errstate(over="ignore", divide="ignore"):
+            speed = np.abs(np.diff(self.values, axis=0) / np.diff(self.time)[:, None])
+        if speed.max() > _FASTEST:
+            what = f"a joint moves at {speed.max():.2g} rad/s or m/s between two readings"
+            raise SessionError(what, where="session", remedy="Check the times and the values of the joint readings.")
 
     @cached_property
     def _spline(self) -> CubicSpline:

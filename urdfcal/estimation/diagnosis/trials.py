@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.arrays import Floats, evenly, inverse
-from urdfcal.errors import CalibrationError, RobotError, UrdfcalError
+from urdfcal.errors import CalibrationError, UrdfcalError
 from urdfcal.estimation.blocks.arm import no_offsets
+from urdfcal.estimation.diagnosis.family import family
 from urdfcal.estimation.measurements import Detections
 from urdfcal.estimation.model_spec import nominal
 from urdfcal.estimation.parameters import choose_parameters
@@ -20,6 +21,7 @@ from urdfcal.estimation.solver import solve
 from urdfcal.estimation.start import first_state
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.tree_dh import rows_of
+from urdfcal.session.model import MIN_POSES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -33,8 +35,6 @@ _POSES = 30
 _BETTER = 4.0
 # ... and the best of all changes by so many times less than the next: several equally good ones explain nothing.
 _CLEAR = 1.5
-# Robots of one family that are tried; those that are so near to each other are one. [m, rad]
-_FAMILY, _SAME = 20, 1e-4
 # Rows of one table may be shifted against the other's by so many poses.
 _SHIFTS = (1, -1, 2, -2)
 
@@ -81,6 +81,8 @@ def suspect(session: Session, progress: Progress | None = None) -> Suspicion | N
         progress: called after every solver step.
     """
     poses = evenly(np.unique(np.concatenate([table.pose for table in session.measurements])), _POSES)
+    if len(poses) < MIN_POSES:
+        return None
     unit, factor = session.measurements[0].report
     before = _miss(session.at(poses), progress)
     trials = list(_trials(session))
@@ -124,19 +126,8 @@ def _trials(session: Session) -> Iterator[Mending]:
 
 
 def _family(session: Session) -> Iterator[Mending]:
-    """Robots of the same joints and links whose URDFs are beside the session's."""
-    chain = session.chain
-    if session.urdf is None or session.urdf.path is None or len(chain.tips) > 1:
-        return
-    known = [chain.placements]  # one arm may be there with several grippers
-    for path in sorted(session.urdf.path.parent.glob("*.urdf"))[:_FAMILY]:
-        try:
-            other = Chain.from_urdf(path, chain.tip_link, chain.base_link)
-        except RobotError:  # another kind of robot
-            continue
-        if other.names == chain.names and not any(np.allclose(other.placements, of, atol=_SAME) for of in known):
-            known.append(other.placements)
-            yield Mending(f"the robot is {path.stem}, not {chain.name}", partial(replace, session, chain=other))
+    for path, other in family(session):
+        yield Mending(f"the robot is {path.stem}, not {session.chain.name}", partial(replace, session, chain=other))
 
 
 def _joint_trials(session: Session) -> Iterator[Mending]:
