@@ -9,6 +9,8 @@ import numpy as np
 
 from urdfcal.arrays import Bools, Floats, Ints, frozen
 from urdfcal.errors import SessionError
+from urdfcal.estimation.measurements import Points
+from urdfcal.estimation.measurements.points import SPREAD, CorrelatedPoints
 from urdfcal.io.csv_table import Table, repeats
 from urdfcal.names import listed, suggest
 from urdfcal.session.model import MIN_POSES
@@ -173,7 +175,8 @@ def read_measurements(
         SessionError: a name is unknown, a number is none, or there are two measurements of the same, with the place
             in the file.
     """
-    table = Table.read(path, [*kind.keys, *kind.columns], ["sigma"])
+    correlated = SPREAD if kind is Points else ()
+    table = Table.read(path, [*kind.keys, *kind.columns], ["sigma", *correlated])
     names = {key: tuple(known[key] if key in known else dict.fromkeys(table.labels(key))) for key in kind.keys}
     looked_up = [key for key in kind.keys if frames is None or key != "pose"]
     index = {key: table.indices(key, names[key], _KNOWN.get(key, f"{key}s")) for key in looked_up}
@@ -181,6 +184,7 @@ def read_measurements(
         index["pose"] = frames.poses(table, index["camera"], names["camera"])
     numbers = table.numbers(kind.columns, _MISSING, positive=kind.positive)
     own = "sigma" in table.columns
+    covariance = _covariances(table) if set(correlated) & set(table.columns) else None
     spread = table.numbers(["sigma"], positive=True)[:, 0] if own else np.full(len(numbers), sigma)
     order = np.lexsort([index[key] for key in reversed(kind.keys)])
     order = order[index["pose"][order] >= 0]
@@ -193,7 +197,27 @@ def read_measurements(
     if kind.array:
         columns[kind.array] = numbers[order]
     own_names = {key: of for key, of in names.items() if key not in _KNOWN}
-    return MeasurementTable(table, frozen(order, np.intp), kind(**columns, names=own_names), names)  # type: ignore[arg-type]
+    measured: Measurement
+    if covariance is None:
+        measured = kind(**columns, names=own_names)  # type: ignore[arg-type]
+    else:
+        measured = CorrelatedPoints.of_spread(covariance[order], **columns)
+    return MeasurementTable(table, frozen(order, np.intp), measured, names)
+
+
+def _covariances(table: Table) -> Floats:
+    """The covariances of points, (rows, 6) as in ``SPREAD``; each positive definite. [m^2]."""
+    missing = [name for name in SPREAD if name not in table.columns]
+    if missing or "sigma" in table.columns:
+        what = f"the columns are missing: {', '.join(missing)}" if missing else "sigma and a covariance say the same"
+        remedy = f"Write sigma, or {', '.join(SPREAD)}: a covariance in m^2."
+        raise SessionError(what, where=f"{table.path}:1", remedy=remedy)
+    found = table.numbers(SPREAD, _MISSING)
+    least = np.linalg.eigvalsh(found[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]])[:, 0]
+    for row in np.flatnonzero(least <= 0.0)[:1].tolist():
+        what = "the covariance is not positive definite: along some direction its variance is none"
+        raise table.wrong(what, row, "sxx", f"Write {', '.join(SPREAD)} in m^2.")
+    return found
 
 
 def read_log(path: Path, chain: Mechanism, robot_joints: Collection[str]) -> tuple[JointTable, JointLog]:

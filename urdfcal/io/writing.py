@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from urdfcal.errors import OutputError
+from urdfcal.estimation.measurements.points import SPREAD, CorrelatedPoints
 from urdfcal.files import told
 from urdfcal.names import check_names
 from urdfcal.rotations import matrix_to_rpy
@@ -83,7 +84,7 @@ def put_into(folder: Path) -> Iterator[Path]:
 
 
 def write_measurements(path: Path, positions: Positions, table: Measurements) -> None:
-    """Write a table of measurements; a column of sigmas only where they differ from the usual one.
+    """Write a table of measurements; sigmas only where they differ from the usual one, covariances where there are.
 
     Args:
         path: the file.
@@ -92,11 +93,13 @@ def write_measurements(path: Path, positions: Positions, table: Measurements) ->
     """
     labels = [positions.label(k) for k in range(len(positions.poses))]
     names = {"pose": labels, "camera": positions.rig.names, "led": positions.led_names, **table.names}
-    own = [table.sigma.tolist()] if np.any(table.sigma != positions.noise.of(type(table))) else []
+    own = {"sigma": table.sigma.tolist()} if np.any(table.sigma != positions.noise.of(type(table))) else {}
+    if isinstance(table, CorrelatedPoints):
+        own = dict(zip(SPREAD, table.spread.T.tolist(), strict=True))
     columns = [[names[key][i] for i in index] for key, index in table.index.items()]
-    header = [*table.keys, *table.columns, *(["sigma"] if own else [])]
+    header = [*table.keys, *table.columns, *own]
     numbers = table.values.T.tolist() if table.columns else []
-    write_table(path, header, [*columns, *numbers, *own])
+    write_table(path, header, [*columns, *numbers, *own.values()])
 
 
 def _already_there(path: Path) -> OutputError:

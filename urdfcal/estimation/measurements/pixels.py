@@ -34,7 +34,7 @@ from urdfcal.estimation.measurements.point_geometry import (
     put_leds,
     seen_from,
 )
-from urdfcal.estimation.measurements.points import TriangulatedPoints
+from urdfcal.estimation.measurements.points import CorrelatedPoints
 from urdfcal.estimation.target_start import TargetViews, picture_poses, place_targets
 
 if TYPE_CHECKING:
@@ -236,7 +236,7 @@ def nominal_cameras(session: Session, state: State) -> dict[Key[Any], Floats]:
     return poses
 
 
-def triangulate(session: Session) -> TriangulatedPoints | None:
+def triangulate(session: Session) -> CorrelatedPoints | None:
     """Find the points of all LEDs seen by two or more eye-to-hand cameras of known pose, with their covariances."""
     detections, attachments = session.find(Detections), session.attachments
     cameras = attachments.eye_to_hand
@@ -250,7 +250,7 @@ def triangulate(session: Session) -> TriangulatedPoints | None:
         return None
     covariance = result.covariances[good]
     spread = np.sqrt(np.maximum(np.trace(covariance, axis1=1, axis2=2), 0.0) / 3.0)
-    return TriangulatedPoints(pose[good], led[good], result.points[good], spread, covariance)
+    return CorrelatedPoints(pose[good], led[good], result.points[good], spread, covariance)
 
 
 def side_by_side(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -14,7 +14,6 @@ from urdfcal.estimation.target_start import TargetViews, space_poses
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
-    from typing import Any
 
     from urdfcal.arrays import Floats, Ints
     from urdfcal.estimation.state import Key, State
@@ -82,8 +81,8 @@ class Points(LedPositions):
 
 
 @dataclass(frozen=True, eq=False)
-class TriangulatedPoints(Points):
-    """Points where the rays of several cameras meet, with a covariance each.
+class CorrelatedPoints(Points):
+    """Points with a covariance each: of a tracker, or where the rays of several cameras meet.
 
     Attributes:
         covariance: (S, 3, 3). [m^2]
@@ -91,7 +90,23 @@ class TriangulatedPoints(Points):
 
     covariance: Floats
 
+    @classmethod
+    def of_spread(cls, spread: Floats, **columns: Any) -> CorrelatedPoints:
+        """Take covariances as in points.csv, (S, 6): sxx, sxy, sxz, syy, syz, szz. [m^2]."""
+        covariance = spread[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
+        sigma = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 3.0)
+        return cls(**{**columns, "sigma": sigma}, covariance=covariance)
+
+    @property
+    def spread(self) -> Floats:
+        """(S, 6) the covariances as in points.csv. [m^2]."""
+        return self.covariance.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]]
+
     @property
     def covariances(self) -> Floats:
         """Covariance (S, 3, 3) of each point. [m^2]."""
         return self.covariance
+
+
+SPREAD = ("sxx", "sxy", "sxz", "syy", "syz", "szz")
+"""The columns of points.csv that say a covariance instead of a sigma. [m^2]"""

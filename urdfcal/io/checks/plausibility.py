@@ -255,11 +255,11 @@ def _check_noise_units(inputs: Inputs) -> None:
         absurd = np.flatnonzero(measured.sigma > largest)
         if absurd.size:
             first = table.first(absurd)
-            own = "sigma" in table.table.columns
+            own = next((name for name in ("sigma", "sxx") if name in table.table.columns), None)
             raise SessionError(
                 f"a sigma of {measured.sigma[first]:g} {measured.unit} is of the size of the {size}",
-                where=table.place(first, "sigma") if own else inputs.document.place("noise", measured.noise),
-                remedy=f"Write one standard deviation in {measured.unit}.",
+                where=table.place(first, own) if own else inputs.document.place("noise", measured.noise),
+                remedy=f"Write one standard deviation in {measured.unit}, or a covariance in its square.",
             )
 
 
