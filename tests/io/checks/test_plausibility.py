@@ -75,7 +75,7 @@ class TestLimits:
             read_session(folder)
 
     def test_where_most_are_beyond_signs_and_columns_are_suspected(self, folder: Path) -> None:
-        """The slide goes from 0 to 0.3 m: turned round, or read where the waist turns by 2.9 rad, most is beyond."""
+        """The slide goes from 0 to 0.3 m: turned round, or read where the roll turns, most is beyond."""
         text = (folder / JOINTS).read_text()
         cells(JOINTS, lambda _, row: {**row, "slide": str(-float(row["slide"]))})(folder)
         with pytest.raises(
@@ -83,8 +83,8 @@ class TestLimits:
         ):
             read_session(folder)
         (folder / JOINTS).write_text(text)
-        cells(JOINTS, lambda _, row: {**row, "slide": row["waist"], "waist": row["slide"]})(folder)
-        with pytest.raises(SessionError, match=r"are the columns of waist and slide exchanged\?"):
+        cells(JOINTS, lambda _, row: {**row, "slide": row["roll"], "roll": row["slide"]})(folder)
+        with pytest.raises(SessionError, match=r"are the columns of slide and roll exchanged\?"):
             read_session(folder)
         (folder / JOINTS).write_text(text)
         put(JOINTS, 2, slide="-0.2")(folder)
