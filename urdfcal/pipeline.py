@@ -87,10 +87,10 @@ def _calibrate(
     table = rows_of(session.chain)
     arm: ArmParameterization = PlacementTable(session.chain) if session.estimate.geometry == "full" else table
     problem = Problem.of(session, arm)
-    in_world = [of.table.kind for of in problem.observations if of.table.defines_world(session.attachments)]
-    if len(in_world) > 1:
+    in_world = [of.table for of in problem.observations if of.table.defines_world(session.attachments)]
+    if len({"camera" in of.keys for of in in_world}) > 1:
         raise SessionError(
-            f"{' and '.join(in_world)} are both named: the tracker's frame is not the first camera's",
+            f"{' and '.join(of.kind for of in in_world)} are both named: the tracker's frame is not the first camera's",
             remedy="Name one of them; evaluate --points checks a result against the other.",
         )
     start = _start(session, arm, progress)

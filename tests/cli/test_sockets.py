@@ -214,6 +214,14 @@ class TestChecks:
         assert run(["calibrate", str(tmp_path / "planes"), "-o", str(tmp_path / "result")]) == 2
         assert "nothing that names places" in capsys.readouterr().err.replace("\n", " ")
 
+    def test_a_scale_belongs_to_what_measures_lengths(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        session = tmp_path / "session"
+        write_session(session, replace(touched(Contacts, 40).session, scale_sigma=1e-3))
+        assert run(["calibrate", str(session), "-o", str(tmp_path / "result")]) == 2
+        assert "nothing here measures any" in capsys.readouterr().err.replace("\n", " ")
+        write_session(tmp_path / "bar", replace(touched(Distances, 40).session, scale_sigma=1e-3))
+        assert read_session(tmp_path / "bar").scale_sigma == 1e-3
+
     def test_a_rig_has_cameras_or_places(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         rig = {"robot": {"urdf": "package://x", "tip_link": "tool"}, "leds": {"ball": {"position": [0, 0, 0.1]}}}
         (tmp_path / "rig.yaml").write_text(yaml.safe_dump(rig))

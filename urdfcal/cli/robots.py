@@ -111,8 +111,8 @@ def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
     result: dict[str, Any] = {"a": urdf, "session": str(folder), "points": points and str(points)}
     found: dict[str, dict[str, Floats]] = {}
     for table, residual in zip(session.measurements, explained.residuals, strict=True):
-        unit, scale = table.report
-        found.setdefault(unit, {})[table.kind] = scale * np.linalg.norm(residual, axis=1)
+        for unit, scale, numbers in table.reports():
+            found.setdefault(unit, {})[table.kind] = scale * np.linalg.norm(residual[:, numbers], axis=1)
     for unit, by_kind in found.items():
         every = {"": np.concatenate(list(by_kind.values()))} | (by_kind if len(by_kind) > 1 else {})
         for kind, values in every.items():

@@ -104,6 +104,12 @@ class Problem:
         """Return what one unit of residual is worth at the LED, (N, m). [m]."""
         return observed.table.metres_per_unit(observed, self.links(observed.readings, state), state)
 
+    def off(self, observed: Observations, state: State) -> Floats:
+        """Return how far what was measured is off (N, m), for pixels across the ray; turns do not count. [m]."""
+        residual = self.residual(observed, state)[..., observed.table.lengths]
+        result: Floats = np.linalg.norm(residual, axis=-1) * self.metres_per_unit(observed, state)
+        return result
+
     def suspect(self, observed: Observations, outlier: Sequence[Bools]) -> Bools:
         """Return which slots (N, m) concern an LED at a pose where a measurement of it is an outlier."""
         last = max(int(of.pose.max()) for of in (observed, *self.observations))

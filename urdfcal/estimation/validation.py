@@ -83,7 +83,7 @@ def hold_out(problem: Problem, fit: Solution, fold_of_pose: Ints) -> HeldOut:
             left, observed, factor = out[k], unseen.observations[k], factors[k]
             norms[k][left] = factor * norm
             residual[k][left] = factor * np.linalg.norm(unseen.residual(observed, state), axis=-1)
-            distance[k][left] = residual[k][left] * unseen.metres_per_unit(observed, state)
+            distance[k][left] = factor * unseen.off(observed, state)
     return HeldOut(len(folds), tuple(norms), tuple(residual), tuple(distance))
 
 

@@ -80,9 +80,10 @@ def read_session(
         )
     positions, hashes, tables = inputs.positions, dict(inputs.positions.sha256), {}
     known = {"pose": positions.poses, "camera": positions.rig.names, "led": positions.led_names}
+    known["target"] = tuple(target.name for target in positions.targets)
     excluded = _excluded(document, positions, exclude_poses)
     for kind in (kind for kind in MEASUREMENTS if kind in files):
-        tables[kind] = read_measurements(files[kind], kind, known, positions.noise.of(kind), inputs.frames)
+        tables[kind] = read_measurements(files[kind], kind, known, positions.noise.spreads(kind), inputs.frames)
         hashes[keys.tables.get(kind, DETECTIONS)] = tables[kind].table.source.sha256
     counting = {
         kind: table.only(kept)

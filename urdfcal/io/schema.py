@@ -91,6 +91,17 @@ class CamerasKeys(Keys):
 
 _Cameras = Annotated[CamerasKeys, BeforeValidator(lambda value: {"file": value} if isinstance(value, str) else value)]
 
+
+def _pairs(value: Any) -> Any:
+    """Take apart what is said of several numbers under one key: pose: [m, rad]."""
+    keys = {kind.noise: [of.noise for of in kind.spreads.values()] for kind in MEASUREMENTS if kind.spreads}
+    for name, own in keys.items() if isinstance(value, dict) else ():
+        said = value.get(name)
+        if isinstance(said, list) and len(said) == len(own):
+            value = {**value, **dict(zip(own, said, strict=True))}
+    return value
+
+
 if TYPE_CHECKING:
     NoiseKeys: TypeAlias = Keys
     JointModelName: TypeAlias = str
@@ -100,7 +111,8 @@ else:
         __base__=Keys,
         __doc__="Standard deviations of the joint readings, and of each kind of measurement.",
         joint=(NotNegative, 0.0),
-        **{kind.noise: (Positive, kind.usual) for kind in MEASUREMENTS},
+        __validators__={"pair": model_validator(mode="before")(_pairs)},
+        **{of.noise: (Positive, of.usual) for kind in MEASUREMENTS for of in kind.spread_of().values()},
     )
     JointModelName = Literal[tuple(model.name for model in JOINT_MODELS)]
 
@@ -251,6 +263,9 @@ class SessionFile(_Tables):
             if self.frames is not None and "camera" not in kind.keys:
                 both = f"frames and {kind.kind} are both named"
                 raise ValueError(f"{both}: {kind.kind} belong to an arm that stands still")
+        if self.scale is not None and self.tables and not any(kind.array for kind in self.tables):
+            what = "scale says how well the lengths of what measures are known, and nothing here measures any"
+            raise ValueError(f"{what}: place_distances have a sigma of their own")
         if self.place_distances and not any("place" in kind.keys for kind in self.tables):
             raise ValueError("place_distances are given, but nothing that names places, such as contacts")
         if self.frames is not None and self.cameras is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -17,7 +18,7 @@ from urdfcal.session.model import MIN_POSES
 from urdfcal.session.trajectory import LONGEST_GAP, MARGIN, JointLog, Trajectory
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
+    from collections.abc import Collection, Sequence
     from pathlib import Path
 
     from urdfcal.estimation.measurements import Measurement
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
 _MISSING = "Leave the row out where nothing was measured."
 # What is named elsewhere: in joints.csv, the camera file and session.yaml.
-_KNOWN = {"pose": "poses of joints.csv", "camera": "cameras", "led": "LEDs"}
+_KNOWN = {"pose": "poses of joints.csv", "camera": "cameras", "led": "LEDs", "target": "targets"}
 _UNITS = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
 # Robots report their joints at 10 Hz to 1 kHz: in milliseconds that is 1 to 100 a reading.
 _FASTEST = 0.9e-3
@@ -159,7 +160,7 @@ def read_measurements(
     path: Path,
     kind: type[Measurement],
     known: Mapping[str, Sequence[str]],
-    sigma: float,
+    sigma: float | Mapping[str, float],
     frames: FrameTable | None = None,
 ) -> MeasurementTable:
     """Read a table of measurements, and sort it.
@@ -168,7 +169,7 @@ def read_measurements(
         path: the file.
         kind: of the measurements.
         known: the names that there are, by column; columns without an entry take those in the file, as they come.
-        sigma: standard deviation where the table has no such column. [unit of the kind]
+        sigma: standard deviation where the table has no such column, or of each such column. [unit of the kind]
         frames: of a moving arm, which its poses are; what was seen in those without joint values is left out.
 
     Raises:
@@ -176,16 +177,21 @@ def read_measurements(
             in the file.
     """
     correlated = SPREAD if kind is Points else ()
-    table = Table.read(path, [*kind.keys, *kind.columns], ["sigma", *correlated])
+    table = Table.read(path, [*kind.keys, *kind.columns], [*kind.spread_of(), *correlated])
     names = {key: tuple(known[key] if key in known else dict.fromkeys(table.labels(key))) for key in kind.keys}
     looked_up = [key for key in kind.keys if frames is None or key != "pose"]
     index = {key: table.indices(key, names[key], _KNOWN.get(key, f"{key}s")) for key in looked_up}
     if frames is not None:
         index["pose"] = frames.poses(table, index["camera"], names["camera"])
     numbers = table.numbers(kind.columns, _MISSING, positive=kind.positive)
-    own = "sigma" in table.columns
+    usual = sigma if isinstance(sigma, Mapping) else dict.fromkeys(kind.spread_of(), sigma)
+    spread = {
+        name: table.numbers([name], positive=True)[:, 0]
+        if name in table.columns
+        else np.full(len(numbers), usual[name])
+        for name in kind.spread_of()
+    }
     covariance = _covariances(table) if set(correlated) & set(table.columns) else None
-    spread = table.numbers(["sigma"], positive=True)[:, 0] if own else np.full(len(numbers), sigma)
     order = np.lexsort([index[key] for key in reversed(kind.keys)])
     order = order[index["pose"][order] >= 0]
     # lexsort is stable: of equal measurements the second comes later in the file.
@@ -193,7 +199,7 @@ def read_measurements(
     for first, second in zip(order[:-1][same].tolist(), order[1:][same].tolist(), strict=True):
         what = ", ".join(f"{key} {table.columns[key][second].strip()!r}" for key in kind.keys)
         raise table.wrong(f"{what} is already in line {first + 2}", second, "pose", "Keep one.")
-    columns = {key: column[order] for key, column in index.items()} | {"sigma": spread[order]}
+    columns = {key: column[order] for key, column in index.items()} | {name: of[order] for name, of in spread.items()}
     if kind.array:
         columns[kind.array] = numbers[order]
     own_names = {key: of for key, of in names.items() if key not in _KNOWN}

@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from urdfcal.arrays import Floats
     from urdfcal.robot.urdf.urdf import Urdf
     from urdfcal.session.attachments import CameraMount
-    from urdfcal.session.model import Measurements, Positions
+    from urdfcal.session.measurements import Measurements
+    from urdfcal.session.model import Positions
     from urdfcal.session.target import Target
 
 _SESSION = "session.yaml"
@@ -93,7 +94,9 @@ def write_measurements(path: Path, positions: Positions, table: Measurements) ->
     """
     labels = [positions.label(k) for k in range(len(positions.poses))]
     names = {"pose": labels, "camera": positions.rig.names, "led": positions.led_names, **table.names}
-    own = {"sigma": table.sigma.tolist()} if np.any(table.sigma != positions.noise.of(type(table))) else {}
+    names["target"] = [target.name for target in positions.targets]
+    usual = positions.noise.spreads(type(table))
+    own = {name: of.tolist() for name in usual if np.any((of := getattr(table, name)) != usual[name])}
     if isinstance(table, CorrelatedPoints):
         own = dict(zip(SPREAD, table.spread.T.tolist(), strict=True))
     columns = [[names[key][i] for i in index] for key, index in table.index.items()]

@@ -230,11 +230,13 @@ def _fit(of: FittedCalibration) -> d.FitSection:
         rms = {f"rms_{p}mm": 1e3 * _rms(of.problem.residual(points, state)[used]) for p, state in states.items()}
     residuals = []
     for block, kept in zip(of.observations, fit.kept, strict=True):
-        unit, scale = block.table.report
-        each = {p: scale * _rms(of.problem.residual(block, state)[kept]) for p, state in states.items()}
-        residuals.append(d.ResidualEntry(kind=block.table.kind, unit=unit, rms_nominal=each["nominal_"], rms=each[""]))
-        if unit in ("px", "mm"):
-            rms = {f"rms_{p}{unit}": value for p, value in each.items()} | rms
+        for unit, scale, numbers in block.table.reports():
+            each = {p: scale * _rms(of.problem.residual(block, at)[kept][:, numbers]) for p, at in states.items()}
+            residuals.append(
+                d.ResidualEntry(kind=block.table.kind, unit=unit, rms_nominal=each["nominal_"], rms=each[""])
+            )
+            if unit in ("px", "mm"):
+                rms = {f"rms_{p}{unit}": value for p, value in each.items()} | rms
     return d.FitSection(
         poses=len(of.session.poses),
         observations=fit.observations,
@@ -320,14 +322,17 @@ def _outliers(of: FittedCalibration) -> list[d.OutlierEntry]:
     """The measurements taken out of the fit: pose, camera, LED and residual (px, or mm for points)."""
     found = []
     for block, cut, norms in zip(of.observations, of.fit.outlier, of.fit.norms, strict=True):
-        residual, (_, scale) = of.problem.residual(block, of.fit.state), block.table.report
+        (_, scale, numbers), *_ = block.table.reports()
+        residual = of.problem.residual(block, of.fit.state)[..., numbers]
         cameras = block.index.get("camera")
+        key = "led" if "led" in block.index else "target"
+        names = of.session.led_names if key == "led" else of.session.attachments.targets
         for group, slot in np.argwhere(cut):
             found.append(
                 d.OutlierEntry(
                     pose=of.session.poses[block.pose[group]],
                     camera=None if cameras is None else of.estimate.cameras[cameras[group, slot]].name,
-                    led=of.session.leds[block.index["led"][group, slot]].name,
+                    led=names[block.index[key][group, slot]],
                     residual=scale * float(np.linalg.norm(residual[group, slot])),
                     sigmas=float(norms[group, slot]),
                 )

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
 
     from urdfcal.arrays import Ints
-    from urdfcal.session.model import Measurements, Session
+    from urdfcal.session.measurements import Measurements
+    from urdfcal.session.model import Session
 
 # What YAML reads as the text it is, in a list.
 _PLAIN = re.compile(r"\w[\w./-]*")

@@ -14,7 +14,8 @@ from urdfcal.names import check_known
 from urdfcal.robot.dh import PARAMETERS
 
 if TYPE_CHECKING:
-    from urdfcal.session.model import Measurements, Positions, Session
+    from urdfcal.session.measurements import Measurements
+    from urdfcal.session.model import Positions, Session
 
 ArmGeometry: TypeAlias = Literal["dh", "offsets", "full", "none"]
 Freedom: TypeAlias = Literal["fixed", "refine", "free"]
@@ -126,6 +127,11 @@ class Noise:
         """Return the standard deviation of a kind of measurement, in its unit; its usual one where nothing is said."""
         declared = self.said(kind.noise)
         return kind.usual if declared is None else declared
+
+    def spreads(self, kind: type[Measurements]) -> dict[str, float]:
+        """Return the standard deviation of each of a kind's fields of them, its usual one where nothing is said."""
+        said = {name: (self.said(of.noise), of.usual) for name, of in kind.spread_of().items()}
+        return {name: usual if declared is None else declared for name, (declared, usual) in said.items()}
 
     @property
     def reading(self) -> float:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from urdfcal.io.tables import MeasurementTable
-    from urdfcal.session.model import Measurements
+    from urdfcal.session.measurements import Measurements
 
 YAML, JOINTS, PIXELS, POINTS = "session.yaml", "joints.csv", "detections.csv", "points.csv"
 

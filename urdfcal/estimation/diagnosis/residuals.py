@@ -133,12 +133,15 @@ class Unexplained:
         everything = _everything(session, fit.state)
         parts, rs, Js, poses = [], [], [], []
         with one_blas_thread():
-            parts_of = zip(thinned.observations, even, fit.norms, fit.outlier, less, strict=True)
-            for observed, some, norm, outlier, factor in parts_of:
+            shrunk = iter(less)
+            for observed, some, norm, outlier in zip(thinned.observations, even, fit.norms, fit.outlier, strict=True):
                 at = Tangent.at(thinned, observed, fit.state, everything).linearise()
                 J = Tangent.at(thinned, observed, fit.state, fit.parameters).linearise().J
                 sigma, chain = less_joint * thinned.joint_sigma, thinned.arm.chain
-                covariance = factor**2 * observed.covariance
+                factor = np.ones(observed.dimension)
+                for of in observed.table.spread_of().values():
+                    factor[of.numbers] = next(shrunk)
+                covariance = np.outer(factor, factor) * observed.covariance
                 joint = joint_covariance(at, chain.reading_jacobian, sigma)
                 limit = norm_quantile(observed.dimension, _BOUNDED)
                 weight = np.where(outlier[some], (limit / np.maximum(norm[some], limit)) ** 2, 1.0)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from urdfcal.session.model import Measurements
+from urdfcal.session.measurements import Measurements
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from urdfcal.estimation.measurements import Measurement
     from urdfcal.io.checks.plausibility import Inputs
     from urdfcal.io.tables import MeasurementTable
-    from urdfcal.session.model import Measurements
+    from urdfcal.session.measurements import Measurements
 
 # One bad pixel, or one in twenty, is an error of its own, and the others are worth having; more have a cause.
 _FEW = 0.05

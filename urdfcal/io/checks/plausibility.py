@@ -13,7 +13,7 @@ import numpy as np
 
 from urdfcal.errors import SessionError
 from urdfcal.estimation.blocks.arm import parameter_tolerance
-from urdfcal.estimation.measurements import Detections, Distances, Points
+from urdfcal.estimation.measurements import Detections, Distances, Points, Poses
 from urdfcal.io.checks.content import check_images, check_names_by_rays, frozen_recording, told
 from urdfcal.io.csv_table import repeats
 from urdfcal.names import listed
@@ -44,6 +44,8 @@ _TOO_FAR, _TOO_WIDE = 5.0, 20.0
 _BLIND = 0.05
 # Five degrees of reading noise: the unit is wrong.
 _UNREAD = 0.1
+# Quaternions are written to three digits or more.
+_UNIT = 5e-3
 # A joint that moves less than this moves the tip by less than a nominal arm is wrong.
 _STILL = 1e-3
 
@@ -271,10 +273,19 @@ def _check_point_units(inputs: Inputs) -> None:
         first = table.first(np.asarray(far))
         what = f"a distance of {table.measurements.values[first, 0]:g} m looks like millimetres: {inputs.reach}"
         raise SessionError(what, where=table.place(first, "distance"), remedy="Write metres.")
-    table = inputs.tables.get(Points)
-    if table is None:
-        return
-    values = table.measurements.values
+    for table in (inputs.tables[kind] for kind in (Points, Poses) if kind in inputs.tables):
+        _check_spread(inputs, table)
+    poses = inputs.tables.get(Poses)
+    lengths = np.linalg.norm(poses.measurements.values[:, 3:], axis=1) if poses is not None else np.ones(0)
+    wrong = np.flatnonzero(np.abs(lengths - 1.0) > _UNIT)
+    if poses is not None and wrong.size:
+        first = poses.first(wrong)
+        what = f"qx, qy, qz, qw have the length {lengths[first]:.3g}, not 1: this is no orientation"
+        raise SessionError(what, where=poses.place(first, "qx"), remedy="Write a unit quaternion, qw last.")
+
+
+def _check_spread(inputs: Inputs, table: MeasurementTable) -> None:
+    values = table.measurements.values[:, :3]
     distance = np.linalg.norm(values - np.median(values, axis=0), axis=1)
     if np.median(distance) > _TOO_FAR * inputs.scale:
         spread = f"{np.ptp(values, axis=0).max():.3g} m, which looks like millimetres: {inputs.reach}"
