@@ -18,10 +18,10 @@ from urdfcal.estimation.noise import find_noise
 from urdfcal.estimation.regions import joint_regions, tip_regions
 from urdfcal.estimation.scale import find_scale
 from urdfcal.estimation.uncertainty import tip_error
-from urdfcal.estimation.validation import hold_out, region_interval, rms_samples
+from urdfcal.estimation.validation import hold_out, jackknife, region_interval, rms_samples
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Collection, Sequence
 
     from urdfcal.arrays import Bools, Floats
     from urdfcal.estimation.diagnosis.doctor import Finding
@@ -141,13 +141,31 @@ def _tip(problem: Problem, fit: Solution, regions: Regions, *, holds: bool) -> T
     return TipError(max(expected, regions.rms), (low, max(high, regions.interval[1])))
 
 
-def _regions(problem: Problem, comparison: Comparison) -> Regions:
+def widened(problem: Problem, comparison: Comparison) -> Comparison:
+    """Return the comparison with the chosen estimate's covariance widened by regions left out, if there is a misfit.
+
+    A misfit is no white noise: scaled by the reduced chi-square, 95 % intervals of the parameters of simulated arms
+    that sag or whose encoders err hold 61 to 83 %; with the jackknife over regions 82 to 94 %.
+    """
+    fit = comparison.chosen.fit
+    if not fit.misfit:
+        return comparison
+    thinned, (thin,) = _thinned(problem, [fit])
+    wide = replace(fit, spread=jackknife(thinned, thin, joint_regions(thinned)))
+    return comparison.with_chosen(replace(comparison.chosen, fit=wide))
+
+
+def _thinned(problem: Problem, fits: Sequence[Solution]) -> tuple[Problem, list[Solution]]:
+    """An even selection of the poses."""
     even = [observed.even(_MOST_POSES) for observed in problem.observations]
     problem = problem.with_observations([of.at(some) for of, some in zip(problem.observations, even, strict=True)])
-    fits = [
-        replace(trial.fit, kept=tuple(kept[some] for kept, some in zip(trial.fit.kept, even, strict=True)))
-        for trial in (comparison.chosen, comparison.nominal_arm)
+    return problem, [
+        replace(fit, kept=tuple(kept[some] for kept, some in zip(fit.kept, even, strict=True))) for fit in fits
     ]
+
+
+def _regions(problem: Problem, comparison: Comparison) -> Regions:
+    problem, fits = _thinned(problem, [trial.fit for trial in (comparison.chosen, comparison.nominal_arm)])
     found = []
     for divide in (joint_regions, tip_regions):
         region = divide(problem)

@@ -152,7 +152,8 @@ def _check_reading_units(inputs: Inputs) -> None:
     boundless = np.where(prismatic, _TOO_WIDE * inputs.scale, _WOUND_UP)
     lower, upper = np.maximum(lower, -boundless) - OVERRUN, np.minimum(upper, boundless) + OVERRUN
     factor = np.where(prismatic, 1e-3, np.pi / 180.0)
-    # No radian reading is beyond a whole turn by mistake; most readings in degrees are. No slide overruns by its length.
+    # No radian reading is beyond a whole turn by mistake; most readings in degrees are. No slide overruns by its
+    # length.
     length = np.where(np.abs(upper - lower) < boundless, upper - lower, 0.0)
     far = np.where(prismatic, np.maximum(lower - readings, readings - upper) > length, np.abs(readings) > 2.0 * np.pi)
     outside = np.asarray((readings < lower) | (readings > upper)) & far
