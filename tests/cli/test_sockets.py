@@ -83,6 +83,15 @@ class TestSimulated:
         assert run(["evaluate", str(result), str(session)]) == 0
         assert re.search(r"front_0 to front_1: 50\.\d+ mm, known as 50\.000 mm|49\.\d+ mm", capsys.readouterr().out)
 
+    def test_it_says_whose_lengths_count(
+        self, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        assert run(["calibrate", str(folder / "session"), "-o", str(tmp_path / "known")]) == 0
+        assert "if the known distances are right: 0.1 % of them is" in capsys.readouterr().out
+        write_session(tmp_path / "bare", replace(read_session(folder / "session"), place_distances=()))
+        assert run(["calibrate", str(tmp_path / "bare"), "-o", str(tmp_path / "unknown")]) == 0
+        assert "lengths are those of the nominal arm within its tolerances" in capsys.readouterr().out
+
     def test_verify_judges_by_contacts(self, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert run(["verify", str(folder / "result"), str(folder / "session"), "--limit", "1mm", "--json"]) == 0
         assert json.loads(capsys.readouterr().out)["rms_mm"] < 0.6

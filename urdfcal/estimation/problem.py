@@ -110,6 +110,14 @@ class Problem:
         result: Floats = np.linalg.norm(residual, axis=-1) * self.metres_per_unit(observed, state)
         return result
 
+    def seen(self, observed: Observations, state: State) -> Floats:
+        """Return what was measured as numbers (N, m, D) that residuals add to; of what was touched, where that is."""
+        table, residual = observed.table, self.residual(observed, state)[..., observed.table.lengths]
+        at = table.points(observed, self.links(observed.readings, state), state)
+        if table.compared is table.values or at is None or residual.shape[-1] != 3:
+            return observed.value[..., table.lengths]
+        return at[1] - residual
+
     def suspect(self, observed: Observations, outlier: Sequence[Bools]) -> Bools:
         """Return which slots (N, m) concern an LED at a pose where a measurement of it is an outlier."""
         last = max(int(of.pose.max()) for of in (observed, *self.observations))

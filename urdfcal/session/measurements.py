@@ -127,6 +127,11 @@ class Measurements(Rebuilt, ABC):
         turns = (("mrad", 1e3, of.numbers) for of in cls.spreads.values() if of.unit == "rad")
         return ((*cls.report, cls.lengths), *turns)
 
+    @classmethod
+    def components(cls) -> tuple[str, ...]:
+        """Return the names of the numbers that say how far something is off."""
+        return cls.columns[cls.lengths] or ("x", "y", "z")[: cls.dimension]
+
     @property
     def compared(self) -> Floats:
         """What predictions are compared with, (S, D): what was measured."""

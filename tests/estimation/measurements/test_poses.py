@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import fields, replace
 from functools import cache
@@ -12,6 +13,7 @@ import pinocchio as pin
 import pytest
 import yaml
 
+from urdfcal.cli import run
 from urdfcal.errors import SessionError
 from urdfcal.estimation.blocks.arm import no_offsets
 from urdfcal.estimation.blocks.base_pose import BASE
@@ -163,6 +165,13 @@ class TestFiles:
     def folder(self, tmp_path: Path) -> Path:
         write_session(tmp_path / "session", probed(20))
         return tmp_path / "session"
+
+    def test_evaluate_tells_places_and_turns_apart(self, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        urdf = rig().urdf_reference
+        assert run(["evaluate", urdf, str(folder), "--json"]) == 0
+        found = json.loads(capsys.readouterr().out)
+        assert found["residual_mm"]["rms"] == pytest.approx(np.sqrt(3.0) * 0.1, rel=0.3)
+        assert found["residual_mrad"]["rms"] == pytest.approx(np.sqrt(3.0) * 0.3, rel=0.3)
 
     def test_noise_is_a_pair(self, folder: Path) -> None:
         path = folder / "session.yaml"
