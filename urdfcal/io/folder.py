@@ -155,7 +155,7 @@ def read_rig(path: str | Path) -> RigDescription:
         remedy = "It says where the first camera stands that is on no link."
         raise SessionError("the key 'stand' is missing", where=document.place(), remedy=remedy)
     with document.placing():
-        return RigDescription(**setup, stand=stand)
+        return RigDescription(**setup, stand=stand, errors=keys.errors)
 
 
 def read_points(path: str | Path, session: Session) -> tuple[Points, tuple[Led, ...]]:

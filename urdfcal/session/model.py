@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from urdfcal.names import check_known, check_names
 from urdfcal.robot.gravity import STANDARD_GRAVITY
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.session.attachments import Attachments, CameraMount, attach
-from urdfcal.session.knowledge import Estimate, Excluded, Led, LedDistance, Noise, Payload, Tolerances
+from urdfcal.session.knowledge import Estimate, Excluded, JointError, Led, LedDistance, Noise, Payload, Tolerances
 from urdfcal.session.measurements import Measurements
 from urdfcal.session.trajectory import AT_REST, Motion, Trajectory
 
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
     from urdfcal.robot.mechanism import Mechanism
     from urdfcal.robot.urdf.urdf import Urdf
+    from urdfcal.session.knowledge import ErrorSizes
 
 # Three positions are the fewest that fix a base pose.
 MIN_POSES = 3
@@ -168,12 +169,19 @@ class RigDescription(Setup):
 
     Attributes:
         stand: of the first camera that stands still; None where all ride on the robot.
+        errors: of the joints of a robot that is simulated.
     """
 
     stand: Stand | None = None
+    errors: ErrorSizes = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        keep(self, errors=ReadOnly(self.errors))
+        for name, said in self.errors.items():
+            check_known(name, get_args(JointError), "errors", "errors")
+            for joint in said if isinstance(said, Mapping) else ():
+                check_known(joint, self.chain.actuated, "joints", f"errors.{name}")
         if self.stand is None and len(self.attachments.eye_to_hand):
             raise SessionError("where the first camera stands is not given", where="stand")
         if self.stand is not None and self.mounts and not len(self.attachments.eye_to_hand):
