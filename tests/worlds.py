@@ -94,6 +94,7 @@ def repeated(data: Simulated, _: float) -> Session:
         session,
         poses=tuple(f"{k}" for k in range(50)),
         q=np.tile(session.q, (5, 1)),
+        previous=None,
         measurements=(table,),
         noise=replace(session.noise, pixel=sigma),
     )

@@ -119,7 +119,7 @@ def test_what_a_urdf_cannot_hold_is_said(simulated: Callable) -> None:
     data = simulated("panda", poses=60)
     calibration = calibrated(sagging(data, 3e-5))
     (said,) = [reason for reason in calibration.warnings if "URDF cannot hold it" in reason]
-    assert said.startswith("the joints yield under the arm's weight, by up to 1.")
+    assert said.startswith("sag of the joints under the arm's weight, by up to 1.")
     # Against the truth: the calibrated arm at the readings, and at where gravity truly takes the joints.
     chain = calibration.chain.with_placements(calibration.placements)
     sag = -3e-5 * masses_of(data.session.urdf, data.session.chain).torques(data.session.q)

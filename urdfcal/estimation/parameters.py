@@ -148,10 +148,7 @@ class Parameters:
 
     def between(self, a: State, b: State) -> Floats:
         """Return the step (count,) of the active entries that leads from one state to another one nearby."""
-        steps = []
-        for block in self.blocks:
-            (here, D), (there, _) = (block.local(state[block.key]) for state in (a, b))
-            steps.append(np.linalg.solve(D, there - here))
+        steps = [block.between(a[block.key], b[block.key]) for block in self.blocks]
         result: Floats = np.concatenate(steps)[self.active]
         return result
 

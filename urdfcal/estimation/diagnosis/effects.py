@@ -133,7 +133,7 @@ def _joint_effects(model: LinearJointModel, readings: Readings, p: Floats) -> It
         (label,) = model.groups
 
         def all_of_them(sizes: Floats) -> str:
-            return model.sentence_of_all(1e3 * float(np.abs(sizes * features[:, every]).max()))
+            return model.sentence_of_all("the joints", 1e3 * float(np.abs(sizes * features[:, every]).max()))
 
         yield Effect(f"all joints: {label}", partial(_carried, model, every, readings), all_of_them)
 

@@ -23,6 +23,8 @@ _FAMILY, _SAME = 20, 1e-4
 # A correction that is to be undone must be seen, and what is left of it be small beside it.
 _SEEN, _UNDONE = 3.0, 1.0 / 3.0
 _CONFIGURATIONS = 100
+# Drawings give lengths to tenths of a millimetre, seven digits at most; corrections are written as they come out.
+_CORRECTED = 9.0
 
 
 def family(session: Session) -> Iterator[tuple[Path, Chain]]:
@@ -51,6 +53,8 @@ def undone(session: Session, calibrated: Mechanism, error: float) -> str | None:
         calibrated: the robot that was found.
         error: expected of its tip. [m]
     """
+    if _digits(session.chain) < _CORRECTED:
+        return None
     q = calibrated.random_values(_CONFIGURATIONS, np.random.default_rng(0))
     moved = rms(compare(calibrated, session.chain, q).position)
     if moved < _SEEN * error:
@@ -67,6 +71,7 @@ def undone(session: Session, calibrated: Mechanism, error: float) -> str | None:
     return None
 
 
-def _digits(robot: Mechanism) -> int:
-    """Digits of the joints' positions: a drawing's are round."""
-    return sum(len(f"{value:.12g}") for value in robot.placements[:, :3, 3].ravel())
+def _digits(robot: Mechanism) -> float:
+    """Mean number of digits of the joints' positions: a drawing's are round."""
+    values = robot.placements[:, :3, 3].ravel()
+    return float(np.mean([len(f"{abs(value):.12g}") for value in values if value] or [0]))

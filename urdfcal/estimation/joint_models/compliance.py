@@ -72,6 +72,6 @@ class Compliance(LinearJointModel):
         unit = "m/N" if joint.prismatic else "rad/(N m)"
         return f"{joint.name} yields under the arm's weight, {abs(p[0]):.1e} {unit}: the arm bends"
 
-    def sentence_of_all(self, most: float) -> str:
+    def sentence_of_all(self, joints: str, most: float) -> str:
         """Say how much they yield."""
-        return f"the joints yield under the arm's weight, by up to {most:.2g} mrad: the arm bends"
+        return f"sag of {joints} under the arm's weight, by up to {most:.2g} mrad: the arm bends"

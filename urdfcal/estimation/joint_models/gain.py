@@ -36,3 +36,7 @@ class Gain(LinearJointModel):
     def sentence(self, joint: Joint, group: str, p: Floats) -> str:
         """Say by what share."""
         return f"{joint.name} moves {1e2 * p[0]:+.2g} % more than it reads: gear ratio, or screw pitch"
+
+    def sentence_of_all(self, joints: str, most: float) -> str:
+        """Say how much."""
+        return f"wrong gain of {joints}, by up to {most:.2g} mrad: gear ratio, or screw pitch"

@@ -50,6 +50,10 @@ class Harmonics(LinearJointModel):
             f"{'once' if group == 'harmonic 1' else 'twice'} a turn: encoder eccentricity, or the gear's error"
         )
 
+    def sentence_of_all(self, joints: str, most: float) -> str:
+        """Say how much."""
+        return f"errors of {joints} with their own angle, by up to {most:.2g} mrad: encoder eccentricity, or gears"
+
     def shows(self, joint: Joint, q: Floats) -> bool:
         """Return whether the joint turns so far that harmonics do not look like a zero offset or a gear ratio."""
         return bool(np.ptp(q) > _TURN)

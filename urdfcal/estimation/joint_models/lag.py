@@ -50,8 +50,6 @@ class Lag(LinearJointModel):
         unit = "mm" if joint.prismatic else "mrad"
         return f"{joint.name} stays behind by {-1e3 * p[0]:.2g} {unit} for each {joint.unit} that it came"
 
-    def sentence_of_all(self, most: float) -> str:
+    def sentence_of_all(self, joints: str, most: float) -> str:
         """Say how much."""
-        return (
-            f"the joints stay behind on the side that they came from, by up to {most:.2g} mrad: friction, or settling"
-        )
+        return f"lag of {joints}, by up to {most:.2g} mrad: friction, or settling"

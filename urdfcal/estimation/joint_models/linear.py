@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     from urdfcal.robot.mechanism import Joint, Mechanism
     from urdfcal.session.model import Positions
 
+# More joints than these are called the joints.
+_NAMED = 2
+
 
 class Prior(NamedTuple):
     """What is known of a parameter beforehand.
@@ -120,13 +123,15 @@ class LinearJointModel(JointModel):
     def sentence(self, joint: Joint, group: str, p: Floats) -> str:
         """Say what a group of the parameters of a joint means."""
 
-    def sentence_of_all(self, most: float) -> str:
-        """Say what the parameters of all joints mean together, that err by so much at most. [mrad]."""
-        return f"the joints err by up to {most:.2g} mrad: {self.name}"
+    def sentence_of_all(self, joints: str, most: float) -> str:
+        """Say what the parameters of some joints mean together, that err by so much at most. [mrad]."""
+        return f"{self.name} of {joints}, by up to {most:.2g} mrad"
 
     def summary(self, readings: Readings, p: Floats) -> str:
         """Say what the parameters mean together, at some readings."""
-        return self.sentence_of_all(1e3 * float(np.abs(self.values(readings, p)).max()))
+        on = list(dict.fromkeys(np.array(self.names_of_joints)[p != 0.0].tolist()))
+        joints = " and ".join(on) if len(on) <= _NAMED else "the joints"
+        return self.sentence_of_all(joints, 1e3 * float(np.abs(self.values(readings, p)).max()))
 
     def shows(self, joint: Joint, q: Floats) -> bool:
         """Return whether a joint's values (N,) are such that residuals can show it."""

@@ -55,3 +55,7 @@ class MotorHarmonics(Harmonics):
         return (
             f"{joint.name} errs with its motor's angle, {1e3 * np.hypot(*p):.2g} mrad, {times} a turn: its gear's error"
         )
+
+    def sentence_of_all(self, joints: str, most: float) -> str:
+        """Say how much."""
+        return f"errors of {joints} with their motor's angle, by up to {most:.2g} mrad: gears"

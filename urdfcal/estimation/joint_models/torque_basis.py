@@ -77,3 +77,10 @@ class TorqueBasis(LinearJointModel):
         """Say that it yields."""
         del group, p
         return f"{joint.name} yields under the arm's weight, of which the URDF says nothing: the arm bends"
+
+    def sentence_of_all(self, joints: str, most: float) -> str:
+        """Say how much."""
+        return (
+            f"sag of {joints} under the arm's weight, by up to {most:.2g} mrad: the arm bends, by masses that the URDF "
+            "does not have, and what is found of them says little of regions that were not measured"
+        )
