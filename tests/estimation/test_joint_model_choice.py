@@ -9,11 +9,13 @@ import pytest
 
 from tests.worlds import backlash, gain, harmonic, sagging, seen
 from urdfcal.estimation.alignment import kabsch
-from urdfcal.estimation.joint_model_choice import Alternatives
+from urdfcal.estimation.evaluation import explain
+from urdfcal.estimation.joint_model_choice import Alternatives, _transfers
 from urdfcal.estimation.joint_models import JOINT_MODELS, Readings
 from urdfcal.estimation.joint_models.linear import LinearJointModel
 from urdfcal.estimation.uncertainty import tip_error
 from urdfcal.estimation.validation import hold_out, random_folds
+from urdfcal.io.folder import read_session
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.gravity import masses_of
 from urdfcal.robot.kinematics import tip_poses
@@ -21,6 +23,7 @@ from urdfcal.session.knowledge import Estimate
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from urdfcal.result.fitted import FittedCalibration
     from urdfcal.session.model import Session
@@ -115,6 +118,20 @@ def test_a_parameter_that_is_not_certain_makes_the_tip_uncertain(simulated: Call
     assert known < expected
 
 
+def test_what_a_model_brings_is_told_of_each_joint_and_in_other_regions(simulated: Callable) -> None:
+    data = simulated("panda", poses=60)
+    trials = {trial.term.model: trial for trial in calibrated(sagging(data, 3e-5)).comparison.chosen.joint_models}
+    sag, harmonics = trials["compliance"], trials["harmonics"]
+    assert sag.included
+    assert min(sag.inside, sag.elsewhere) > 1e-4
+    assert sag.log_evidence > 20.0
+    # The shoulder carries most of the arm, the wrist little of it.
+    assert sag.by_joint["panda_joint2"] > 1e-4 > abs(sag.by_joint["panda_joint6"])
+    assert not harmonics.included
+    assert not harmonics.by_joint
+    assert abs(harmonics.inside) < 1e-4
+
+
 def test_what_a_urdf_cannot_hold_is_said(simulated: Callable) -> None:
     data = simulated("panda", poses=60)
     calibration = calibrated(sagging(data, 3e-5))
@@ -140,3 +157,30 @@ def test_gears_of_one_kind_have_play_together(simulated: Callable) -> None:
     (term,) = calibrated(session).comparison.chosen.spec.terms
     assert term.model == "backlash"
     assert term.joints == session.chain.names
+
+
+@pytest.mark.parametrize(
+    ("joints", "tips", "borne_out"),
+    [
+        ([1.0, 1.1, 0.9], [1.0, 1.1, 0.9], True),
+        ([1.0, 1.1, 0.9], [1.6, 1.5, 1.4], False),  # of one kind of regions alone
+        ([0.1, 2.0, 0.9], [1.0, 1.1, 0.9], False),  # within one standard error
+    ],
+)
+def test_left_out_regions_of_both_kinds_bear_a_model_out(
+    joints: list[float], tips: list[float], borne_out: bool
+) -> None:
+    before = [np.full(3, 1.5)] * 3
+    assert _transfers(before, [np.full(3, 9.0), np.array(joints), np.array(tips)]) is borne_out
+
+
+@pytest.mark.parametrize(("here", "there", "most"), [("spread", "cubes", 0.62e-3), ("cubes", "spread", 0.53e-3)])
+def test_a_measured_ur10_holds_in_another_region(here: str, there: str, most: float, shared: Path) -> None:
+    # As drawn 0.78 and 0.98 mm, rigid 0.80 and 0.63 mm.
+    calibration = calibrate(read_session(shared / f"ur10_{here}"))
+    assert "compliance" in chosen(calibration)
+    assert "harmonics" not in chosen(calibration)
+    known = {model.key: calibration.fit.state[model.key] for model in calibration.problem.joint_models}
+    chain = calibration.chain.with_placements(calibration.placements)
+    (residual,) = explain(chain, read_session(shared / f"ur10_{there}"), known=known).residuals
+    assert np.sqrt(np.mean(np.sum(residual**2, axis=1))) < most

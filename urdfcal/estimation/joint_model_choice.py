@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import one_blas_thread, rms
+from urdfcal.arrays import ReadOnly, one_blas_thread, rms
 from urdfcal.estimation.joint_models import Term
 from urdfcal.estimation.joint_models.linear import LinearJointModel
 from urdfcal.estimation.linearize import Tangent
@@ -22,7 +22,7 @@ from urdfcal.estimation.validation import random_folds
 from urdfcal.estimation.whitening import JointNoise, joint_covariance
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from urdfcal.arrays import Bools, Floats, Ints
     from urdfcal.estimation.problem import Problem
@@ -54,6 +54,7 @@ class JointModelTrial:
         log_evidence: of the estimate with it, less that of the one without it.
         inside: how much nearer poses left out at random are predicted with it, root mean square. [m]
         elsewhere: the same of left-out regions. [m]
+        by_joint: what of ``inside`` is lost without a joint's part, for each joint of a model that is included. [m]
     """
 
     term: Term
@@ -61,6 +62,7 @@ class JointModelTrial:
     log_evidence: float
     inside: float
     elsewhere: float
+    by_joint: Mapping[str, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,13 +90,15 @@ class Alternatives:
 
     Attributes:
         units: what can be chosen: a model of one joint, or of all together.
-        sigma: (K,) standard deviations of all models' parameters, at scale 1.
+        owner: (K,) the model and the joint that each of all models' parameters belongs to.
+        sigma: (K,) standard deviations of these, at scale 1.
         divisions: of the poses: folds, clusters of joint space, clusters of tips.
         prior: (P + 1, P + 1) products of the prior's rows, of the estimate's own P parameters and the residual.
         share: of the poses that are independent of each other.
     """
 
     units: tuple[_Unit, ...]
+    owner: tuple[tuple[str, str], ...]
     sigma: Floats
     divisions: tuple[_Division, ...]
     prior: Floats
@@ -140,7 +144,9 @@ class Alternatives:
         poses = thinned.poses
         share = len(np.unique(thinned.readings.unit[poses])) / len(poses)
         sigma = np.concatenate([model.sigma for model in models])[columns]
-        return cls(units, sigma, divisions, prior.T @ prior, share)
+        names = [(model.name, joint) for model in models for joint in model.names_of_joints]
+        owner = tuple(names[column] for column in columns)
+        return cls(units, owner, sigma, divisions, prior.T @ prior, share)
 
     @property
     def count(self) -> int:
@@ -216,19 +222,22 @@ class Alternatives:
             if not mine:
                 other = (*other, whole)
             sign = 1.0 if mine else -1.0
-            inside, joints, tips = (sign * (_rms(b) - _rms(a)) for a, b in zip(errors, self.errors(other), strict=True))
+            gains = [sign * gain for gain in self._losses(errors, other)]
+            parts = {joint: self._losses(errors, _without(included, model, joint))[0] for joint in term.joints if mine}
             evidence = sign * (now - self.log_evidence(other))
-            found.append(JointModelTrial(term, bool(mine), evidence, inside, min(joints, tips)))
+            found.append(JointModelTrial(term, bool(mine), evidence, gains[0], min(gains[1:]), ReadOnly(parts)))
         return tuple(found)
+
+    def _losses(self, errors: Sequence[Floats], chosen: Sequence[Term]) -> list[float]:
+        """How much farther off poses are predicted with other terms, for each division. [m]."""
+        return [_rms(after) - _rms(before) for before, after in zip(errors, self.errors(chosen), strict=True)]
 
     def scales(self, chosen: Sequence[Term]) -> Floats:
         """The standard deviations (K,) of all models' parameters with some terms: 0 for what is in none of them."""
         sigma = np.zeros(len(self.sigma))
         for term in chosen:
-            columns = next(
-                unit.columns for unit in self.units if self._covers(unit.term, term) and self._covers(term, unit.term)
-            )
-            sigma[columns] = term.scale * self.sigma[columns]
+            mine = [model == term.model and joint in term.joints for model, joint in self.owner]
+            sigma[mine] = term.scale * self.sigma[mine]
         return sigma
 
     def log_evidence(self, chosen: Sequence[Term]) -> float:
@@ -317,6 +326,11 @@ def _transfers(before: Sequence[Floats], after: Sequence[Floats]) -> bool:
     """
     pairs = list(zip(before[1:], after[1:], strict=True))
     return all(np.mean(new) + np.std(new, ddof=1) / np.sqrt(len(new)) < np.mean(old) for old, new in pairs)
+
+
+def _without(terms: Sequence[Term], model: str, joint: str) -> list[Term]:
+    """Take a joint out of a model's terms."""
+    return [replace(t, joints=tuple(j for j in t.joints if (t.model, j) != (model, joint))) for t in terms]
 
 
 def _rms(squares: Floats) -> float:
