@@ -71,6 +71,9 @@ class Setup(Rebuilt):
         gravity: (3,) in the base link's frame. [m/s^2]
         gear_ratio: turns of the motor for one of the joint, by the joint's name.
         scale_sigma: of the share that the instrument's lengths may be too long by; None where nothing is said.
+        joint_models: by name, which are estimated (True) or not (False); of the others each decides itself.
+        scale_sigma: of the share that the instrument's lengths may be too long by; where nothing is said the rig's,
+            or None.
         sha256: hash of every input file, by the name that the session gives it.
         folder: where it was read from.
     """
@@ -101,6 +104,8 @@ class Setup(Rebuilt):
         by_joint = {name: of for name, of in self.joint_models.items() if isinstance(of, Mapping)}
         for name, joint in ((name, joint) for name, of in by_joint.items() for joint in of):
             check_known(joint, self.chain.actuated, "joints", f"joint_models.{name}")
+        if self.scale_sigma is None:
+            keep(self, scale_sigma=self.rig.scale_sigma)
         for name in (name for distance in self.led_distances for name in distance.leds):
             check_known(name, self.led_names, "LEDs", "led_distances")
         if not self.leds:
