@@ -33,6 +33,7 @@ import numpy as np
 from tests.benchmarks.accuracy import information_of
 from tests.states import true_state_of
 from urdfcal.arrays import rms
+from urdfcal.errors import UrdfcalError
 from urdfcal.estimation.alignment import kabsch
 from urdfcal.estimation.blocks.arm import ARM
 from urdfcal.estimation.evaluation import explain
@@ -205,7 +206,7 @@ def measured(folder: Path) -> None:
         for words, said in (("auto", {}), ("off", OFF)):
             try:
                 session = read_session(folder / name)
-            except ValueError as error:
+            except UrdfcalError as error:
                 print(f"{name}: {error}")
                 break
             calibration = calibrate(replace(session, joint_models=said), force=True)

@@ -34,9 +34,7 @@ class Backlash(LinearJointModel):
     groups: ClassVar[Mapping[str, tuple[int, ...]]] = {"approach": (0,)}
     revolute: ClassVar[Prior | None] = Prior("rad", 1e-4)
     prismatic: ClassVar[Prior | None] = Prior("m", 1e-5)
-    certain: ClassVar[float] = (
-        10.0  # which side a joint came from says nothing of regions; measured rigid arms: up to 7
-    )
+    certain: ClassVar[float] = 10.0  # the side a joint came from tells nothing of regions; measured rigid arms: up to 7
 
     @classmethod
     def depends_on(cls, session: Positions) -> dict[str, Any] | None:

@@ -32,7 +32,7 @@ class Lag(LinearJointModel):
     revolute: ClassVar[Prior | None] = Prior("1", 1e-4)
     prismatic: ClassVar[Prior | None] = Prior("1", 1e-4)
     together: ClassVar[bool] = True
-    certain: ClassVar[float] = 0.0
+    certain: ClassVar[float] = 10.0  # of a rigid Motoman arm it gains up to 9, and a tracker does not confirm it
 
     @classmethod
     def depends_on(cls, session: Positions) -> dict[str, Any] | None:
