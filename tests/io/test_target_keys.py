@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from urdfcal.session.model import RigDescription
+    from urdfcal.session.rig_description import RigDescription
 
 TARGETS = """
 board: {kind: charuco, size: [5, 7], square: 0.036, marker: 0.018, dictionary: DICT_6X6_250, legacy: true, link: tool0}

@@ -206,9 +206,8 @@ def read_rig(path: str | Path) -> RigDescription:
         remedy = "It says where the first camera stands that is on no link."
         raise SessionError("the key 'stand' is missing", where=document.place(), remedy=remedy)
     with document.placing():
-        return RigDescription(
-            **setup, stand=stand, places={name: np.array(place) for name, place in keys.places.items()}
-        )
+        places = {name: np.array(place) for name, place in keys.places.items()}
+        return RigDescription(**setup, stand=stand, places=places, errors=keys.errors)
 
 
 def read_points(path: str | Path, session: Session) -> tuple[Points, tuple[Led, ...]]:

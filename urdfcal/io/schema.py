@@ -25,6 +25,7 @@ from urdfcal.session.knowledge import (
     ArmGeometry,
     Estimate,
     Freedom,
+    JointError,
     Led,
     LedDistance,
     Noise,
@@ -269,12 +270,25 @@ class SetupFile(Keys):
         }
 
 
+def _sizes(value: Any) -> Any:
+    """A size of an error of joints: of all, or of each by name, or drawn."""
+
+    def number(size: Any) -> bool:
+        return isinstance(size, (int, float)) and not isinstance(size, bool) and bool(np.isfinite(size))
+
+    each = value.values() if isinstance(value, dict) else [value]
+    if value != "default" and not all(map(number, each)):
+        raise ValueError(f"{value!r} stands where default, a number, or a number for each of some joints belongs")
+    return value
+
+
 class RigFile(SetupFile):
     """rig.yaml."""
 
     estimate: Annotated[_Estimate, AfterValidator(_at_rest)] = EstimateKeys()
     stand: StandKeys | None = None
     places: dict[Name, Vector] = Field(default={})
+    errors: dict[JointError, Annotated[Any, AfterValidator(_sizes)]] = Field(default={})
 
     @model_validator(mode="after")
     def _measured(self) -> RigFile:

@@ -271,7 +271,7 @@ def _fit(of: FittedCalibration) -> d.FitSection:
             if found.unit in ("px", "mm"):
                 rms = {f"rms_nominal_{found.unit}": found.rms_nominal, f"rms_{found.unit}": found.rms} | rms
     return d.FitSection(
-        poses=len(of.session.poses),
+        poses=len(of.problem.poses),
         observations=fit.observations,
         parameters=fit.parameters.count,
         rank=of.identifiability.rank,

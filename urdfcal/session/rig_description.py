@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
 from urdfcal.arrays import Floats, ReadOnly, finite_array, keep
 from urdfcal.errors import SessionError
 from urdfcal.names import check_known, check_names
+from urdfcal.session.knowledge import JointError
 from urdfcal.session.model import Setup
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from urdfcal.session.knowledge import ErrorSizes
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,14 +43,24 @@ class RigDescription(Setup):
 
     Attributes:
         stand: of the first camera that stands still; None where all ride on the robot.
+        errors: of the joints of a robot that is simulated.
         places: (3,) of each place that is touched, in the base link's frame; none where cameras measure. [m]
     """
 
     stand: Stand | None = None
     places: Mapping[str, Floats] = field(default_factory=dict)
+    errors: ErrorSizes = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        keep(self, errors=ReadOnly(self.errors))
+        for error, said in self.errors.items():
+            check_known(error, get_args(JointError), "errors", "errors")
+            for joint in said if isinstance(said, Mapping) else ():
+                check_known(joint, self.chain.actuated, "joints", f"errors.{error}")
+        if self.errors and self.places:
+            what = "joint errors are simulated before cameras alone, and the rig touches places"
+            raise SessionError(what, where="errors", remedy="Leave the key out.")
         if self.stand is None and len(self.attachments.eye_to_hand):
             raise SessionError("where the first camera stands is not given", where="stand")
         if self.stand is not None and self.mounts and not len(self.attachments.eye_to_hand):

@@ -19,7 +19,8 @@ from urdfcal.io.writing import write_session
 from urdfcal.robot.dh import PARAMETERS
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.robot.urdf.origins import origins_of, rewrite_origins
-from urdfcal.session.model import MIN_POSES, Session, Setup
+from urdfcal.session.model import MIN_POSES, Positions, Setup
+from urdfcal.simulation.joint_errors import draw_joint_errors, joint_errors_to_dicts, true_joint_values
 from urdfcal.simulation.planning import load_collision_checker, sample_poses
 from urdfcal.simulation.scene import Scene, look_at, noisy_values, simulate_detections
 from urdfcal.simulation.touching import touch_places
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from urdfcal.arrays import Ints
     from urdfcal.estimation.measurements import Measurement
     from urdfcal.robot.dh import DHRow, DHTable
+    from urdfcal.session.model import Session
     from urdfcal.session.rig_description import RigDescription
 
 _URDF, _JSON = "truth.urdf", "truth.json"
@@ -64,6 +66,9 @@ class Truth(Scene):
         outlier_share: of the detections, as asked for.
         offsets: (n, 5) of the DH rows, columns as ``PARAMETERS``. [rad, m]
         q: (N, n) joint values. [rad or m]
+        readings: (N, n) what perfect encoders say of them; of an arm that moves, in the poses that it moves through.
+            [rad or m]
+        joint_errors: parameters (k,) of the joint models that lie between, by name.
         outliers: (K,) rows of the session's detections that are outliers.
         urdf: the true robot's description: the nominal one with other ``<origin>`` values.
         time_offsets: (C,) of the cameras' clocks, t_robot = t_camera + offset; empty where the arm stood still. [s]
@@ -76,6 +81,8 @@ class Truth(Scene):
     outlier_share: float
     offsets: Floats
     q: Floats
+    readings: Floats
+    joint_errors: Mapping[str, Floats]
     outliers: Ints
     urdf: bytes
     time_offsets: Floats = field(default_factory=lambda: np.zeros(0))
@@ -116,7 +123,7 @@ def simulate(
         poses: how many to measure.
         pixel: noise of the detections, one standard deviation, instead of the rig's; without noise (0) the
             session goes on to declare the rig's. [px]
-        error_scale: factor on how far the robot is from the nominal one.
+        error_scale: factor on how far the robot's geometry is from the nominal one.
         outliers: share of the detections moved by 5 to 200 px.
         progress: called with the number of poses found since the last call.
 
@@ -147,23 +154,25 @@ def simulate(
     outlined = nominal.outlined()
     checker, warnings = load_collision_checker(outlined, rig)
     noise = rig.noise if not pixel else replace(rig.noise, pixel=pixel)
-    pixel = rig.noise.of(Detections) if pixel is None else pixel
     measured: Measurement
     if rig.places:
         spread, outlying = rig.noise.of(Contacts), np.zeros(0, dtype=np.intp)
-        q, measured = touch_places(rig, true, offsets, poses, spread, pose_rng, checker, progress)
+        readings, measured = touch_places(rig, true, offsets, poses, spread, pose_rng, checker, progress)
     else:
-        q = sample_poses(outlined, checker, poses, pose_rng, progress)
-        views = np.tile(np.arange(len(true.cameras)), (poses, 1))
-        levels = pixel, noise.of(Detections)
-        measured, outlying = simulate_detections(true, q, views, levels, outliers, noise_rng, outlier_rng)
-    session = Session(
+        readings = sample_poses(outlined, checker, poses, pose_rng, progress)
+    planned = Positions(
         **{one.name: getattr(rig, one.name) for one in fields(Setup)} | {"noise": noise, "sha256": {}, "folder": None},
         poses=tuple(f"{k:0{len(str(poses))}d}" for k in range(1, poses + 1)),
-        q=noisy_values(rig, q, joint_rng),
-        measurements=(measured,),
+        q=readings,
         warnings=warnings,
     )
+    joint_errors = draw_joint_errors(rig.errors, planned, seed)
+    q = true_joint_values(planned, joint_errors)
+    pixel = rig.noise.of(Detections) if pixel is None else pixel
+    if not rig.places:
+        views, levels = np.tile(np.arange(len(true.cameras)), (poses, 1)), (pixel, noise.of(Detections))
+        measured, outlying = simulate_detections(true, q, views, levels, outliers, noise_rng, outlier_rng)
+    session = planned.measured((measured,), q=noisy_values(rig, planned.q, joint_rng))
     truth = Truth(
         **vars(true),
         seed=seed,
@@ -172,6 +181,8 @@ def simulate(
         outlier_share=outliers,
         offsets=frozen(offsets),
         q=frozen(q),
+        readings=planned.q,
+        joint_errors=joint_errors,
         outliers=frozen(outlying, np.intp),
         places=rig.places,
         urdf=b"" if rig.urdf is None else rewrite_origins(rig.urdf, origins_of(rig.urdf, rig.chain, true.placements)),
@@ -231,6 +242,7 @@ def _truth_to_dict(simulated: Simulated) -> dict[str, Any]:
         "T_cam_frame": dict(zip(cameras, truth.T_cam_frame.tolist(), strict=True)),
         **({"time_offsets": offsets} if offsets else {}),
         **({"places": places} if places else {}),
+        **({"joint_errors": joint_errors_to_dicts(session, truth.joint_errors)} if truth.joint_errors else {}),
         "outliers": [
             {
                 "pose": session.label(int(detections.pose[row])),
