@@ -142,6 +142,8 @@ def claims(document: ResultData) -> tuple[str, ...]:
     if (declared := scale["declared_sigma"]) is not None:
         known = f"the scale is known to {1e2 * declared:.2g} %, which is in the interval"
         return expected, f"{known}: 0.1 % of it is {permille:.2g} mm at the tip{factor}"
+    if scale.get("unit") == "distances":
+        return expected, f"if the known distances are right: 0.1 % of them is {permille:.2g} mm at the tip{factor}"
     return expected, f"if the scale is right: 0.1 % of it is {permille:.2g} mm at the tip{factor}"
 
 
@@ -154,7 +156,7 @@ def look_up(document: ResultData, key: str | Sequence[str]) -> Any:
 def pose_texts(overview: Overview) -> list[str]:
     """For each pose its residuals in space, and what colours and enlarged things mean."""
     scene, session = overview.scene, overview.calibration.session
-    poses, names, leds = session.poses, session.led_names, scene.leds
+    poses, names, leds = session.poses, (*session.led_names, *session.attachments.targets), scene.leds
     new, old = (1e3 * np.linalg.norm(of - leds.measured, axis=1) for of in (leds.predicted, leds.nominal))
     lines: list[list[str]] = [[] for _ in poses]
     for m, (pose, led, cut) in enumerate(zip(leds.pose, leds.led, leds.outlier, strict=True)):

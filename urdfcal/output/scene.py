@@ -9,7 +9,6 @@ import numpy as np
 
 from urdfcal.arrays import Bools, Floats, Ints, inverse
 from urdfcal.cameras.rig import Rig
-from urdfcal.estimation.measurements import Points
 from urdfcal.output.placing import PlacedRows, RobotPoses
 from urdfcal.rotations import matrix_to_rotation_vector, rotation_vector_to_matrix
 
@@ -25,7 +24,7 @@ class Residuals:
 
     Attributes:
         pose: (S,) index of the pose.
-        led: (S,) index of the LED.
+        led: (S,) index of the LED, or behind all of them of the target.
         measured: (S, D) in px of the camera, m in the world, or the kind's own unit.
         predicted: (S, D) by the calibrated arm.
         nominal: (S, D) by the nominal arm.
@@ -63,7 +62,7 @@ class ResidualTable(Residuals):
         scale: what residuals are multiplied by to be in that unit.
         components: the name of each component.
         by_camera: whether cameras measured.
-        in_world: whether the numbers are the LED's position in the world.
+        in_world: whether the numbers are a position in the world.
         camera: (S,) index of the camera; -1 for points.
         sigma: (S,) standard deviation of each component.
     """
@@ -100,9 +99,11 @@ class ResidualTable(Residuals):
 
 def measurements_of(calibration: FittedCalibration) -> tuple[ResidualTable, ...]:
     """Bring the calibration's blocks of observations, and what became of them, into tables."""
-    fit, tables = calibration.fit, []
+    fit, tables, problem = calibration.fit, [], calibration.problem
     for index, block in enumerate(calibration.observations):
-        rows, (unit, scale) = block.valid, block.table.report
+        rows, (unit, scale), lengths = block.valid, block.table.report, block.table.lengths
+        measured = problem.seen(block, fit.state)[rows]
+        bodies = len(calibration.session.led_names) + block.index.get("target", block.row)
         size, size_nominal = (
             solution.norms[index][rows] / np.sqrt(block.dimension) for solution in (fit, calibration.nominal_fit)
         )
@@ -110,16 +111,16 @@ def measurements_of(calibration: FittedCalibration) -> tuple[ResidualTable, ...]
             ResidualTable(
                 unit=unit,
                 scale=scale,
-                components=block.table.columns,
+                components=block.table.components(),
                 by_camera="camera" in block.index,
-                in_world=isinstance(block.table, Points),
+                in_world="camera" not in block.index and measured.shape[1] == 3,
                 pose=np.broadcast_to(block.pose[:, None], rows.shape)[rows],
-                led=block.index["led"][rows],
+                led=block.index.get("led", bodies)[rows],
                 camera=block.index.get("camera", np.full_like(block.row, -1))[rows],
-                measured=block.value[rows],
+                measured=measured,
                 sigma=np.sqrt(block.covariance[rows][:, 0, 0]),
-                predicted=calibration.problem.predict(block, fit.state)[rows],
-                nominal=calibration.problem.predict(block, calibration.nominal_fit.state)[rows],
+                predicted=measured + problem.residual(block, fit.state)[rows][:, lengths],
+                nominal=measured + problem.residual(block, calibration.nominal_fit.state)[rows][:, lengths],
                 size=size,
                 size_nominal=size_nominal,
                 outlier=fit.outlier[index][rows],
@@ -189,7 +190,12 @@ def build_scene(calibration: FittedCalibration) -> CalibrationScene:
     tables = measurements_of(calibration)
     pixels = next((table for table in tables if table.by_camera), None)
     rays = _rays(pixels, arm, poses) if pixels else np.zeros((0, 2, 3))
-    parts = [_leds(block, arm, session.attachments, rays, poses, nominal_leds) for block in tables]
+    parts = [
+        _bodies(block, poses)
+        if block.led.min() >= len(arm.leds)
+        else _leds(block, arm, session.attachments, rays, poses, nominal_leds)
+        for block in tables
+    ]
     columns = [np.concatenate(column) for column in zip(*(vars(part).values() for part in parts), strict=True)]
     order = np.argsort(columns[0], kind="stable")
     order = order[np.isfinite(columns[2][order]).all(axis=1)]  # not where the lens model has no ray for the pixel
@@ -312,3 +318,12 @@ def _moved(T_a_b: Floats, points: Floats, covariances: Floats) -> tuple[Floats, 
     """Points (M, 3) with covariances (M, 3, 3) by transforms (M, 4, 4)."""
     R = T_a_b[:, :3, :3]
     return (R @ points[..., None])[..., 0] + T_a_b[:, :3, 3], R @ covariances @ np.swapaxes(R, 1, 2)
+
+
+def _bodies(block: ResidualTable, poses: RobotPoses) -> LedTable:
+    """Show the origins of targets whose poses were measured as LEDs are."""
+    T_base_world = poses.T_base_frame[0, block.pose]
+    measured, covariance = _moved(T_base_world, block.measured, block.sigma[:, None, None] ** 2 * np.eye(3))
+    predicted, nominal = (_moved(T_base_world, of, covariance)[0] for of in (block.predicted, block.nominal))
+    own = (block.size, block.size_nominal, block.outlier)
+    return LedTable(block.pose, block.led, measured, predicted, nominal, *own, covariance)

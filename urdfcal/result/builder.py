@@ -14,6 +14,8 @@ from urdfcal.estimation.blocks.arm import LENGTHS
 from urdfcal.estimation.blocks.base_pose import BASE, base_keys
 from urdfcal.estimation.blocks.cameras import lens_key, pose_key
 from urdfcal.estimation.blocks.leds import LEDS
+from urdfcal.estimation.blocks.places import PLACES
+from urdfcal.estimation.blocks.planes import PLANES
 from urdfcal.estimation.joint_models.time_offset import TIME_OFFSETS
 from urdfcal.estimation.measurements.pixels import triangulate
 from urdfcal.estimation.model_selection import Trial
@@ -73,10 +75,8 @@ def build_document(of: FittedCalibration) -> ResultDocument:
         },
     }
     # Keys are absent where there is nothing to say.
-    if parameters := _parameters(of):
-        data["parameters"] = parameters
-    if len(sessions := _sessions(of)) > 1:
-        data["sessions"] = sessions
+    parts = {"places": _places(of), "planes": _planes(of), "parameters": _parameters(of), "sessions": _sessions(of)}
+    data |= {key: part for key, part in parts.items() if part}
     if excluded := of.session.excluded.named:
         data["provenance"]["excluded"] = excluded
     return ResultDocument.model_validate(_plain(data))
@@ -166,16 +166,17 @@ def _parameters(of: FittedCalibration) -> list[Plain]:
 
 
 def _sessions(of: FittedCalibration) -> Plain:
-    """Where each of several sessions has its base, and how well it fits."""
+    """Where each of several sessions has its base, and how well it fits; nothing of one alone."""
     session, entries = of.session, {}
     for k, (name, key) in enumerate(zip(session.parts, base_keys(session.parts), strict=True)):
-        residuals, things = [], {"led": set[int](), "camera": set[int]()}
+        residuals: list[Plain] = []
+        things = {"led": set[int](), "camera": set[int]()}
         for block, kept in zip(of.observations, of.fit.kept, strict=True):
             used = kept & (block.readings.part == k)[:, None]
             for kind in things.keys() & block.index.keys():
                 things[kind].update(np.unique(block.index[kind][used]).tolist())
             if used.any():
-                residuals.append(_residual(of, block, used))
+                residuals += _residuals(of, block, used)
         entries[name or BASE_PART] = {
             "T_world_base": of.fit.state[key],
             "T_world_base_sigma": of.sigmas_of(key),
@@ -184,16 +185,17 @@ def _sessions(of: FittedCalibration) -> Plain:
             "cameras": [session.rig.names[i] for i in sorted(things["camera"])],
             "residuals": residuals,
         }
+    return entries if len(entries) > 1 else {}
+
+
+def _residuals(of: FittedCalibration, block: Observations, used: Bools) -> list[Plain]:
+    """The rms of some residuals of one kind of measurement, nominal and calibrated, in each unit that it has."""
+    both = [of.problem.residual(block, solution.state)[used] for solution in (of.nominal_fit, of.fit)]
+    entries = []
+    for unit, scale, numbers in block.table.reports():
+        nominal, calibrated = (scale * _rms(residual[:, numbers]) for residual in both)
+        entries.append({"kind": block.table.kind, "unit": unit, "rms_nominal": nominal, "rms": calibrated})
     return entries
-
-
-def _residual(of: FittedCalibration, block: Observations, used: Bools) -> Plain:
-    """The rms of some residuals of one kind of measurement, nominal and calibrated."""
-    unit, scale = block.table.report
-    nominal, calibrated = (
-        scale * _rms(of.problem.residual(block, solution.state)[used]) for solution in (of.nominal_fit, of.fit)
-    )
-    return {"kind": block.table.kind, "unit": unit, "rms_nominal": nominal, "rms": calibrated}
 
 
 def _leds(of: FittedCalibration) -> Plain:
@@ -206,6 +208,19 @@ def _leds(of: FittedCalibration) -> Plain:
         }
         for i, led in enumerate(of.session.leds)
     }
+
+
+def _places(of: FittedCalibration) -> Plain:
+    sigmas, names = of.sigmas_of(PLACES).reshape(-1, 3), of.session.named("place")
+    return {name: {"position": of.fit.state[PLACES][k], "sigma": sigmas[k]} for k, name in enumerate(names)}
+
+
+def _planes(of: FittedCalibration) -> Plain:
+    sigmas, entries = of.sigmas_of(PLANES).reshape(-1, 3), {}
+    for k, name in enumerate(of.session.named("plane")):
+        plane = of.fit.state[PLANES][k]
+        entries[name] = {"normal": plane[:3], "offset": plane[3], "sigma": sigmas[k]}
+    return entries
 
 
 def _camera(of: FittedCalibration, c: int) -> Plain:
@@ -234,14 +249,15 @@ def _fit(of: FittedCalibration) -> Plain:
     found = triangulate(of.session) if of.estimate.cameras else None
     if found is not None:
         points = arrange(of.session, found)
-        space = _residual(of, points, points.valid & ~of.problem.suspect(points, fit.outlier))
+        (space,) = _residuals(of, points, points.valid & ~of.problem.suspect(points, fit.outlier))
         rms = {"rms_nominal_mm": space["rms_nominal"], "rms_mm": space["rms"]}
-    residuals = [_residual(of, block, kept) for block, kept in zip(of.observations, fit.kept, strict=True)]
+    blocks = zip(of.observations, fit.kept, strict=True)
+    residuals = [entry for block, kept in blocks for entry in _residuals(of, block, kept)]
     for each in residuals:
         if each["unit"] in ("px", "mm"):
             rms = {f"rms_nominal_{each['unit']}": each["rms_nominal"], f"rms_{each['unit']}": each["rms"]} | rms
     return {
-        "poses": len(of.session.poses),
+        "poses": len(of.problem.poses),
         **_of(fit, "observations", "converged"),
         "parameters": fit.parameters.count,
         "rank": of.identifiability.rank,
@@ -291,6 +307,7 @@ def _evidence(of: FittedCalibration) -> Plain:
             "factor": scale.factor,
             "factor_sigma": _known(scale.sigma),
             "declared_sigma": scale.declared,
+            "unit": scale.unit,
         },
         "noise": {noise.name: _of(noise, "unit", "declared", "found", "relative_sigma") for noise in evidence.noise},
         "findings": [
@@ -308,14 +325,17 @@ def _outliers(of: FittedCalibration) -> list[Plain]:
     """The measurements taken out of the fit: pose, camera, LED and residual (px, or mm for points)."""
     found = []
     for block, cut, norms in zip(of.observations, of.fit.outlier, of.fit.norms, strict=True):
-        residual, (_, scale) = of.problem.residual(block, of.fit.state), block.table.report
+        (_, scale, numbers), *_ = block.table.reports()
+        residual = of.problem.residual(block, of.fit.state)[..., numbers]
         cameras = block.index.get("camera")
+        key = "led" if "led" in block.index else "target"
+        names = of.session.led_names if key == "led" else of.session.attachments.targets
         for at in map(tuple, np.argwhere(cut)):
             found.append(
                 {
                     "pose": of.session.poses[block.pose[at[0]]],
                     "camera": None if cameras is None else of.estimate.cameras[cameras[at]].name,
-                    "led": of.session.leds[block.index["led"][at]].name,
+                    "led": names[block.index[key][at]],
                     "residual": scale * np.linalg.norm(residual[at]),
                     "sigmas": norms[at],
                 }
