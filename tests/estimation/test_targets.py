@@ -13,7 +13,7 @@ from tests.estimation.derivatives import assert_derivatives
 from urdfcal.arrays import inverse
 from urdfcal.errors import CalibrationError
 from urdfcal.estimation.blocks.arm import no_offsets
-from urdfcal.estimation.blocks.base_pose import BASE
+from urdfcal.estimation.blocks.scale import SCALE
 from urdfcal.estimation.blocks.targets import TargetBlock, point_places, print_key, target_key
 from urdfcal.estimation.measurements import Detections, Points
 from urdfcal.estimation.model_spec import ModelSpec
@@ -103,19 +103,23 @@ def test_the_truth_is_recovered_with_the_claimed_error(rig: str, given: bool, si
     assert after < 1.2 < before
 
 
-def test_the_scale_of_a_print_is_estimated_from_a_second_length(simulated: Callable) -> None:
-    """Two cameras of known baseline see a board printed 0.3 % too large."""
+@pytest.mark.parametrize("own", [True, False])
+def test_a_print_of_another_size_is_within_what_is_claimed_of_its_scale(own: bool, simulated: Callable) -> None:
+    """A board given 0.3 % too long; all that speaks against it are the links' tolerances."""
     data = simulated("ur5_charuco")
-    pattern = data.session.targets[0].pattern
-    wrong = replace(pattern, square=pattern.square / 1.003)
-    session = replace(
-        data.session, targets=(replace(data.session.targets[0], pattern=wrong, scale_sigma=0.01),),
-    )  # fmt: skip
-    found = calibrate(session)
-    sigma = found.sigmas_of(print_key("board"))[0]
-    # One camera and tolerances alone: what the links' lengths say of it.
-    assert 1e-4 < sigma < 0.01
-    assert abs(found.fit.state[print_key("board")][0] - 0.003) < 3.0 * sigma
+    (target,) = data.session.targets
+    longer = replace(target, pattern=replace(target.pattern, square=target.pattern.square * 1.003))
+    said = {"targets": (replace(longer, scale_sigma=0.01),)} if own else {"targets": (longer,), "scale_sigma": 0.01}
+    found = calibrate(replace(data.session, **said))
+    key = print_key("board") if own else SCALE
+    sigma = found.sigmas_of(key)[0]
+    assert 1e-4 < sigma < 0.005
+    assert abs(found.fit.state[key][0] - 0.003) < 3.0 * sigma
+    assert found.evidence.scale.declared == 0.01
+    # Unsaid, the claimed error is conditional on the board's unit of length, and what that is worth is said.
+    silent = calibrate(data.session).evidence.scale
+    assert silent.declared is None
+    assert 2e-4 < silent.tip_per_permille < 1e-3
 
 
 def test_a_tracker_s_body_of_unknown_pose(simulated: Callable) -> None:
@@ -200,5 +204,4 @@ def test_points_are_placed_by_their_target_s_print(simulated: Callable, true_sta
     data = simulated("ur5_charuco", poses=5)
     session = replace(data.session, targets=tuple(replace(of, scale_sigma=0.01) for of in data.session.targets))
     state = true_state(replace(data, session=session)).replace({print_key("board"): np.array([0.1])})
-    np.testing.assert_allclose(point_places(session.attachments, state), 1.1 * session.targets[0].points)
-    assert BASE in state
+    np.testing.assert_allclose(point_places(session.attachments, state), session.targets[0].points / 1.1)

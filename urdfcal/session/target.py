@@ -26,7 +26,7 @@ class Target:
         T_link_target: (4, 4) how, None where unknown. [m]
         sigma: (6,) how well that is known, standard deviations of a small motion x y z rx ry rz of the target in its
             own frame, 0 exactly; None where it is only a guess to start from. [m, rad]
-        scale_sigma: of the share that its print may be too large by; None where it is as given.
+        scale_sigma: of the share that its lengths may be given too long by; None where that of the session counts.
     """
 
     name: str

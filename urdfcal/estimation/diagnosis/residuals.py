@@ -13,7 +13,7 @@ from urdfcal.estimation.blocks.base_pose import BaseBlock
 from urdfcal.estimation.blocks.cameras import CameraPoseBlock, LensBlock, camera_poses, camera_values
 from urdfcal.estimation.blocks.leds import LEDS, LedDistances, LedsBlock
 from urdfcal.estimation.blocks.scale import ScaleBlock
-from urdfcal.estimation.blocks.targets import target_blocks
+from urdfcal.estimation.blocks.targets import PrintBlock, target_blocks
 from urdfcal.estimation.linearize import Tangent
 from urdfcal.estimation.parameters import Parameters
 from urdfcal.estimation.robust import norm_quantile
@@ -229,10 +229,11 @@ def solve_score(gram: Floats, score: Floats, scale: Floats) -> tuple[float, Floa
 
 
 def _everything(session: Session, state: State) -> Parameters:
-    """Base, LEDs, targets, scale, and the pose and the lens of every camera, all of them free."""
+    """Base, LEDs, targets and their prints, scale, and the pose and the lens of every camera, all of them free."""
     leds = [Led(led.name) for led in session.leds]
     blocks: list[Block[Any]] = [BaseBlock.of(fixed=None), LedsBlock.of(leds, state[LEDS], priors=False)]
     blocks += target_blocks([Target(of.name, of.pattern) for of in session.targets], state, priors=False)
+    blocks += [PrintBlock.of(of) for of in session.targets if of.point_names]
     blocks.append(ScaleBlock.of(np.inf))
     attachments, free = session.attachments, np.full(6, np.inf)
     lenses, poses = camera_values(attachments, state), camera_poses(attachments, state)

@@ -111,7 +111,7 @@ class Detections(Measurement):
             else:
                 E[seen] = d_point @ (T_cam_view[:3, :3] @ np.swapaxes(R[seen // m], 1, 2))
             self._put_poses(J, c, d_point, p_cam, seen, attachments, state)
-        put_leds(J, observed, links, E)
+        put_leds(J, observed, links, E, lever, state)
         led_frame, view_frame = attachments.led[observed.index["led"]], _view_frame(observed, attachments)
         by_frame = by_frames(links, E, lever, p_base, led_frame, view_frame)
         return ByFrame(predicted.reshape(*observed.row.shape, 2), by_frame)

@@ -60,7 +60,7 @@ class Points(Measurement):
         world = np.zeros_like(observed.row)
         E = np.broadcast_to(scale_of(state) * state[BASE][:3, :3], (world.size, 3, 3)).copy()
         E[~observed.valid.ravel()] = 0.0
-        put_leds(J, observed, links, E)
+        put_leds(J, observed, links, E, lever, state)
         led_frame = links.attachments.led[observed.index["led"]]
         p_world = seen_from(links, p_base, world)
         if J.wants(SCALE):
