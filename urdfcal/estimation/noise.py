@@ -9,7 +9,7 @@ import numpy as np
 
 from urdfcal.arrays import one_blas_thread, rms
 from urdfcal.estimation.linearize import Tangent
-from urdfcal.estimation.whitening import block_diagonal, joint_covariance
+from urdfcal.estimation.whitening import Whitening, joint_noise
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -113,28 +113,31 @@ def find_noise(problem: Problem, fit: Solution, undeclared: Collection[str] = ()
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """One kind of measurement at N poses of M numbers: residuals, derivatives, and the covariances to be scaled."""
+    """One kind of measurement at N poses, whitened by what is declared of it; zero where it is left out.
+
+    Attributes:
+        residual: (N, m D, 1).
+        J: (N, m D, p) derivative by the parameters.
+        joint: (N, m D, k) what 1 rad or m of each joint reading does.
+        count: of numbers that are not left out.
+    """
 
     residual: Floats
     J: Floats
-    C: Floats
-    K: Floats
-    rest: Floats
+    joint: Floats
+    count: int
 
     @classmethod
     def of(cls, problem: Problem, fit: Solution, observed: Observations, kept: Bools) -> _Part:
         some = observed.even(_MOST_POSES)
         at = Tangent.at(problem, observed.at(some), fit.state, fit.parameters).linearise()
         N, m, D = at.residual.shape
-        used = np.repeat(kept[some], D, axis=1)
-        both = used[:, :, None] * used[:, None, :]
-        return cls(
-            at.residual.reshape(N, m * D) * used,
-            at.J.reshape(N, m * D, -1) * used[..., None],
-            block_diagonal(observed.covariance[some]) * both,
-            joint_covariance(at, problem.arm.chain.reading_jacobian, 1.0) * both,
-            np.eye(m * D) * ~used[:, :, None],
-        )
+        used = np.repeat(kept[some], D, axis=1)[..., None]
+        joint = joint_noise(at, problem.arm.chain.reading_jacobian, 1.0)
+        alone = Whitening.of(observed.covariance[some], joint[..., :0])
+        columns = at.residual.reshape(N, m * D, 1), at.J.reshape(N, m * D, -1), joint
+        residual, J, joint = (alone(of * used) for of in columns)
+        return cls(residual, J, joint, int(np.count_nonzero(used)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,26 +178,29 @@ class _Likelihood:
         H, g = self.J_prior.T @ self.J_prior, self.J_prior.T @ self.r_prior
         whitened, value = [], -0.5 * float(self.r_prior @ self.r_prior)
         for k, part in enumerate(self.parts):
-            L = np.linalg.cholesky(variances[k] * part.C + variances[-1] * part.K + part.rest)
-            W = np.linalg.inv(L)
-            J, r = W @ part.J, (W @ part.residual[..., None])[..., 0]
-            whitened.append((W, J, r))
-            H, g = H + np.einsum("nij,nik->jk", J, J), g + np.einsum("nij,ni->j", J, r)
-            value -= float(np.sum(np.log(np.diagonal(L, axis1=1, axis2=2)))) + 0.5 * float(np.sum(r**2))
+            own = np.broadcast_to(variances[k] * np.eye(1), (*part.residual.shape[:2], 1, 1))
+            W = Whitening.of(own, np.sqrt(variances[-1]) * part.joint)
+            r, J, F = W(part.residual), W(part.J), W.shared(W.A)
+            whitened.append((r, J, F, W.strength / (1.0 + W.strength)))
+            H, g = H + np.einsum("nij,nik->jk", J, J), g + np.einsum("nij,ni->j", J, r[..., 0])
+            value -= 0.5 * (part.count * np.log(variances[k]) + np.sum(np.log1p(W.strength)) + np.sum(r**2))
         scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
         scaled = H * np.outer(scale, scale)
         covariance = np.linalg.pinv(scaled, hermitian=True) * np.outer(scale, scale)
         step = -covariance @ g
         value += 0.5 * float(g @ covariance @ g) - 0.5 * float(np.linalg.slogdet(H)[1])
         score, information = np.zeros(count), np.zeros((count, count))
-        for k, (part, (W, J, r)) in enumerate(zip(self.parts, whitened, strict=True)):
-            Wt = np.swapaxes(W, 1, 2)
-            left = r + J @ step
-            shares = {k: variances[k] * (W @ part.C @ Wt), count - 1: variances[-1] * (W @ part.K @ Wt)}
-            for i, V in shares.items():
-                taken = np.sum((J @ covariance) * (V @ J))
-                explained = np.einsum("ni,nij,nj->", left, V, left)
-                score[i] += 0.5 * (explained - np.trace(V, axis1=1, axis2=2).sum() + taken)
-                for j, U in shares.items():
-                    information[i, j] += 0.5 * np.einsum("nij,nji->", V, U)
+        # A pose's covariance V is whitened to 1: what the readings' share of it is there, F F^T, its own is not.
+        for k, (part, (r, J, F, share)) in enumerate(zip(self.parts, whitened, strict=True)):
+            left, q = r + J @ step[:, None], count - 1
+            by_joint = np.swapaxes(F, 1, 2) @ J
+            taken = np.array([np.sum((of @ covariance) * of) for of in (J, by_joint)])
+            explained = np.array([np.sum(left**2), np.sum((np.swapaxes(F, 1, 2) @ left) ** 2)])
+            trace = np.array([part.count, np.sum(share)])
+            of_whole, of_joint = 0.5 * (explained - trace + taken)
+            score[[k, q]] += of_whole - of_joint, of_joint
+            squared, mixed = np.sum(share**2), np.sum(share - share**2)
+            information[k, k] += 0.5 * (part.count - 2.0 * trace[1] + squared)
+            information[[k, q], [q, k]] += 0.5 * mixed
+            information[q, q] += 0.5 * squared
         return _LikelihoodValue(value, score, information)

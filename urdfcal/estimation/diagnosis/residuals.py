@@ -17,7 +17,7 @@ from urdfcal.estimation.blocks.targets import PrintBlock, target_blocks
 from urdfcal.estimation.linearize import Tangent
 from urdfcal.estimation.parameters import Parameters
 from urdfcal.estimation.robust import norm_quantile
-from urdfcal.estimation.whitening import JointNoise, joint_covariance
+from urdfcal.estimation.whitening import Whitening, joint_noise
 from urdfcal.session.knowledge import Led
 from urdfcal.session.target import Target
 
@@ -51,13 +51,13 @@ class Part:
         observed: N poses of m slots of D numbers.
         at: residuals, and derivatives by ``parameters`` and the joint values.
         parameters: base, LEDs, scale, and the pose and lens of every camera, all active.
-        W: (N, m D, m D) whitens whole poses.
+        W: whitens whole poses.
     """
 
     observed: Observations
     at: Linearization
     parameters: Parameters
-    W: Floats
+    W: Whitening
 
     @property
     def pose(self) -> Ints:
@@ -89,8 +89,7 @@ class Part:
 
     def whitened(self, columns: Floats) -> Floats:
         """Return columns (N, m D, k) in standard deviations."""
-        result: Floats = self.W @ columns
-        return result
+        return self.W(columns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,10 +138,10 @@ class Unexplained:
                 J = Tangent.at(thinned, observed, fit.state, fit.parameters).linearise().J
                 sigma, chain = less_joint * thinned.joint_sigma, thinned.arm.chain
                 covariance = factor**2 * observed.covariance
-                joint = joint_covariance(at, chain.reading_jacobian, sigma)
+                joint = joint_noise(at, chain.reading_jacobian, sigma)
                 limit = norm_quantile(observed.dimension, _BOUNDED)
                 weight = np.where(outlier[some], (limit / np.maximum(norm[some], limit)) ** 2, 1.0)
-                W = JointNoise.of(covariance, joint).whitening(covariance, weight)
+                W = Whitening.of(covariance / weight[..., None, None], joint)
                 part = Part(observed, at, everything, W)
                 N, m, D = at.residual.shape
                 rs.append(part.whitened(at.residual.reshape(N, m * D, 1)).ravel())
