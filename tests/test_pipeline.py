@@ -10,7 +10,7 @@ import pytest
 
 from urdfcal.errors import CalibrationError, OutputError, SessionError
 from urdfcal.estimation.evaluation import compare, explain
-from urdfcal.estimation.measurements import Points
+from urdfcal.estimation.measurements import Detections, Points
 from urdfcal.estimation.measurements.points import TriangulatedPoints
 from urdfcal.estimation.multistart import Minimum
 from urdfcal.io.folder import read_points, read_session
@@ -270,3 +270,12 @@ def test_noise_that_makes_predictions_worse_is_not_used(simulated: Callable, mon
     assert kept.session.noise.joint is None
     assert kept.evidence.noise[-1].declared is None
     assert kept.evidence.noise[-1].found > 1e-4
+
+
+def test_a_calibration_that_finds_no_start_says_of_which_session(simulated: Callable, tmp_path: Path) -> None:
+    session = simulated("ur5", poses=12).session
+    detections = session.find(Detections)
+    blind = replace(session, folder=tmp_path, measurements=(detections.rows(np.arange(3)),))
+    with pytest.raises(CalibrationError) as caught:
+        calibrate(blind)
+    assert str(caught.value).startswith(f"{tmp_path}: ")

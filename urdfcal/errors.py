@@ -1,6 +1,12 @@
 """The errors of urdfcal: one root, each saying what is wrong, where, and what to do."""
 
-from typing import ClassVar
+from __future__ import annotations
+
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, ClassVar
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 
 class UrdfcalError(Exception):
@@ -46,3 +52,13 @@ class CalibrationError(UrdfcalError):
     """The data were readable, but the calibration fails its own checks."""
 
     exit_code: ClassVar[int] = 1
+
+
+@contextmanager
+def placed(where: object) -> Iterator[None]:
+    """Say of what is refused meanwhile where that was, unless it says so itself: a file, a folder."""
+    try:
+        yield
+    except UrdfcalError as error:
+        error.where = error.where or str(where)
+        raise

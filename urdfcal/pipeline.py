@@ -6,12 +6,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from urdfcal.errors import CalibrationError, SessionError
+from urdfcal.errors import CalibrationError, SessionError, placed
 from urdfcal.estimation.assessment import assess
 from urdfcal.estimation.blocks.arm import no_offsets
 from urdfcal.estimation.blocks.cameras import without_cameras
 from urdfcal.estimation.diagnosis.trials import suspect
-from urdfcal.estimation.evidence import gather
+from urdfcal.estimation.evidence import gather, widened
 from urdfcal.estimation.joint_models.time_offset import time_offsets
 from urdfcal.estimation.measurements.pixels import Detections, triangulate
 from urdfcal.estimation.model_selection import compare_models, with_fit
@@ -75,6 +75,15 @@ def calibrate(
         from urdfcal.io.folder import read_session
 
         session = read_session(session)
+    with placed(session.folder or "session"):
+        return _calibrate(
+            session, method=method, priors=priors, starts=starts, seed=seed, force=force, progress=progress
+        )
+
+
+def _calibrate(
+    session: Session, *, method: Method, priors: bool, starts: int, seed: int, force: bool, progress: Progress | None
+) -> FittedCalibration:
     table = rows_of(session.chain)
     arm: ArmParameterization = PlacementTable(session.chain) if session.estimate.geometry == "full" else table
     problem = Problem.of(session, arm)
@@ -107,6 +116,7 @@ def calibrate(
         kept = solutions[0].solution if solutions[0].kept else None
         if kept is not None and kept is not comparison.chosen.fit:
             comparison = with_fit(comparison, kept, problem, seed)
+    comparison = widened(problem, comparison)
     evidence = gather(session, problem, comparison, seed, undeclared, progress)
     assessment = assess(session, problem, comparison, evidence)
     calibration = FittedCalibration(

@@ -268,6 +268,8 @@ BROKEN = {
     "negative focal length": ({"intrinsics": [-1400.0, *K[1:]]}, r"focal length \(-1400, 1404\) px must be positive"),
     "millimetres": ({"intrinsics": [16.0, 16.0, 640.0, 512.0]}, r"focal length \(16, 16\) .* like millimetres"),
     "normalised": ({"intrinsics": [1.1, 1.4, 0.5, 0.5]}, r"focal length \(1.1, 1.4\) .*like .* or normalised"),
+    "telescope": ({"intrinsics": [1.4e6, 1.4e6, 640, 512]}, r"focal length \(1.4e\+06, 1.4e\+06\) px is a telescope's"),
+    "coefficient of no lens": ({"distortion": [0, -2e6, 0, 0]}, "coefficient is -2e\\+06: no lens bends rays so far"),
     "centre in millimetres": ({"intrinsics": [1400, 1400, 6.4, 5.1]}, r"principal point \(6.4, 5.1\) .* millimetres"),
     "centre normalised": ({"intrinsics": [1400, 1400, 0.5, 0.5]}, r"principal point \(0.5, 0.5\) .* normalised"),
     "centre far outside": ({"intrinsics": [1400, 1400, 640, 5120]}, r"principal point \(640, 5120\) .* far outside"),

@@ -89,8 +89,8 @@ def test_a_misfit_is_said_once(good: FittedCalibration, reduced: float, level: s
 @pytest.mark.parametrize(
     ("tolerances", "level", "words"),
     [
-        (4.9, "good", []),
-        (-5.1, "doubtful", ["is off by", "5 times its tolerance"]),
+        (7.9, "good", []),
+        (-8.1, "doubtful", ["is off by", "8 times its tolerance"]),
         (19.9, "doubtful", ["20 times its tolerance"]),
         (20.1, "bad", ["would be off by 20 tolerances", "name larger tolerances"]),
     ],

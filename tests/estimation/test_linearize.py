@@ -53,6 +53,8 @@ def test_every_jacobian_block_agrees_with_finite_differences(
     parameters = choose_parameters(session, problem, centre, ModelSpec("dh", ("free",) * len(extrinsics), extrinsics))
     state = parameters.retract(centre, np.random.default_rng(0).normal(0.0, 1e-3, parameters.count))
     assert_derivatives(problem, observed, state, parameters)
+    step = np.random.default_rng(1).normal(0.0, 1e-6, parameters.count)
+    np.testing.assert_allclose(parameters.between(state, parameters.retract(state, step)), step, rtol=1e-3, atol=1e-9)
 
 
 def test_all_attachments_at_once_agree_with_finite_differences(simulated: Callable) -> None:

@@ -8,6 +8,7 @@ import pytest
 
 from tests.worlds import declared
 from urdfcal.estimation.noise import _Likelihood, _Part, find_noise
+from urdfcal.estimation.whitening import joint_covariance
 from urdfcal.pipeline import calibrate
 from urdfcal.session.knowledge import Estimate
 
@@ -84,3 +85,17 @@ def test_the_score_is_the_derivative_of_the_likelihood(simulated: Callable) -> N
     held, _ = likelihood.maximise(variances, hold=1)
     assert held[1] == variances[1]
     assert held[0] != variances[0]
+
+
+def test_noise_of_joints_that_move_nothing_that_is_seen_is_unknown(
+    simulated: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def nothing(*arguments: object) -> np.ndarray:
+        return 0.0 * joint_covariance(*arguments)
+
+    calibration = calibrated(simulated("so101", poses=20).session)
+    monkeypatch.setattr("urdfcal.estimation.noise.joint_covariance", nothing)
+    pixel, joint = find_noise(calibration.problem, calibration.fit)
+    assert pixel.known
+    assert not joint.known
+    assert joint.ratio == 1.0

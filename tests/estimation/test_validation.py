@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from tests.worlds import repeated
-from urdfcal.estimation.validation import FOLDS, hold_out, loss, random_folds, region_interval, rms_interval
+from tests.worlds import repeated, sagging
+from urdfcal.estimation.blocks.arm import ARM
+from urdfcal.estimation.validation import FOLDS, hold_out, jackknife, loss, random_folds, region_interval, rms_interval
 from urdfcal.pipeline import calibrate
+from urdfcal.robot.dh import PARAMETERS
 from urdfcal.session.knowledge import Estimate
 
 if TYPE_CHECKING:
@@ -133,3 +135,29 @@ def test_repeats_of_a_configuration_are_left_out_together(simulated: Callable) -
     # Ten configurations hardly determine the arm: what it does elsewhere must not hide behind repeats.
     metres = 1e-3 * np.sqrt(np.mean(inside**2)) / session.noise.pixel
     assert np.sqrt(np.mean(held_out**2)) > 0.5 * metres
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_without_misfit_the_jackknife_agrees_with_the_covariance(seed: int, simulated: Callable) -> None:
+    calibration = calibrate(simulated("so101", poses=60, seed=seed).session)
+    problem, fit = calibration.problem, calibration.comparison.chosen.fit
+    assert not fit.misfit
+    assert fit.spread is None
+    spread = jackknife(problem, fit, np.arange(60) % 20)
+    ratio = np.sqrt(np.diag(spread) / np.diag(fit.covariance))
+    assert 0.7 < np.median(ratio) < 1.4
+
+
+def test_where_the_arm_bends_intervals_are_what_regions_show(simulated: Callable) -> None:
+    data = simulated("ur5", poses=50)
+    session = replace(sagging(data, 4e-5), estimate=Estimate("dh", "fixed"))
+    calibration = calibrate(session, force=True)
+    fit, table = calibration.comparison.chosen.fit, calibration.table
+    assert fit.misfit
+    sigma, narrow = (
+        of.parameters.sigmas(of.covariance)[of.parameters.columns(ARM)] for of in (fit, replace(fit, spread=None))
+    )
+    error = [(fit.state[ARM] - data.truth.offsets)[row, PARAMETERS.index(name)] for row, name in table.parameters]
+    known = np.isfinite(sigma)
+    inside, before = (np.mean(np.abs(np.array(error))[known] < 1.96 * of[known]) for of in (sigma, narrow))
+    assert inside > max(before, 0.85)

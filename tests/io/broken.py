@@ -64,6 +64,10 @@ def put(file: str, row: int, **values: str) -> Edit:
     return cells(file, lambda i, cells: {**cells, **values} if i == row else cells)
 
 
+def several(*edits: Edit) -> Edit:
+    return lambda folder: [edit(folder) for edit in edits] and None
+
+
 def scaled(file: str, factor: float, *columns: str) -> Edit:
     return cells(
         file,
@@ -221,12 +225,23 @@ BROKEN = [
         swap(YAML, "pixel: 0.1", "pixel: 0.1, joint: 0.5"),
         "key 'noise.joint': a joint noise of 0.5 rad is no reading noise",
     ),
+    Broken("a file name too long", swap(YAML, "joints.csv", "j" * 300), "key 'joints': there is no file 'jjj"),
+    Broken(
+        "an empty list",
+        append(YAML, "led_distances: [{leds: [], distance: 1, sigma: 1}]\n"),
+        "key 'led_distances.0.leds.0'",
+    ),
     Broken("a list of billions", write(YAML, BILLIONS.encode()), "key 'robot': [[...], [...],"),
     # cameras.yaml
     Broken("no camera file", remove(CAMERAS), "key 'cameras': there is no file 'cameras.yaml'"),
     Broken("camera file no YAML", swap(CAMERAS, "  intrinsics: [1400.0,", "  intrinsics: 1400.0]"), "cameras.yaml:3:"),
     Broken("three intrinsics", swap(CAMERAS, "[1400.0, 1400.0, 640.0, 512.0]", "[1400.0, 640.0, 512.0]"), "intrinsics"),
     Broken("unknown lens", swap(CAMERAS, "distortion_model: none", "distortion_model: omni"), "omni"),
+    Broken(
+        "coefficients of no lens",
+        swap(CAMERAS, "none\n  distortion_coeffs: []", "radtan\n  distortion_coeffs: [0, 1e30, 0, 0]"),
+        "no lens bends",
+    ),
     Broken("focal length in millimetres", swap(CAMERAS, "[1400.0, 1400.0,", "[16.0, 16.0,"), "looks like millimetres"),
     Broken("image too small", half_resolution, "lies outside the 640 x 512 image of camera"),
     # joints.csv
@@ -326,8 +341,8 @@ BROKEN = [
     ),
     Broken(
         "outside the image",
-        put(PIXELS, 5, u="1300.5"),
-        "detections.csv:7:13: (1300.5, 722.462) lies outside the 1280 x 1024 image of camera 'left'. Correct",
+        several(put(PIXELS, 5, u="1300.5"), put(PIXELS, 9, u="1300.5")),
+        "detections.csv:7:13: (1300.5, 722.462) lies outside the 1280 x 1024 image of camera 'left', as do 1 more",
     ),
     Broken("cameras exchanged", cells(PIXELS, renamed_cameras), "cameras 'left' and 'right' look exchanged"),
     Broken("u and v exchanged", cells(PIXELS, exchanged_pixels), "u and v look exchanged"),

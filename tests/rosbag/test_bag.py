@@ -66,6 +66,7 @@ def test_a_file_of_ros_2_is_a_bag_of_its_own(tmp_path: Path, kind: str) -> None:
     ("name", "message"),
     [
         ("nothing.bag", "there is no such bag"),
+        ("b" * 300 + ".bag", "there is no such bag"),
         ("bag.txt", r"bags do not end in '\.txt'. Those of ROS 1 end in \.bag, files of ROS 2 in \.db3 or \.mcap"),
         ("bag", "bags have a suffix"),
         ("empty.bag", "seems to be empty"),
@@ -187,3 +188,10 @@ def test_a_time_beyond_64_bits_is_damage(tmp_path: Path) -> None:
     path = bag.write(tmp_path / "bag")
     with open_bag(path) as opened, pytest.raises(SessionError, match="/joint_states: the time of a message is damaged"):
         list(opened.messages(["/joint_states"]))
+
+
+def test_what_is_wrong_with_a_bag_is_placed_in_it(tmp_path: Path) -> None:
+    folder = recording("mcap", 0.1).write(tmp_path / "bag")
+    with pytest.raises(SessionError) as caught, open_bag(folder):
+        raise SessionError("a topic is missing")
+    assert caught.value.where == str(folder)

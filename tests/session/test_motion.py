@@ -122,4 +122,12 @@ def test_a_motion_says_all_of_it() -> None:
 
     with pytest.raises(TypeError, match="abstract"):
         Silent()  # type: ignore[abstract]
-    assert Motion.__abstractmethods__ == {"at", "label", "joint_values", "covered", "independent", "folds"}
+    assert Motion.__abstractmethods__ == {
+        "at",
+        "label",
+        "joint_values",
+        "read_otherwise",
+        "covered",
+        "independent",
+        "folds",
+    }

@@ -85,3 +85,9 @@ def test_frames_have_a_camera_a_row_and_a_time_each() -> None:
 def test_a_log_that_does_not_run_forward_is_refused(time: list[float]) -> None:
     with pytest.raises(SessionError):
         JointLog(np.array(time), np.zeros((3, 1)))
+
+
+def test_readings_that_no_joint_can_have_are_refused() -> None:
+    time, values = np.array([0.0, 1e-300, 1.0]), np.array([[0.0], [0.1], [0.2]])
+    with pytest.raises(SessionError, match=r"a joint moves at .* between two readings"):
+        JointLog(time, values)

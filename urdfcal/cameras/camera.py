@@ -19,6 +19,10 @@ _SHORTEST_FOCAL = 0.05
 _CORNER = 0.01
 # Strongly cropped images have their principal point outside; half an image away is beyond any of them.
 _OUTSIDE = 0.5
+# A twentieth of a degree across the image.
+_LONGEST_FOCAL = 1000.0
+# The narrower the view, the larger the coefficients that still bend something: thousands at five degrees.
+_LARGEST = 1e6
 # Interlaced and anamorphic sensors reach 2:1.
 _PIXEL_ASPECT = 3.0
 
@@ -183,6 +187,9 @@ class Camera:
             count = " or ".join(map(str, LENGTHS[self.distortion_model]))
             what = f"{self.distortion_model} distortion takes {count} coefficients, {given} are given"
             raise self._error(what, f"Their order is {' '.join(names)}." if names else "")
+        if given and np.abs(self.distortion).max() > _LARGEST:
+            what = f"a distortion coefficient is {self.distortion[np.abs(self.distortion).argmax()]:g}"
+            raise self._error(f"{what}: no lens bends rays so far", f"Their order is {' '.join(names)}.")
 
     def _check_pinhole(self) -> None:
         if len(self.intrinsics) != 4:
@@ -193,6 +200,9 @@ class Camera:
             raise self._error(f"focal length {_pair(focal)} px must be positive")
         if (focal < _SHORTEST_FOCAL * size.max()).any():
             what = f"focal length {_pair(focal)} px is too short for {image}; it looks like millimetres or normalised"
+            raise self._error(what, "Give it in pixels: millimetres divided by the pixel pitch.")
+        if (focal > _LONGEST_FOCAL * size.max()).any():
+            what = f"focal length {_pair(focal)} px is a telescope's for {image}"
             raise self._error(what, "Give it in pixels: millimetres divided by the pixel pitch.")
         if focal.max() > _PIXEL_ASPECT * focal.min():
             remedy = "The order is fx fy cx cy."

@@ -41,6 +41,8 @@ MANY_OUTLIERS = 0.25
 # Corrections of this many tolerances are either a wrong session or a very unusual arm; a misfit beside them means
 # that the arm is bent to explain what it is not to blame for.
 _FAR = 5.0
+# The elbow of one of five real Universal Robots is 13.5 mrad off: unusual is what no arm is known to have.
+_UNUSUAL = 8.0
 IMPLAUSIBLE = 20.0
 """No arm is made this many tolerances off its nominal geometry."""
 # A scale that far from none is a mistake; between the two it is one or a strange arm. Standard deviations of the common
@@ -133,8 +135,9 @@ def assess(session: Session, problem: Problem, comparison: Comparison, evidence:
         *(_found(finding) for finding in findings),
         *(() if misfit else _scale(evidence.scale, _DOUBTFUL_SCALE, _IMPOSSIBLE_SCALE)),
         *(noise if noise or misfit or findings else _noise(fit.reduced_chi2)),
+        *([evidence.undone] if evidence.undone else []),
         *_repeats(problem),
-        *(str(c) for c in moved if c.tolerances > _FAR and c not in implausible),
+        *(str(c) for c in moved if c.tolerances > _UNUSUAL and c not in implausible),
         *_displaced_leds(session, fit),
         *_displaced_mounts(session, fit),
         *_other_lenses(session, fit),

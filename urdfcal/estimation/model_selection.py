@@ -93,6 +93,12 @@ class Comparison:
     chosen: Trial
     nominal_arm: Trial
 
+    def with_chosen(self, trial: Trial) -> Comparison:
+        """Return the same with another trial of the chosen model."""
+        old = self.chosen
+        attempts = tuple(trial if attempt is old else attempt for attempt in self.attempts)
+        return replace(self, attempts=attempts, best=trial if self.best is old else self.best, chosen=trial)
+
 
 def compare_models(
     session: Session,
@@ -183,7 +189,4 @@ def with_fit(comparison: Comparison, fit: Solution, problem: Problem, seed: int)
     """The same comparison with another estimate of the chosen model."""
     old = comparison.chosen
     attempt = Attempt(old.spec, old.identifiability, fit, loss(fit.norms, problem.observations))
-    chosen = validate(attempt, problem, seed)
-    attempts = tuple(chosen if attempt is old else attempt for attempt in comparison.attempts)
-    best = chosen if comparison.best is old else comparison.best
-    return replace(comparison, attempts=attempts, best=best, chosen=chosen)
+    return comparison.with_chosen(validate(attempt, problem, seed))

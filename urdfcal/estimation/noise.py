@@ -30,6 +30,9 @@ _LEAST_JOINT, _USUAL_JOINT = 1e-6, 1e-4
 _LEAST_SHARE = 1e-3
 # Standard deviation of the logarithm up to which a noise counts as known.
 _KNOWN = 0.5
+# Information on a variance's logarithm where the residuals say nothing, as of joints that move nothing that is seen: a
+# standard deviation of one decade of the noise. Ten poses say a hundred times more.
+_VAGUE = (2.0 * np.log(10.0)) ** -2
 # Fall of twice the log-likelihood that contradicts what is declared: chance 1e-4 (chi-square, one degree of freedom).
 _CONTRADICTED = 15.1
 
@@ -91,7 +94,7 @@ def find_noise(problem: Problem, fit: Solution, undeclared: Collection[str] = ()
         declared = np.array([*np.ones(len(parts)), max(problem.joint_sigma, _LEAST_JOINT) ** 2])
         start = np.array([*np.ones(len(parts)), max(problem.joint_sigma, _USUAL_JOINT) ** 2])
         found, best = likelihood.maximise(start)
-        sigma = 0.5 * np.sqrt(np.maximum(np.diag(np.linalg.pinv(best.information)), 0.0))
+        sigma = 0.5 * np.sqrt(np.diag(np.linalg.inv(best.information + _VAGUE * np.eye(len(found)))))
         falls = []
         for k in range(len(found)):
             _, held = likelihood.maximise(np.where(np.arange(len(found)) == k, declared, found), hold=k)
@@ -162,7 +165,7 @@ class _Likelihood:
         for _ in range(_ROUNDS):
             at = self.at(variances)
             information = at.information[np.ix_(free, free)]
-            damped = information + 1e-9 * np.trace(information) * np.eye(len(information))
+            damped = information + _VAGUE * np.eye(len(information))
             step = np.zeros(len(variances))
             step[free] = np.clip(np.linalg.solve(damped, at.score[free]), -_LARGEST_STEP, _LARGEST_STEP)
             moved = np.maximum(variances * np.exp(step), least)

@@ -133,6 +133,12 @@ class Parameters:
         moved = {block.key: block.retract(state[block.key], full[self.columns(block.key)]) for block in self.blocks}
         return state.replace(moved)
 
+    def between(self, a: State, b: State) -> Floats:
+        """Return the step (count,) of the active entries that leads from one state to another one nearby."""
+        steps = [block.between(a[block.key], b[block.key]) for block in self.blocks]
+        result: Floats = np.concatenate(steps)[self.active]
+        return result
+
     def sigmas(self, covariance: Floats) -> Floats:
         """Return the standard deviation (P,) of every entry, from the covariance of the active ones; NaN if fixed."""
         sigma = np.full(self.size, np.nan)

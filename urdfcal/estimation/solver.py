@@ -90,6 +90,7 @@ class Solution:
         observations: scalar measurements used.
         history: accepted steps.
         converged: whether the last step was small.
+        spread: (count, count) covariance over regions left out, which a misfit shows in; None where it is not known.
     """
 
     state: State
@@ -102,6 +103,7 @@ class Solution:
     observations: int
     history: tuple[Iteration, ...]
     converged: bool
+    spread: Floats | None = None
 
     @property
     def reduced_chi2(self) -> float:
@@ -121,11 +123,17 @@ class Solution:
 
     @property
     def covariance(self) -> Floats:
-        """(count, count) of the active parameters, widened where the misfit exceeds the declared noise for certain."""
+        """(count, count) of the active parameters, widened where there is a misfit: by its spread, if that is known."""
         scale = 1.0 / np.sqrt(np.diag(self.information))
         inverse: Floats = np.linalg.inv(self.information * np.outer(scale, scale)) * np.outer(scale, scale)
-        chance = 1.0 + _CERTAIN * np.sqrt(2.0 / max(self.freedom, 1))
-        return inverse * (self.reduced_chi2 if self.reduced_chi2 > chance else 1.0)
+        if not self.misfit:
+            return inverse
+        return inverse * self.reduced_chi2 if self.spread is None else inverse + self.spread
+
+    @property
+    def misfit(self) -> bool:
+        """Whether the residuals exceed the declared noise for certain."""
+        return bool(self.reduced_chi2 > 1.0 + _CERTAIN * np.sqrt(2.0 / max(self.freedom, 1)))
 
 
 def solve(problem: Problem, start: State, parameters: Parameters, progress: Progress | None = None) -> Solution:

@@ -10,12 +10,13 @@ import numpy as np
 from urdfcal.estimation.solver import refit, residual_norms
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from urdfcal.arrays import Bools, Floats, Ints
     from urdfcal.estimation.observations import Observations
     from urdfcal.estimation.problem import Problem
     from urdfcal.estimation.solver import Solution
+    from urdfcal.estimation.state import State
 
 FOLDS = 5
 _RESAMPLES = 1000
@@ -63,21 +64,46 @@ def hold_out(problem: Problem, fit: Solution, fold_of_pose: Ints) -> HeldOut:
         fold_of_pose: (poses of the session,) the fold that each is left out with.
     """
     observations = problem.observations
-    fold_of = [fold_of_pose[observed.pose] for observed in observations]
-    folds = np.unique(fold_of_pose[problem.poses])
     norms, residual, distance = ([np.zeros(observed.row.shape) for observed in observations] for _ in range(3))
-    for fold in folds:
-        out = [of == fold for of in fold_of]
-        training = problem.with_observations([of.at(~left) for of, left in zip(observations, out, strict=True)])
+    folds = 0
+    for out, state in _without_each(problem, fit, fold_of_pose):
+        folds += 1
         unseen = problem.with_observations([of.at(left) for of, left in zip(observations, out, strict=True)])
-        kept = [keep[~left] for keep, left in zip(fit.kept, out, strict=True)]
-        state = refit(training, kept, fit.state, fit.parameters)
         for k, norm in enumerate(residual_norms(unseen, state, fit.parameters)):
             left, observed = out[k], unseen.observations[k]
             norms[k][left] = norm
             residual[k][left] = np.linalg.norm(unseen.residual(observed, state), axis=-1)
             distance[k][left] = residual[k][left] * unseen.metres_per_unit(observed, state)
-    return HeldOut(len(folds), tuple(norms), tuple(residual), tuple(distance))
+    return HeldOut(folds, tuple(norms), tuple(residual), tuple(distance))
+
+
+def jackknife(problem: Problem, fit: Solution, fold_of_pose: Ints) -> Floats:
+    """Compute the covariance (count, count) of the active parameters from estimates without each of some folds.
+
+    Delete-a-group jackknife (Shao and Wu, Ann. Statist. 17, 1989): where errors are no noise, it shows how far the
+    estimate depends on where was measured.
+
+    Args:
+        problem: what was measured.
+        fit: the estimate from all of it.
+        fold_of_pose: (poses of the session,) the fold, or region, that each is left out with.
+    """
+    moved = np.array(
+        [fit.parameters.between(fit.state, state) for _, state in _without_each(problem, fit, fold_of_pose)]
+    )
+    result: Floats = (len(moved) - 1) / len(moved) * moved.T @ moved
+    return result
+
+
+def _without_each(problem: Problem, fit: Solution, fold_of_pose: Ints) -> Iterator[tuple[list[Bools], State]]:
+    """For each fold which poses (N,) of each kind are in it, and the estimate without them."""
+    observations = problem.observations
+    fold_of = [fold_of_pose[observed.pose] for observed in observations]
+    for fold in np.unique(fold_of_pose[problem.poses]):
+        out = [of == fold for of in fold_of]
+        training = problem.with_observations([of.at(~left) for of, left in zip(observations, out, strict=True)])
+        kept = [keep[~left] for keep, left in zip(fit.kept, out, strict=True)]
+        yield out, refit(training, kept, fit.state, fit.parameters)
 
 
 def rms_interval(

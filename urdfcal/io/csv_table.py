@@ -120,7 +120,7 @@ class Table:
             except ValueError:
                 good = False
             if not good or (positive and result[:, i].min() <= 0.0):
-                problems = ((row, _problem(cell.strip(), positive)) for row, cell in enumerate(cells))
+                problems = ((row, _problem(cell.strip(" "), positive)) for row, cell in enumerate(cells))
                 row, what = next((row, problem) for row, problem in problems if problem)
                 raise self.wrong(f"{column}: {what}", row, column, remedy)
         return result

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -226,7 +227,7 @@ def _read_yaml(path: Path, name: str) -> Document:
         file = path / name if path.is_dir() else path
         if not path.is_dir() or file.is_file():
             return Document.read(file)
-    except PermissionError as error:
+    except OSError as error:
         raise SessionError(f"cannot be read: {error.strerror}", where=str(path)) from error
     if name == _SESSION and (path / _RIG).is_file():
         remedy = "It is a rig: `urdfcal simulate` makes a session of it."
@@ -254,7 +255,7 @@ def _file(document: Document, key: str, name: str | None = None) -> Path:
     """The file that ``key`` names, relative to the YAML file."""
     name, folder = name or document.data[key], document.source.path.parent
     path: Path = folder / name
-    if path.is_file():
+    if os.path.isfile(path):  # noqa: PTH113  # pathlib's raises at overlong names
         return path
     remedy = suggest(name, sorted(entry.name for entry in folder.iterdir() if entry.is_file()), "files here")
     raise SessionError(f"there is no file {name!r}", where=document.place(key), remedy=remedy)

@@ -90,12 +90,12 @@ class Document:
 
     @contextmanager
     def placing(self) -> Iterator[None]:
-        """Say of what is refused meanwhile where it stands, if a key is named as its place."""
+        """Say of what is refused meanwhile where it stands: the key that is named as its place, else the file."""
         try:
             yield
         except SessionError as error:
-            keys = error.where.split(".", 1)
-            if keys[0] not in self.data:
+            keys = error.where.split(".", 1) if error.where else []
+            if keys and keys[0] not in self.data:
                 raise
             raise SessionError(error.what, where=self.place(*keys), remedy=error.remedy) from None
 
@@ -174,7 +174,7 @@ def _child(node: yaml.Node, key: str | int) -> tuple[yaml.Node, yaml.Mark] | Non
     if isinstance(node, yaml.MappingNode):
         pairs = ((value, name.start_mark) for name, value in reversed(node.value) if name.value == str(key))
         return next(pairs, None)
-    if isinstance(node, yaml.SequenceNode) and isinstance(key, int):
+    if isinstance(node, yaml.SequenceNode) and isinstance(key, int) and key < len(node.value):
         return node.value[key], node.value[key].start_mark
     return None
 

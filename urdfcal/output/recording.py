@@ -24,7 +24,7 @@ REFUSED = "refused"
 
 
 def write_results(
-    calibration: FittedCalibration, folder: Path, overview: Overview | None = None
+    calibration: FittedCalibration, folder: Path, overview: Overview | None = None, *, pages: bool = True
 ) -> tuple[tuple[Path, ...], tuple[str, ...]]:
     """Write corrected URDF, calibration.json, report and recording, all of them or nothing.
 
@@ -32,6 +32,7 @@ def write_results(
         calibration: the result.
         folder: where to; made if need be. Results of an earlier run are replaced, and a report on a refused one goes.
         overview: ``Overview.of(calibration)``, if it is there already.
+        pages: whether report and recording are written; those of an earlier run go in any case.
 
     Returns:
         The files written, and notes such as meshes that the recording could not find.
@@ -42,14 +43,18 @@ def write_results(
     from urdfcal.output.report import write_report
 
     urdf = calibration.calibrated_urdf()
-    overview = overview or Overview.of(calibration)
+    notes: tuple[str, ...] = ()
     with files.staged(folder) as stage:
         files.write_bytes(stage / calibration.urdf_name, urdf)
         calibration.save(stage / FILE_NAME)
-        write_report(stage / REPORT, calibration, overview)
-        notes = write_recording(stage / RECORDING, calibration, overview)
+        if pages:
+            overview = overview or Overview.of(calibration)
+            write_report(stage / REPORT, calibration, overview)
+            notes = write_recording(stage / RECORDING, calibration, overview)
         names = sorted(path.name for path in stage.iterdir())
     _forget_refused(folder)
+    for name in () if pages else (REPORT, RECORDING):
+        (folder / name).unlink(missing_ok=True)
     return tuple(folder / name for name in names), notes
 
 

@@ -6,13 +6,14 @@ that it cannot parse or whose hash differs, though nobody needs that topic.
 
 from __future__ import annotations
 
+import os
 import struct
 import sys
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from urdfcal.errors import SessionError
+from urdfcal.errors import SessionError, placed
 from urdfcal.names import listed
 
 if TYPE_CHECKING:
@@ -128,7 +129,7 @@ def open_bag(path: Path) -> Iterator[Bag]:
     from rosbags.rosbag2 import Reader as Reader2
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    if not path.exists():
+    if not os.path.exists(path):  # noqa: PTH110  # pathlib's raises at overlong names
         raise SessionError("there is no such bag", where=str(path))
     if path.is_dir() and not (path / "metadata.yaml").is_file():
         there = [entry.name for entry in sorted(path.iterdir()) if entry.suffix in _SUFFIXES]
@@ -158,9 +159,11 @@ def open_bag(path: Path) -> Iterator[Bag]:
                 for name, of in sorted(reader.topics.items())
             )
             duration = reader.duration / _NANO
-        yield Bag(path, topics, duration, reader, types)
+        with placed(path):
+            yield Bag(path, topics, duration, reader, types)
     finally:
-        reader.close()
+        with suppress(AttributeError):  # of what a damaged metadata.yaml made of it
+            reader.close()
 
 
 def _is_ros1(path: Path) -> bool:

@@ -13,13 +13,15 @@ from urdfcal.arrays import Bools, Floats, Ints, frozen, keep
 from urdfcal.errors import SessionError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from scipy.interpolate import CubicSpline
 
 # Readings farther apart than this are not joined by a curve. A cubic is off by 5/384 h^4 of the fourth derivative: with
 # a joint that swings at 0.5 rad/s every four seconds by 1e-5 rad at 0.15 s, and 2e-3 rad at 0.5 s.
 LONGEST_GAP = 0.15
+# Readings that would need more are none: a stamp repeated but for rounding, a value that is no angle. [rad/s or m/s]
+_FASTEST = 1e9
 # Frames this near to where the log has nothing are left out: an offset of tens of milliseconds must not carry them
 # there, and a spline's last pieces are its worst. [s]
 MARGIN = 0.1
@@ -48,6 +50,14 @@ class Motion(ABC):
         Args:
             q: (N, n) joint values as read.
             time_offsets: of the cameras' clocks, t_robot = t_camera + offset.
+        """
+
+    @abstractmethod
+    def read_otherwise(self, change: Callable[[Floats], Floats]) -> Motion:
+        """Return the motion with other joint readings.
+
+        Args:
+            change: returns other joint values for those (K, n) that the arm's log has.
         """
 
     @abstractmethod
@@ -82,6 +92,10 @@ class AtRest(Motion):
     def joint_values(self, q: Floats, time_offsets: Floats) -> Floats:
         """Return the readings: clocks do not matter to an arm at rest."""
         return q
+
+    def read_otherwise(self, change: Callable[[Floats], Floats]) -> AtRest:
+        """Return the same: an arm at rest has no log."""
+        return self
 
     def covered(self, count: int, time_offsets: Floats) -> Bools:
         """Return that all poses have readings."""
@@ -144,6 +158,11 @@ class JointLog:
             raise SessionError("a log of joint values is not finite", where="session")
         if np.diff(self.time).min() <= 0.0:
             raise SessionError("the times of the joint values do not increase", where="session")
+        with np.errstate(over="ignore", divide="ignore"):
+            speed = np.abs(np.diff(self.values, axis=0) / np.diff(self.time)[:, None])
+        if speed.max() > _FASTEST:
+            what = f"a joint moves at {speed.max():.2g} rad/s or m/s between two readings"
+            raise SessionError(what, where="session", remedy="Check the times and the values of the joint readings.")
 
     @cached_property
     def _spline(self) -> CubicSpline:
@@ -219,6 +238,10 @@ class Trajectory(Motion):
     def joint_values(self, q: Floats, time_offsets: Floats) -> Floats:
         """Return what the log says: ``q`` is what it said with other offsets."""
         return self.values(time_offsets)
+
+    def read_otherwise(self, change: Callable[[Floats], Floats]) -> Trajectory:
+        """Return the same frames of a log with other joint values."""
+        return replace(self, log=replace(self.log, values=change(self.log.values)))
 
     def covered(self, count: int, time_offsets: Floats) -> Bools:
         """Return which frames are well within the log."""

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,7 @@ from tests.worlds import exchanged, images, inverted, other_robot, other_sign, s
 from urdfcal.errors import CalibrationError
 from urdfcal.estimation.diagnosis.trials import suspect
 from urdfcal.pipeline import calibrate
+from urdfcal.simulation.motion import MotionSettings, set_in_motion
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -63,3 +65,14 @@ def test_a_calibration_that_fails_says_what_would_mend_it(simulated: Callable) -
     with pytest.raises(CalibrationError, match="elbow_joint's sign: with that mended"):
         calibrate(other_sign(data, 0.0, share=0.4), progress=lambda _, cost: steps.append(cost))
     assert len(steps) > 100  # the trials show that they go on
+
+
+def test_a_wrong_sign_is_found_in_the_log_of_a_moving_arm(simulated: Callable) -> None:
+    moving = set_in_motion(simulated("ur5", poses=12), MotionSettings(frame_rate=5.0)).session
+    log = moving.motion.log
+    elbow = np.where(np.arange(6) == 2, -1.0, 1.0)
+    wrong = replace(
+        moving, q=moving.q * elbow, motion=replace(moving.motion, log=replace(log, values=log.values * elbow))
+    )
+    assert str(suspect(wrong)).startswith("elbow_joint's sign: with that mended")
+    assert suspect(moving) is None

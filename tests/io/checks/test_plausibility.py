@@ -74,6 +74,23 @@ class TestLimits:
         with pytest.raises(SessionError, match="is outside the joint's limits"):
             read_session(folder)
 
+    def test_where_most_are_beyond_signs_and_columns_are_suspected(self, folder: Path) -> None:
+        """The slide goes from 0 to 0.3 m: turned round, or read where the roll turns, most is beyond."""
+        text = (folder / JOINTS).read_text()
+        cells(JOINTS, lambda _, row: {**row, "slide": str(-float(row["slide"]))})(folder)
+        with pytest.raises(
+            SessionError, match=r"otherwise: is the sign of slide turned\? Correct it; .*--ignore-limits"
+        ):
+            read_session(folder)
+        (folder / JOINTS).write_text(text)
+        cells(JOINTS, lambda _, row: {**row, "slide": row["roll"], "roll": row["slide"]})(folder)
+        with pytest.raises(SessionError, match=r"are the columns of slide and roll exchanged\?"):
+            read_session(folder)
+        (folder / JOINTS).write_text(text)
+        put(JOINTS, 2, slide="-0.2")(folder)
+        with pytest.raises(SessionError, match=r"Correct the reading, or the limits"):
+            read_session(folder)
+
     def test_they_may_be_ignored(self, folder: Path) -> None:
         put(JOINTS, 2, shoulder="2.2")(folder)
         (warning,) = read_session(folder, ignore_limits=True).warnings

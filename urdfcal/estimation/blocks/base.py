@@ -65,6 +65,11 @@ class Block(ABC, Generic[V]):
     def local(self, value: V) -> tuple[Floats, Floats]:
         """Return the coordinates (k,) of a value about the nominal one, and their derivative (k, k) by a step."""
 
+    def between(self, a: V, b: V) -> Floats:
+        """Return the step (k,) that leads from one value to another one nearby."""
+        (here, D), (there, _) = self.local(a), self.local(b)
+        return np.asarray(np.linalg.solve(D, there - here), dtype=float)
+
     def scale(self, value: V) -> Floats:
         """Return what a coordinate (k,) must move by to have about the same effect as 1 m or 1 rad."""
         del value

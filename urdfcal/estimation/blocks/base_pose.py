@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 import pinocchio as pin
 
-from urdfcal.arrays import Floats
+from urdfcal.arrays import Floats, inverse
 from urdfcal.estimation.blocks.base import POSE_AXES, POSE_UNITS, Block
 from urdfcal.estimation.state import Key
 
@@ -38,6 +38,11 @@ class BaseBlock(Block[Floats]):
         """Multiply by exp6(step) from the right."""
         moved: Floats = value @ pin.exp6(step).homogeneous
         return moved
+
+    def between(self, a: Floats, b: Floats) -> Floats:
+        """Return the step that leads from one pose to another."""
+        step: Floats = pin.log6(inverse(a) @ b).vector
+        return step
 
     def local(self, value: Floats) -> tuple[Floats, Floats]:
         """Without a prior there is nothing to differ from."""

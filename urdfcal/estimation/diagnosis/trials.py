@@ -10,16 +10,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.arrays import Floats, evenly, inverse
-from urdfcal.errors import CalibrationError, RobotError, UrdfcalError
+from urdfcal.errors import CalibrationError, UrdfcalError
 from urdfcal.estimation.blocks.arm import no_offsets
+from urdfcal.estimation.diagnosis.family import family
 from urdfcal.estimation.measurements import Detections
 from urdfcal.estimation.model_spec import nominal
 from urdfcal.estimation.parameters import choose_parameters
 from urdfcal.estimation.problem import Problem
 from urdfcal.estimation.solver import solve
-from urdfcal.estimation.time_offset_start import start_state
+from urdfcal.estimation.start import first_state
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.tree_dh import rows_of
+from urdfcal.session.model import MIN_POSES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -33,8 +35,6 @@ _POSES = 30
 _BETTER = 4.0
 # ... and the best of all changes by so many times less than the next: several equally good ones explain nothing.
 _CLEAR = 1.5
-# Robots of one family that are tried; those that are so near to each other are one. [m, rad]
-_FAMILY, _SAME = 20, 1e-4
 # Rows of one table may be shifted against the other's by so many poses.
 _SHIFTS = (1, -1, 2, -2)
 
@@ -81,6 +81,8 @@ def suspect(session: Session, progress: Progress | None = None) -> Suspicion | N
         progress: called after every solver step.
     """
     poses = evenly(np.unique(np.concatenate([table.pose for table in session.measurements])), _POSES)
+    if len(poses) < MIN_POSES:
+        return None
     unit, factor = session.measurements[0].report
     before = _miss(session.at(poses), progress)
     trials = list(_trials(session))
@@ -104,7 +106,7 @@ def _miss(session: Session, progress: Progress | None) -> float:
     """Median residual of the first kind of measurement under the nominal arm; infinite where there is no start."""
     arm = rows_of(session.chain)
     try:
-        start = start_state(session, arm, no_offsets(arm))
+        start = first_state(session, arm, no_offsets(arm))
         problem = Problem.of(session, arm)
         fit = solve(problem, start, choose_parameters(session, problem, start, nominal(session, start)), progress)
     except UrdfcalError:
@@ -124,38 +126,30 @@ def _trials(session: Session) -> Iterator[Mending]:
 
 
 def _family(session: Session) -> Iterator[Mending]:
-    """Robots of the same joints and links whose URDFs are beside the session's."""
-    chain = session.chain
-    if session.urdf is None or session.urdf.path is None or len(chain.tips) > 1:
-        return
-    known = [chain.placements]  # one arm may be there with several grippers
-    for path in sorted(session.urdf.path.parent.glob("*.urdf"))[:_FAMILY]:
-        try:
-            other = Chain.from_urdf(path, chain.tip_link, chain.base_link)
-        except RobotError:  # another kind of robot
-            continue
-        if other.names == chain.names and not any(np.allclose(other.placements, of, atol=_SAME) for of in known):
-            known.append(other.placements)
-            yield Mending(f"the robot is {path.stem}, not {chain.name}", partial(replace, session, chain=other))
+    for path, other in family(session):
+        yield Mending(f"the robot is {path.stem}, not {session.chain.name}", partial(replace, session, chain=other))
 
 
 def _joint_trials(session: Session) -> Iterator[Mending]:
-    chain, readings = session.chain, session.chain.readings(session.q)
+    chain = session.chain
 
-    def read(values: Floats) -> Session:
-        return replace(session, q=chain.joint_values(values))
+    def read(change: Callable[[Floats], Floats]) -> Session:
+        def values(q: Floats) -> Floats:
+            return chain.joint_values(change(chain.readings(q)))
+
+        return replace(session, q=values(session.q), motion=session.motion.read_otherwise(values))
 
     each = np.arange(len(chain.actuated))
     for j, name in enumerate(chain.actuated):
-        yield Mending(f"{name}'s sign", partial(read, np.where(each == j, -readings, readings)))
+        yield Mending(f"{name}'s sign", partial(read, partial(np.multiply, np.where(each == j, -1.0, 1.0))))
     for a, b in combinations(range(len(each)), 2):
         order = each.copy()
         order[[a, b]] = b, a
         what = f"the columns of {chain.actuated[a]} and {chain.actuated[b]} are exchanged"
-        yield Mending(what, partial(read, readings[:, order]))
+        yield Mending(what, partial(read, partial(np.take, indices=order, axis=1)))
     for by in _SHIFTS:  # what comes round from the other end is a row or two: the median does not mind
         what = f"joint readings are shifted by {abs(by)} row{'s' * (abs(by) > 1)} against what was measured"
-        yield Mending(what, partial(read, np.roll(readings, by, axis=0)))
+        yield Mending(what, partial(read, partial(np.roll, shift=by, axis=0)))
 
 
 def _camera_trials(session: Session) -> Iterator[Mending]:
@@ -210,4 +204,5 @@ def _on(session: Session, link: str) -> Session:
     chain = Chain.from_urdf(session.urdf, link, session.chain.base_link)
     if not set(chain.names) <= set(session.chain.names):
         raise CalibrationError("a joint of it has no reading")
-    return replace(session, chain=chain, q=session.q[:, [session.chain.names.index(name) for name in chain.names]])
+    own = partial(np.take, indices=[session.chain.names.index(name) for name in chain.names], axis=1)
+    return replace(session, chain=chain, q=own(session.q), motion=session.motion.read_otherwise(own))

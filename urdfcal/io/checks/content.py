@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from urdfcal.io.tables import MeasurementTable
     from urdfcal.session.model import Measurements
 
-# One bad pixel in twenty is an error of its own, and the others are worth having; more have a cause.
+# One bad pixel, or one in twenty, is an error of its own, and the others are worth having; more have a cause.
 _FEW = 0.05
 # A grabber that hands out a picture twice now and then; one that does more often is not to be trusted.
 _FROZEN = 0.01
@@ -183,7 +183,7 @@ def check_images(inputs: Inputs, table: MeasurementTable, rays_meet: bool | None
         inside[seen] = camera.in_image(values[seen])
         turned[seen] = camera.in_image(values[seen][:, ::-1])
         count = np.count_nonzero(~inside[seen])
-        few = few and bool(count == 0 or count < _FEW * np.count_nonzero(seen))
+        few = few and bool(count <= 1 or count < _FEW * np.count_nonzero(seen))
     outside = np.flatnonzero(~inside)
     if not outside.size:
         return table, []

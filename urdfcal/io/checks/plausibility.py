@@ -6,6 +6,7 @@ Every rule is one function; the numbers that decide are at the top, each with it
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -147,8 +148,10 @@ def _check_reading_units(inputs: Inputs) -> None:
     boundless = np.where(prismatic, _TOO_WIDE * inputs.scale, _WOUND_UP)
     lower, upper = np.maximum(lower, -boundless) - OVERRUN, np.minimum(upper, boundless) + OVERRUN
     factor = np.where(prismatic, 1e-3, np.pi / 180.0)
-    # No radian reading is beyond a whole turn by mistake; most readings in degrees are.
-    far = prismatic | (np.abs(readings) > 2.0 * np.pi)
+    # No radian reading is beyond a whole turn by mistake; most readings in degrees are. No slide overruns by its
+    # length.
+    length = np.where(np.abs(upper - lower) < boundless, upper - lower, 0.0)
+    far = np.where(prismatic, np.maximum(lower - readings, readings - upper) > length, np.abs(readings) > 2.0 * np.pi)
     outside = np.asarray((readings < lower) | (readings > upper)) & far
     fits: Bools = np.all((readings * factor >= lower) & (readings * factor <= upper), axis=0)
     for unit, meant, kind in (("degrees", "radians", ~prismatic), ("millimetres", "metres", prismatic)):
@@ -170,8 +173,10 @@ def _check_limits(inputs: Inputs) -> tuple[str, ...]:
     refused = [of for of in violations if of.beyond > _zero_tolerance(inputs, of.joint)]
     for first in [] if inputs.ignore_limits else refused[:1]:
         more = f" (and {len(refused) - 1} more readings)" if len(refused) > 1 else ""
+        suspected = _misread(inputs) if len({of.pose for of in refused}) > _MOST * len(rows) else ""
         remedy = (
-            "Correct the reading, or the limits in the URDF; `urdfcal calibrate --ignore-limits` takes it as it is."
+            f"{suspected or 'Correct the reading, or the limits in the URDF;'} `urdfcal calibrate --ignore-limits` "
+            "takes it as it is."
         )
         raise table.wrong(f"{first}{more}", int(rows[first.pose]), first.joint.name, remedy)
     warnings = []
@@ -184,6 +189,24 @@ def _check_limits(inputs: Inputs) -> tuple[str, ...]:
         what = f"{joint.name} is {worst.beyond:.2g} {joint.unit} beyond its limits"
         warnings.append(f"{table.place(row, joint.name)}: {pose}{what}{more}")
     return tuple(warnings)
+
+
+def _misread(inputs: Inputs) -> str:
+    """Ask for the sign of a column, or the exchange of two, that would bring all readings within the limits."""
+    chain, readings = inputs.positions.chain, inputs.joints.readings[inputs.counting]
+    names = [joint.name for joint in chain.actuated_joints]
+    changes = {f"is the sign of {name} turned?": (k, k) for k, name in enumerate(names)}
+    changes |= {
+        f"are the columns of {names[a]} and {names[b]} exchanged?": (a, b)
+        for a, b in combinations(range(len(names)), 2)
+    }
+    fitting = []
+    for question, (a, b) in changes.items():
+        changed = readings.copy()
+        changed[:, [a, b]] = -readings[:, [a, b]] if a == b else readings[:, [b, a]]
+        if not chain.outside_limits(changed, OVERRUN):
+            fitting.append(question)
+    return f"All would be within their limits otherwise: {' Or '.join(fitting[:2])} Correct it;" if fitting else ""
 
 
 def _zero_tolerance(inputs: Inputs, joint: Joint) -> float:

@@ -1,0 +1,80 @@
+"""``urdfcal batch``: the sessions of a fleet, calibrated at once."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from urdfcal.cli.console import PATH, json_option, progress_bar, seed_option, sheet, terminal
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from urdfcal.study.batch import Ended
+
+
+@click.command("batch")
+@click.argument("sessions", type=PATH, nargs=-1, required=True)
+@click.option(
+    "-o", "--output", type=PATH, required=True, help="Folder of the results, a folder in it for each session."
+)
+@click.option("--no-report", is_flag=True, help="Write URDF and calibration.json alone, which is several times faster.")
+@click.option("--force", is_flag=True, help="Write results even if their assessment has failures.")
+@click.option(
+    "--method", type=click.Choice(["pixels", "points"]), default="pixels", help="As of `urdfcal calibrate`.",
+)  # fmt: skip
+@click.option("--no-priors", is_flag=True, help="As of `urdfcal calibrate`.")
+@click.option("--starts", type=click.IntRange(min=0), default=0, metavar="N", help="As of `urdfcal calibrate`.")
+@seed_option
+@click.option(
+    "--processes", type=click.IntRange(min=1), show_default=False, metavar="N",
+    help="Processes on this machine.  [default: one for each core]",
+)  # fmt: skip
+@click.option(
+    "--engine", type=click.Choice(["processes", "dask", "ray"]), default="processes",
+    help="What runs them; a cluster's workers must see the same folders.",
+)  # fmt: skip
+@click.option("--scheduler", metavar="ADDRESS", help="Of Dask, tcp://host:8786.  [default: a local cluster]")
+@json_option
+def command(
+    sessions: tuple[Path, ...], output: Path, no_report: bool, no_priors: bool, scheduler: str | None, engine: str,
+    as_json: bool, **how: Any,
+) -> int:  # fmt: skip
+    """Calibrate SESSIONS side by side; one that fails stops no other. Run again, what is done is kept.
+
+    Exit status 1 says that at least one session has no result that can be used.
+    """
+    from urdfcal.study.batch import TABLE, batch
+
+    if scheduler is not None and engine != "dask":
+        raise click.UsageError("--scheduler goes with --engine dask")
+    with progress_bar("calibrating", len(sessions)) as advance:
+        table = batch(
+            sessions, output, report=not no_report, priors=not no_priors, scheduler=scheduler, engine=engine,  # type: ignore[arg-type]
+            progress=advance, **how,
+        )  # fmt: skip
+    if as_json:
+        click.echo(json.dumps([asdict(one) for one in table], indent=2))
+    else:
+        _print(table)
+        click.echo(str(output / TABLE))
+    return int(not all(one.well for one in table))
+
+
+def _print(table: Sequence[Ended]) -> None:
+    rows = sheet("", ["session", "verdict", "why", "nominal (mm)", "calibrated (mm)", "tip at most (mm)", "s"], texts=3)
+    for one in table:
+        figures = (one.rms_nominal_mm, one.rms_mm, one.tip_mm, one.seconds)
+        cells = ["" if figure is None else f"{figure:.3g}" for figure in figures]
+        rows.add_row(one.name, one.level, _short(one.sentence), *cells)
+    terminal().print(rows)
+    counts = {level: sum(one.level == level for one in table) for level in ("good", "doubtful", "bad", "failed")}
+    click.echo(f"{len(table)} sessions: " + ", ".join(f"{count} {level}" for level, count in counts.items() if count))
+
+
+def _short(sentence: str, most: int = 48) -> str:
+    return sentence if len(sentence) <= most else sentence[: most - 3] + "..."

@@ -1,0 +1,1 @@
+"""Many calibrations at once: a fleet's sessions, on joblib's engines."""
