@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import shutil
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import click
@@ -15,6 +17,7 @@ from urdfcal.errors import CameraError
 from urdfcal.images.files import write_image
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
 CHARUCO_OPTIONS = "--board charuco 10x7 --square 0.03 --marker 0.022 --dictionary DICT_5X5_100"
@@ -54,6 +57,26 @@ def test_a_folder_of_pictures_becomes_a_camera_file(
     assert f"{rig.cameras[0].intrinsics[0]:.3f}" in text
 
 
+def test_the_measured_length_of_the_board_is_in_the_file_and_in_sessions(
+    images: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], simulated: Callable
+) -> None:
+    cameras(images, "-o", tmp_path / "said.yaml", *CHARUCO_OPTIONS.split())
+    assert "--measured 8 0.2003 0.0002" in " ".join(capsys.readouterr().out.split())
+    cameras(images, "-o", tmp_path / "a.yaml", *CHARUCO_OPTIONS.split(), *["--measured", "8", "0.2424", "0.00048"])
+    assert "30.3 mm squares" in (text := capsys.readouterr().out)
+    assert "measured to 0.2 %" in text
+    said, rig = read_kalibr(tmp_path / "said.yaml"), read_kalibr(tmp_path / "a.yaml")
+    assert (said.scale_sigma, rig.scale_sigma) == (None, pytest.approx(0.002, rel=0.02))
+    np.testing.assert_allclose(rig.T_cam_world[1][:3, 3], 1.01 * said.T_cam_world[1][:3, 3], rtol=1e-6)
+    session = simulated("ur5", poses=4).session
+    assert replace(session, rig=rig).scale_sigma == rig.scale_sigma
+    assert replace(session, rig=rig, scale_sigma=0.0).scale_sigma == 0.0
+    assert session.scale_sigma is None
+    with pytest.raises(CameraError, match=r"-11 % off squares of 0.03 m"):
+        cameras(images, "-o", tmp_path / "b.yaml", *CHARUCO_OPTIONS.split(), *["--measured", "9", "0.2403", "0.0005"])
+    assert not (tmp_path / "b.yaml").exists()
+
+
 def test_the_board_may_be_described_in_the_folder_and_the_command_be_named(images: Path, tmp_path: Path) -> None:
     (images / "board.yaml").write_text(CHARUCO_FILE)
     cameras("-o", tmp_path / "b.yaml", images)
@@ -76,9 +99,12 @@ def test_without_a_board_nothing_is_done(images: Path, tmp_path: Path) -> None:
             cameras(images, "-o", output, *options.split())
     with pytest.raises(CameraError, match="there is no such folder"):
         cameras(tmp_path / "nowhere", "-o", output, *CHARUCO_OPTIONS.split())
-    with pytest.raises(CameraError, match=r"camera 'left': only 0 of its images can be used \(0: no board"):
-        cameras(images, "-o", output, "--board", "chessboard", "12x9", "--square", "0.03")
-    assert not list(tmp_path.iterdir())
+    (tmp_path / "two" / "left").mkdir(parents=True)
+    for name in ("0.png", "1.png"):
+        shutil.copy(images / "left" / name, tmp_path / "two" / "left")
+    with pytest.raises(CameraError, match=r"camera 'left': only 0 of its .* markers of DICT_5X5 up to number"):
+        cameras(tmp_path / "two", "-o", output, "--board", "chessboard", "12x9", "--square", "0.03")
+    assert not output.exists()
 
 
 def test_files_are_converted_there_and_back(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -91,6 +117,17 @@ def test_files_are_converted_there_and_back(tmp_path: Path, capsys: pytest.Captu
     cameras("convert", tmp_path / "stereo.xml", tmp_path / "ros")
     assert {path.name for path in (tmp_path / "ros").iterdir()} == {"left.yaml", "right.yaml"}
     cameras("convert", tmp_path / "ros" / "left.yaml", tmp_path / "ros" / "right.yaml", tmp_path / "again.yaml")
+    # The folder itself is read, too, from the first camera on, whatever the files are called.
+    cameras("convert", tmp_path / "ros", tmp_path / "back.yaml")
+    assert (tmp_path / "back.yaml").read_bytes() == (tmp_path / "again.yaml").read_bytes()
+    (tmp_path / "ros" / "left.yaml").rename(tmp_path / "ros" / "z.yaml")
+    cameras("convert", tmp_path / "ros", tmp_path / "back.yaml")
+    assert (tmp_path / "back.yaml").read_bytes() == (tmp_path / "again.yaml").read_bytes()
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(CameraError, match="there are no camera files"):
+        cameras("convert", tmp_path / "empty", tmp_path / "back.yaml")
+    capsys.readouterr()
+    cameras("convert", start, tmp_path / "again.yaml")
     assert capsys.readouterr().out.splitlines()[-1] == str(tmp_path / "again.yaml")
     rig = read_kalibr(tmp_path / "again.yaml")
     assert rig.names == PAIR.names
@@ -123,4 +160,5 @@ def test_help_names_both_ways(capsys: pytest.CaptureFixture[str]) -> None:
     text = capsys.readouterr().out
     assert "BOARD_FOLDER -o OUT | convert IN... OUT" in text
     assert "inner corners" in text
+    assert all(suffix in text for suffix in (".png", ".jpg", ".jpeg", ".tif"))
     assert "--to" in text

@@ -116,6 +116,8 @@ class Rig:
         cameras: with different names; none where something else measures.
         T_cam_world: for every camera (4, 4), or None where its place is not known; the first is the identity.
         sigmas: for every camera how well it is known, or None; left out: all None.
+        scale_sigma: standard deviation of the share that the lengths between them may be too long by, as the board's
+            that calibrated them; None if nothing is known.
 
     Raises:
         CameraError: a name twice, a transform that is not rigid, or standard deviations of something else.
@@ -124,6 +126,7 @@ class Rig:
     cameras: tuple[Camera, ...] = ()
     T_cam_world: tuple[Floats | None, ...] = ()
     sigmas: tuple[CameraSigma | None, ...] = ()
+    scale_sigma: float | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "cameras", tuple(self.cameras))
@@ -174,7 +177,7 @@ class Rig:
                 correlations = None if sigma.correlations is None else sigma.correlations[:, before]
                 sigma = replace(sigma, correlations=correlations)
             sigmas.append(sigma)
-        return Rig(tuple(self.cameras[c] for c in cameras), tuple(places), tuple(sigmas))
+        return Rig(tuple(self.cameras[c] for c in cameras), tuple(places), tuple(sigmas), self.scale_sigma)
 
     @property
     def correlation(self) -> Floats:
@@ -213,6 +216,8 @@ class Rig:
     def _check_sigmas(self) -> None:
         if len(self.sigmas) != len(self.cameras):
             raise CameraError(f"{len(self.cameras)} cameras have {len(self.sigmas)} sets of standard deviations")
+        if self.scale_sigma is not None and not 0.0 <= self.scale_sigma < 1.0:
+            raise CameraError(f"a standard deviation of {self.scale_sigma:g} of all lengths makes no sense")
         before = 0
         for camera, T, sigma in zip(self.cameras, self.T_cam_world, self.sigmas, strict=True):
             if sigma is None:

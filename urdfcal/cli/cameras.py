@@ -57,16 +57,28 @@ def command() -> None:
     help="chessboard 9x6 counts inner corners, charuco 10x7 squares.  [default: BOARD_FOLDER/board.yaml]",
 )  # fmt: skip
 @click.option("--square", type=POSITIVE, metavar="M", help="Side of a square, m.")
+@click.option(
+    "--measured", type=(click.IntRange(1), POSITIVE, POSITIVE), metavar="N M M",
+    help="Length of N squares in a row as measured on the print, and its standard deviation, m.",
+)  # fmt: skip
 @click.option("--marker", type=POSITIVE, metavar="M", help="ChArUco: side of a marker, m.")
 @click.option("--dictionary", metavar="NAME", help="ChArUco: OpenCV's name, such as DICT_4X4_50.")
+@click.option("--legacy", is_flag=True, help="ChArUco: printed by OpenCV before 4.6.")
+@click.option("--force", is_flag=True, help="Write cameras that these images leave open, too.")
 @click.option(
     "--distortion", type=click.Choice(["radtan", "equidistant", "none"]), default="radtan",
     help="Lens model; equidistant for a fisheye.",
 )  # fmt: skip
 def calibrate(
-    folder: Path, output: Path, board: tuple[BoardKind, tuple[int, int]] | None, distortion: str, **details: Any
+    folder: Path,
+    output: Path,
+    board: tuple[BoardKind, tuple[int, int]] | None,
+    distortion: str,
+    force: bool,
+    measured: tuple[int, float, float] | None,
+    **details: Any,
 ) -> None:
-    """Calibrate one or several cameras from BOARD_FOLDER/<camera>/<view>.png.
+    """Calibrate one or several cameras from BOARD_FOLDER/<camera>/<view>.png (or .jpg, .jpeg, .tif, .tiff).
 
     Images of the same name were taken at the same time. The standard deviations are written beside the cameras, for
     `intrinsics: refine` and `extrinsics: refine` in session.yaml.
@@ -76,10 +88,12 @@ def calibrate(
     from urdfcal.cameras.io.formats import write_kalibr
 
     chosen = _board(folder, board, details)
+    if measured is not None:
+        chosen = chosen.measured(*measured)
     count = sum(len(views) for views in find_images(folder).values())
     with progress_bar("looking for the board", count) as advance:
         views = read_views(folder, chosen, advance)
-    calibration = calibrate_cameras(views, chosen, distortion)
+    calibration = calibrate_cameras(views, chosen, distortion, force=force)
     write_kalibr(output, calibration.rig)
     _print(calibration, output)
 
@@ -95,7 +109,7 @@ def calibrate(
 def convert(files: tuple[Path, ...], output: Path, format_: Format | None, size: tuple[int, int] | None) -> None:
     """Convert camera files: Kalibr camchain, ROS camera_info (one a camera, in order), OpenCV FileStorage.
 
-    The format of IN is told by its content. A pair in ROS's format is a folder with one file a camera.
+    The format of IN is told by its content. A pair in ROS's format is a folder with one file a camera, as IN, too.
     """
     from urdfcal.cameras.io.formats import read_cameras, write_cameras
 
@@ -117,8 +131,8 @@ def _board(folder: Path, board: tuple[BoardKind, tuple[int, int]] | None, detail
     from urdfcal.cameras.board.board import Board, read_board
 
     if board is None:
-        if any(option is not None for option in details.values()):
-            raise click.UsageError("--square, --marker and --dictionary go with --board")
+        if any(details.values()):
+            raise click.UsageError("--square, --marker, --dictionary and --legacy go with --board")
         if not (folder / _BOARD_FILE).exists() and folder.is_dir():
             what = f"there is no {_BOARD_FILE} that describes the board"
             remedy = "Write one (type, columns, rows, square), or use --board chessboard 9x6 --square 0.025."
@@ -134,7 +148,9 @@ def _print(calibration: BoardCalibration, output: Path) -> None:
     import numpy as np
 
     console = terminal()
-    console.print(calibration.board.title, markup=False)
+    scale = calibration.board.scale_sigma
+    known = "" if scale is None else f", measured to {100 * scale:.2g} % (standard deviation)"
+    console.print(f"{calibration.board.title}{known}", markup=False)
     rig = calibration.rig
 
     quality = sheet("images", ["camera", "used", "corners", "residual (px)", "coverage", "tilt (deg)", "worst view"])

@@ -176,7 +176,8 @@ class Setup(Rebuilt):
         estimate: what is to be estimated.
         tolerances: of the robot.
         joint_models: by name, which are estimated (True) or not (False); of the others each decides itself.
-        scale_sigma: of the share that the instrument's lengths may be too long by; None where nothing is said.
+        scale_sigma: of the share that the instrument's lengths may be too long by; where nothing is said the rig's,
+            or None.
         sha256: hash of every input file, by the name that the session gives it.
         folder: where it was read from.
     """
@@ -200,6 +201,8 @@ class Setup(Rebuilt):
     def __post_init__(self) -> None:
         keep(self, **{name: tuple(getattr(self, name)) for name in ("leds", "targets", "led_distances", "mounts")})
         keep(self, sha256=ReadOnly(self.sha256), joint_models=ReadOnly(self.joint_models))
+        if self.scale_sigma is None:
+            keep(self, scale_sigma=self.rig.scale_sigma)
         for name in (name for distance in self.led_distances for name in distance.leds):
             check_known(name, [led.name for led in self.leds], "LEDs", "led_distances")
         if not self.leds and not self.targets:

@@ -92,7 +92,7 @@ class CharucoPattern(ChessboardPattern):
     legacy: bool = False
 
     def _board(self) -> Board:
-        return Board("charuco", *self.size, self.square, self.marker, self.dictionary, self.legacy)
+        return Board("charuco", *self.size, self.square, self.marker, self.dictionary, legacy=self.legacy)
 
 
 @dataclass(frozen=True)

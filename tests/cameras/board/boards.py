@@ -67,10 +67,10 @@ def true_corners(rig: Rig, board: Board, T_world_board: np.ndarray) -> np.ndarra
 
 
 def as_views(rig: Rig, uv: np.ndarray) -> BoardViews:
-    """Corners (C, V, N, 2) as if read from images."""
-    blur = np.where(np.isfinite(uv[..., 0]).any(axis=2), 0.9, np.nan)
+    """Corners (C, V, N, 2) as if read from images, which claim nothing of how well."""
+    covariance = np.zeros((*uv.shape, 2))
     names = tuple(f"{i:02d}" for i in range(uv.shape[1]))
-    return BoardViews(rig.names, tuple(c.resolution for c in rig.cameras), names, uv, blur, ())
+    return BoardViews(rig.names, tuple(c.resolution for c in rig.cameras), names, uv, covariance, ())
 
 
 def seen(rig: Rig, board: Board, count: int, seed: int, sigma: float = 0.02, tilt: float = 0.6) -> BoardViews:

@@ -59,6 +59,26 @@ def test_boards_are_read_from_their_file(tmp_path: Path) -> None:
     assert read_board(path) == Board("chessboard", 9, 6, 0.025)
     path.write_text("{type: charuco, columns: 10, rows: 7, square: 0.025, marker: 0.018, dictionary: DICT_4X4_50}")
     assert read_board(path) == Board("charuco", 10, 7, 0.025, 0.018, "DICT_4X4_50")
+    path.write_text(
+        path.read_text().replace("}", ", legacy: true, measured: {squares: 8, length: 0.204, sigma: 2e-4}}")
+    )
+    board = read_board(path)
+    assert board.legacy
+    assert (board.square, board.marker) == pytest.approx((0.0255, 0.018 * 1.02))
+    assert board.scale_sigma == pytest.approx(2e-4 / 0.204)
+
+
+@pytest.mark.parametrize(
+    ("measured", "message"),
+    [
+        ((12, 0.3, 1e-4), "12 squares of together 0.3 ± 0.0001 m cannot be measured on a chessboard 9 x 6"),
+        ((8, 0.2, 0.3), "cannot be measured"),
+        ((9, 0.2, 1e-4), r"9 squares of together 0.2 m are -11 % off squares of 0.025 m. Count the squares"),
+    ],
+)
+def test_lengths_that_cannot_be_the_boards_are_refused(measured: tuple[int, float, float], message: str) -> None:
+    with pytest.raises(CameraError, match=message):
+        Board("chessboard", 9, 6, 0.025).measured(*measured)
 
 
 GOOD = {"type": "charuco", "columns": 10, "rows": 7, "square": 0.03, "marker": 0.02, "dictionary": "DICT_4X4_50"}
@@ -77,6 +97,8 @@ BROKEN = {
     "unknown dictionary": ({"dictionary": "DICT_3X3"}, "dictionary 'DICT_3X3' is not known. OpenCV has: .*DICT_4X4_50"),
     "too many markers": ({"columns": 20}, "a 20 x 7 board has 70 markers, DICT_4X4_50 holds 50"),
     "chessboard with markers": ({"type": "chessboard"}, "a chessboard has no markers"),
+    "legacy": ({"legacy": "perhaps"}, r"\(legacy\): legacy is 'perhaps', not true or false"),
+    "measured": ({"measured": {"squares": 8}}, r"\(measured.length\): measured.length is missing|length is missing"),
     "unknown key": ({"colour": "red"}, "key 'colour' of a board is not known. Allowed: type, columns"),
 }  # fmt: skip
 

@@ -1,12 +1,15 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from tests.cameras.board.boards import CHARUCO, CHESSBOARD, PAIR, SIZE, held, placed, true_corners
 from tests.cameras.board.rendering import BoardRenderer
 from urdfcal.cameras.board.board import Board
-from urdfcal.cameras.board.views import detect_board, refine
+from urdfcal.cameras.board.corners import refine
+from urdfcal.cameras.board.detection import detect_board, what_is_seen
 from urdfcal.cameras.camera import Camera
 from urdfcal.cameras.rig import Rig
 
@@ -124,6 +127,98 @@ def test_a_board_that_looks_the_same_from_several_sides_is_read_in_one_of_its_or
         uv = true_corners(LEFT, board, T)[0]
         corners = detect_board(LENS.render(board, T), board)
         assert min(np.nanmax(np.abs(corners.uv - uv[order])) for order in board.symmetries) < 0.05
+
+
+@pytest.mark.parametrize(("blur", "noise", "contrast"), [(0.8, 2.0, 1.0), (0.8, 3.0, 0.15), (3.0, 2.0, 0.25)])
+def test_corners_know_their_covariance(blur: float, noise: float, contrast: float) -> None:
+    rng = np.random.default_rng(3)
+    chi2 = []
+    for T, uv in images(CHESSBOARD, 4):
+        image = contrast * LENS.render(CHESSBOARD, T, blur=blur).astype(float)
+        corners = refine(image + 20 + rng.normal(0.0, noise, image.shape), CHESSBOARD, uv)
+        assert corners.found.mean() > 0.95
+        error, covariance = (corners.uv - uv)[corners.found], corners.covariance[corners.found]
+        chi2.append(np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance), error))
+    assert 1.3 < np.concatenate(chi2).mean() < 2.6
+
+
+def test_a_soft_corner_is_found_where_its_blur_is_wider_than_the_window() -> None:
+    T, uv = images(CHESSBOARD, 1, seed=3)[0]
+    corners = refine(LENS.render(CHESSBOARD, T, blur=5.0, noise=1.0, rng=np.random.default_rng(0)), CHESSBOARD, uv)
+    assert corners.found.mean() > 0.8
+    assert np.sqrt(np.nanmean((corners.uv - uv) ** 2)) < 0.05
+
+
+def spoilt(board: Board, T: np.ndarray, quality: int = 30) -> np.ndarray:
+    """A picture blurred by 3 px, of a quarter of the contrast, and compressed."""
+    import cv2
+
+    image = LENS.render(board, T, blur=3.0, noise=2.0, rng=np.random.default_rng(0))
+    dim = np.rint(0.25 * image + 30).astype(np.uint8)
+    return cv2.imdecode(cv2.imencode(".jpg", dim, [cv2.IMWRITE_JPEG_QUALITY, quality])[1], cv2.IMREAD_UNCHANGED)
+
+
+def test_boards_are_found_in_soft_dim_compressed_and_small_pictures() -> None:
+    import cv2
+
+    for T, uv in images(CHESSBOARD, 3, seed=2):
+        corners = detect_board(spoilt(CHESSBOARD, T), CHESSBOARD)
+        assert corners.found.mean() > 0.9
+        assert np.sqrt(np.nanmean((corners.uv - uv) ** 2)) < 0.4
+        small = cv2.resize(LENS.render(CHESSBOARD, T), None, fx=0.4, fy=0.4, interpolation=cv2.INTER_AREA)
+        corners = detect_board(small, CHESSBOARD)
+        assert np.nanmax(np.abs(corners.uv - (0.4 * (uv + 0.5) - 0.5))) < 0.1
+
+
+def test_one_detector_after_the_other_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    import cv2
+
+    T, uv = images(CHESSBOARD, 1)[0]
+    image = LENS.render(CHESSBOARD, T)
+    monkeypatch.setattr(cv2, "findChessboardCornersSB", lambda *_, **__: (False, None))
+    assert np.nanmax(np.abs(detect_board(image, CHESSBOARD).uv - uv)) < 0.03
+
+
+@pytest.mark.parametrize("shape", [(8, 6), (7, 5), (9, 5), (11, 8)])
+def test_another_size_is_named_and_no_part_of_it_taken(shape: tuple[int, int]) -> None:
+    other = Board("chessboard", *shape, 0.03)
+    for T, _ in images(CHESSBOARD, 2):
+        image = LENS.render(CHESSBOARD, T, noise=2.0, rng=np.random.default_rng(0))
+        assert detect_board(image, other) is None
+        expected = f"a board of 9 x 6 inner corners was found, {shape[0]} x {shape[1]} asked for"
+        assert what_is_seen(image, other) == expected
+
+
+def test_another_kind_of_board_is_named() -> None:
+    T = images(CHARUCO, 1)[0][0]
+    image = LENS.render(CHARUCO, T)
+    for other, expected in (
+        (
+            Board("charuco", 10, 7, 0.03, 0.022, "DICT_4X4_50"),
+            "markers of DICT_5X5 up to number 34 were found, DICT_4X4",
+        ),
+        (
+            Board("charuco", 9, 7, 0.03, 0.022, "DICT_5X5_100"),
+            "a board 10 squares wide and 7 or more high were found, 9 x",
+        ),
+        (CHESSBOARD, "markers of DICT_5X5 up to number 34 were found, a chessboard asked for"),
+    ):
+        assert detect_board(image, other) is None
+        assert expected in what_is_seen(image, other)
+    chess = LENS.render(CHESSBOARD, images(CHESSBOARD, 1)[0][0])
+    assert what_is_seen(chess, CHARUCO) == "a chessboard of 9 x 6 inner corners was found, a ChArUco board asked for"
+    assert what_is_seen(np.full_like(chess, 90), CHARUCO) == "no board is found in it"
+
+
+def test_boards_of_old_printers_are_told_and_read() -> None:
+    import cv2
+
+    old = Board("charuco", 8, 6, 0.03, 0.022, "DICT_5X5_100", legacy=True)
+    image = cv2.GaussianBlur(old.to_opencv().generateImage((560, 430), marginSize=30), (0, 0), 0.8)
+    assert detect_board(image, old).found.mean() > 0.9
+    new = replace(old, legacy=False)
+    assert detect_board(image, new) is None
+    assert what_is_seen(image, new) == "its first square holds a marker: legacy: true"
 
 
 def test_where_there_is_no_board_none_is_found() -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -155,6 +156,22 @@ def test_every_number_comes_back(tmp_path: Path, seed: int) -> None:
     for got, expected in zip(again.T_cam_world, rig.T_cam_world, strict=True):
         np.testing.assert_allclose(got, expected, rtol=0, atol=1e-15)
     assert [entry.name for entry in tmp_path.iterdir()] == ["cameras.yaml"]
+
+
+def test_how_well_the_scale_is_known_stands_with_the_first_camera(tmp_path: Path) -> None:
+    rig = replace(read_kalibr(written(tmp_path, KALIBR)), scale_sigma=1.3e-3)
+    write_kalibr(path := tmp_path / "scaled.yaml", rig)
+    assert read_kalibr(path).scale_sigma == rig.scale_sigma == rig.at(np.array([0])).scale_sigma
+    text = path.read_text()
+    for wrong, message in (("-0.1", "is no standard deviation of a share"), ("one", "is not a finite number")):
+        path.write_text(text.replace("urdfcal_scale_sigma: 0.0013", f"urdfcal_scale_sigma: {wrong}"))
+        with pytest.raises(CameraError, match=rf"scaled.yaml:\d+:\d+ \(cam0.urdfcal_scale_sigma\).*{message}"):
+            read_kalibr(path)
+    path.write_text(text.replace("  urdfcal_scale_sigma: 0.0013\n", "") + "  urdfcal_scale_sigma: 0.0013\n")
+    with pytest.raises(CameraError, match="It belongs to the first camera"):
+        read_kalibr(path)
+    with pytest.raises(CameraError, match="makes no sense"):
+        replace(rig, scale_sigma=-1.0)
 
 
 def test_unknown_places_come_back_unknown(tmp_path: Path) -> None:

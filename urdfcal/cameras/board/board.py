@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, cast, get_args
 
@@ -23,7 +23,10 @@ _FEWEST = 3
 # A printed square is between a few millimetres and half a metre; 25 is millimetres.
 _LARGEST_SQUARE = 1.0
 _METRES = "Lengths are in metres: 0.025, or 2.5e-2."
-_KEYS = ("type", "columns", "rows", "square", "marker", "dictionary")
+_KEYS = ("type", "columns", "rows", "square", "marker", "dictionary", "legacy", "measured")
+_MEASURED = ("squares", "length", "sigma")
+# Printers scale by up to 5 % to fit a page; a square more or less counted is 8 % and more.
+_MOST_SCALED = 0.07
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,8 @@ class Board:
         square: side of a square, m.
         marker: side of the markers, black border included, m; ChArUco only.
         dictionary: OpenCV's name of the markers' dictionary, such as DICT_4X4_50; ChArUco only.
-        legacy: printed as before OpenCV 4.6: of an even number of rows the first square is white; ChArUco only.
+        scale_sigma: standard deviation of the share that the squares may be longer than said; None if nothing is known.
+        legacy: printed by OpenCV before 4.6, where a ChArUco board with an even number of rows begins with a marker.
 
     Raises:
         CameraError: there is no such board.
@@ -53,6 +57,7 @@ class Board:
     square: float
     marker: float | None = None
     dictionary: str | None = None
+    scale_sigma: float | None = None
     legacy: bool = False
 
     def __post_init__(self) -> None:
@@ -67,6 +72,29 @@ class Board:
             self._check_markers()
         elif self.marker is not None or self.dictionary is not None:
             raise CameraError("a chessboard has no markers", remedy="Leave marker and dictionary out.")
+
+    def measured(self, squares: int, length: float, sigma: float) -> Board:
+        """The board as it was printed: its lengths scaled to a measured one.
+
+        Args:
+            squares: how many squares the length is long.
+            length: from the first edge to the last, m.
+            sigma: its standard deviation, m; 0.2 mm with a good ruler.
+
+        Raises:
+            CameraError: no such length can be on this board.
+        """
+        remedy = "Count the squares along it; give both lengths in metres."
+        if not 1 <= squares <= max(self.shape) + 1 or not length > 0.0 or not 0.0 <= sigma < length:
+            what = f"{squares} squares of together {length:g} ± {sigma:g} m cannot be measured on a {self.title}"
+            raise CameraError(what, remedy=remedy)
+        factor = length / squares / self.square
+        if abs(factor - 1.0) > _MOST_SCALED:
+            off = f"{100 * (factor - 1.0):+.0f} %"
+            what = f"{squares} squares of together {length:g} m are {off} off squares of {self.square:g} m"
+            raise CameraError(what, remedy=remedy)
+        marker = None if self.marker is None else factor * self.marker
+        return replace(self, square=length / squares, marker=marker, scale_sigma=sigma / length)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -140,7 +168,7 @@ class Board:
 
 
 def read_board(path: Path) -> Board:
-    """Read board.yaml: type, columns, rows, square, and for ChArUco marker and dictionary.
+    """Read board.yaml: type, columns, rows, square, for ChArUco marker and dictionary, and what was measured on it.
 
     Raises:
         CameraError: the file cannot be read or describes no board.
@@ -152,5 +180,13 @@ def read_board(path: Path) -> Board:
     size = entry.whole("columns"), entry.whole("rows"), entry.number("square", _METRES)
     marker = entry.number("marker", _METRES) if "marker" in given else None
     dictionary = entry.text("dictionary") if "dictionary" in given else None
+    legacy = entry.text("legacy") if "legacy" in given else "false"
+    if legacy not in ("true", "false"):
+        raise entry.error("legacy", f"legacy is '{legacy}', not true or false")
     with standing(str(path)):
-        return Board(cast("BoardKind", entry.text("type")), *size, marker, dictionary)
+        board = Board(cast("BoardKind", entry.text("type")), *size, marker, dictionary, legacy=legacy == "true")
+        if "measured" not in given:
+            return board
+        inner = entry.inner("measured")
+        inner.only(_MEASURED, "measured")
+        return board.measured(inner.whole("squares"), inner.number("length", _METRES), inner.number("sigma", _METRES))

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from urdfcal.arrays import Bools, Floats, Ints, frozen
-from urdfcal.cameras.board.bundle import Adjusted, Bundle, adjust, board_poses, first_guesses, place
+from urdfcal.cameras.board.bundle import Adjusted, Bundle, adjust
+from urdfcal.cameras.board.start import board_poses, first_guesses, place
 from urdfcal.cameras.board.views import Rejection
 from urdfcal.cameras.rig import CameraSigma, Rig
 from urdfcal.errors import CameraError
@@ -22,9 +24,8 @@ if TYPE_CHECKING:
 
 # A view adds 6 unknowns of its own; with fewer corners, or all in two rows, it says nothing about the lens.
 _FEWEST_CORNERS, _FEWEST_ROWS = 8, 2
-_FEWEST_VIEWS = 5
-# Focus and exposure vary the blur of good images by a quarter; an image this much softer was moved.
-_BLURRED, _LEAST_BLUR = 2.0, 1.5
+# Three views tell lens and poses; of fewer than this the standard deviations are themselves uncertain.
+_FEWEST_VIEWS, _FEW_VIEWS = 3, 8
 # The rms of 54 corners varies by 7 % between views, with distance and light by a factor of two.
 _FAR_ABOVE = 3.0
 _MOST_LEFT_OUT = 0.2
@@ -33,6 +34,8 @@ _MOST_LEFT_OUT = 0.2
 _LEAST_TILT = 10.0
 # A focal length off by 0.5 % puts an LED 1.5 m away off by 7 mm: more than the arm's own errors.
 _WORST_FOCAL = 0.005
+# Beyond this the prior says nothing that the printed focal length of the lens does not.
+_HOPELESS_FOCAL = 0.05
 # k3 is used where it is this many of its standard deviations from zero.
 _SIGNIFICANT = 3.0
 # A start that ends here has found the camera; others end at tens of px or leave corners out.
@@ -101,7 +104,9 @@ class BoardCalibration:
     warnings: tuple[str, ...]
 
 
-def calibrate_cameras(views: BoardViews, board: Board, model: str = "radtan") -> BoardCalibration:
+def calibrate_cameras(
+    views: BoardViews, board: Board, model: str = "radtan", *, force: bool = False
+) -> BoardCalibration:
     """Estimate lenses and places of all cameras, with their covariance.
 
     Every camera is calibrated alone first; those that views in common link to the first one then all together in one
@@ -111,21 +116,32 @@ def calibrate_cameras(views: BoardViews, board: Board, model: str = "radtan") ->
         views: what the cameras saw.
         board: of what.
         model: "radtan" (k3 only where the corners ask for it), "equidistant" or "none".
+        force: go on where the views leave the focal length open or the cameras disagree, with a warning.
 
     Raises:
         CameraError: too few or too parallel views, or corners that fit no camera; says what images to add.
     """
     uv, rejected = _usable(views, board)
+    warnings: list[str] = []
+
+    def mind(doubt: CameraError | None) -> None:
+        if doubt is None:
+            return
+        if not force:
+            remedy = f"{doubt.remedy} Or --force takes them as they are."
+            raise CameraError(doubt.what, where=doubt.where, remedy=remedy)
+        warnings.append(f"{doubt.where}: {doubt.what}. {doubt.remedy}")
+
     alone: list[Adjusted] = []
     for c, name in enumerate(views.cameras):
         _check_views(views, c, uv, rejected)
-        camera = _alone(name, views.resolutions[c], model, board, uv[c])
+        camera = _alone(name, views.resolutions[c], model, board, uv[c], views.covariance[c])
         dropped, fitted = _without_bad_views(board, (camera,), uv[c : c + 1], views, (c,))
         rejected += dropped
         for rejection in dropped:
             uv[c, views.views.index(rejection.view)] = np.nan
         _check_views(views, c, uv, rejected)
-        _check_focal(fitted, name)
+        mind(_open_focal(fitted, name))
         alone.append(fitted)
 
     cameras = [fitted.bundle.cameras[0] for fitted in alone]
@@ -137,24 +153,20 @@ def calibrate_cameras(views: BoardViews, board: Board, model: str = "radtan") ->
         rejected += dropped
         for i, c in enumerate(group):
             fits[c] = fitted, i
-            _check_together(cameras[c].name, float(alone[c].sigma[0]), float(fitted.sigma[i]))
-    return _result(views, board, fits, rejected)
+            mind(_disagreeing(cameras[c].name, float(alone[c].sigma[0]), float(fitted.sigma[i])))
+    return _result(views, board, fits, rejected, warnings)
 
 
 def _usable(views: BoardViews, board: Board) -> tuple[Floats, list[Rejection]]:
-    """The corners without views that show too little or are blurred."""
+    """The corners without views that show too little."""
     uv, rejected = np.array(views.uv), list(views.rejected)
     across = board.shape[0]
-    usual = [np.nanmedian(blur) if np.isfinite(blur).any() else np.nan for blur in views.blur]
     for c, v in np.argwhere(np.isfinite(uv[..., 0]).any(axis=2)):
         seen = np.flatnonzero(np.isfinite(uv[c, v, :, 0]))
         rows, columns = len(np.unique(seen // across)), len(np.unique(seen % across))
-        if len(seen) < _FEWEST_CORNERS or min(rows, columns) <= _FEWEST_ROWS:
-            reason = f"only {len(seen)} of {uv.shape[2]} corners are found, in {rows} rows and {columns} columns"
-        elif views.blur[c, v] > max(_BLURRED * usual[c], _LEAST_BLUR):
-            reason = f"it is blurred: {views.blur[c, v]:.1f} px, the others {usual[c]:.1f} px"
-        else:
+        if len(seen) >= _FEWEST_CORNERS and min(rows, columns) > _FEWEST_ROWS:
             continue
+        reason = f"only {len(seen)} of {uv.shape[2]} corners are found, in {rows} rows and {columns} columns"
         uv[c, v] = np.nan
         rejected.append(Rejection(views.cameras[c], views.views[v], reason))
     return uv, rejected
@@ -164,47 +176,52 @@ def _check_views(views: BoardViews, c: int, uv: Floats, rejected: Sequence[Rejec
     count = int(np.isfinite(uv[c, ..., 0]).any(axis=1).sum())
     if count >= _FEWEST_VIEWS:
         return
-    mine = [f"{r.view}: {r.reason}" for r in rejected if r.camera == views.cameras[c]]
-    because = f" ({'; '.join(mine[:3])}{'; ...' if len(mine) > 3 else ''})" if mine else ""
+    # What follows the colon is different in every image.
+    reasons = Counter(r.reason.split(":")[0] for r in rejected if r.camera == views.cameras[c]).most_common()
+    because = f" ({'; '.join(f'{times} x {reason}' for reason, times in reasons[:3])})" if reasons else ""
     what = f"only {count} of its images can be used{because}, at least {_FEWEST_VIEWS} are needed and 15 to 30 are good"
     remedy = "Add sharp images of the board in all parts of the image, and check the board's kind and its counts."
     raise CameraError(what, where=f"camera '{views.cameras[c]}'", remedy=remedy)
 
 
-def _check_focal(fitted: Adjusted, name: str) -> None:
-    """Refuse views that leave the focal length open."""
+def _open_focal(fitted: Adjusted, name: str) -> CameraError | None:
+    """What to object to views that leave the focal length open."""
     camera = fitted.bundle.cameras[0]
     seen = np.isfinite(fitted.residuals[0, ..., 0]).any(axis=1)
     tilts = _tilts(fitted.bundle, 0)[seen]
     if tilts.max() < _LEAST_TILT:
-        raise CameraError(
+        return CameraError(
             f"the board faces the camera in all images (tilted by at most {tilts.max():.0f}°): a longer lens further "
             "away would see the same",
             where=f"camera '{name}'",
             remedy=_TILT_THE_BOARD,
         )
     relative = float((np.sqrt(np.diag(fitted.covariance)[:2]) / camera.intrinsics[:2]).max())
-    if not relative < _WORST_FOCAL:
-        what = f"these images tell the focal length only to {100 * relative:.2g} % (standard deviation)"
-        remedy = f"{100 * _WORST_FOCAL:g} % is needed. {_TILT_THE_BOARD}"
-        raise CameraError(what, where=f"camera '{name}'", remedy=remedy)
+    if relative < _HOPELESS_FOCAL:
+        return None
+    what = f"these images tell the focal length only to {100 * relative:.2g} % (standard deviation)"
+    return CameraError(what, where=f"camera '{name}'", remedy=_TILT_THE_BOARD)
 
 
-def _check_together(name: str, alone: float, together: float) -> None:
-    """Refuse a camera that agrees with itself but not with the others."""
-    if together > _FAR_ABOVE * max(alone, _LEAST_NOISE):
-        what = f"its corners fit to {alone:.2g} px alone, but to {together:.2g} px together with the other cameras"
-        raise CameraError(what, where=f"camera '{name}'", remedy=_AT_THE_SAME_TIME)
+def _disagreeing(name: str, alone: float, together: float) -> CameraError | None:
+    """What to object to a camera that agrees with itself but not with the others."""
+    if together <= _FAR_ABOVE * max(alone, _LEAST_NOISE):
+        return None
+    what = f"its corners fit to {alone:.2g} px alone, but to {together:.2g} px together with the other cameras"
+    return CameraError(what, where=f"camera '{name}'", remedy=_AT_THE_SAME_TIME)
 
 
-def _alone(name: str, resolution: tuple[int, int], model: str, board: Board, uv: Floats) -> Camera:
+def _alone(name: str, resolution: tuple[int, int], model: str, board: Board, uv: Floats, covariance: Floats) -> Camera:
     """One camera from all its views, from the start that explains them best."""
-    uv = uv[np.isfinite(uv[..., 0]).any(axis=1)]
+    shown = np.isfinite(uv[..., 0]).any(axis=1)
+    uv, covariance = uv[shown], covariance[shown]
     best: Adjusted | None = None
     failure: CameraError | None = None
     for guess in first_guesses(name, resolution, model, board, uv):
         try:
-            fitted = adjust(Bundle(board, (guess,), np.eye(4)[None], board_poses(guess, board, uv)), uv[None])
+            fitted = adjust(
+                Bundle(board, (guess,), np.eye(4)[None], board_poses(guess, board, uv)), uv[None], covariance[None]
+            )
         except CameraError as error:
             failure = failure or error
             continue
@@ -220,7 +237,7 @@ def _alone(name: str, resolution: tuple[int, int], model: str, board: Board, uv:
         return camera
     longer = replace(camera, distortion=np.append(camera.distortion, 0.0))
     try:
-        fitted = adjust(replace(best.bundle, cameras=(longer,)), uv[None])
+        fitted = adjust(replace(best.bundle, cameras=(longer,)), uv[None], covariance[None])
     except CameraError:
         return camera
     k3 = fitted.bundle.cameras[0].distortion[-1]
@@ -236,38 +253,40 @@ def _without_bad_views(
     board: Board, cameras: Sequence[Camera], uv: Floats, views: BoardViews, group: Sequence[int]
 ) -> tuple[list[Rejection], Adjusted]:
     """Fit, leave out the image that fits worst if it fits far worse than the others, and fit again."""
-    uv = np.array(uv)
+    uv, covariance = np.array(uv), views.covariance[list(group)]
     rejected: list[Rejection] = []
     while True:
-        T_cam_world, T_world_board, uv = place(cameras, board, uv)
+        T_cam_world, T_world_board, orders = place(cameras, board, uv)
+        uv = np.take_along_axis(uv, orders[..., None], axis=2)
+        covariance = np.take_along_axis(covariance, orders[..., None, None], axis=2)
         T_world_board[np.isnan(T_world_board[:, 0, 0])] = np.eye(4)
         placed = [T for T in T_cam_world if T is not None]
         if len(placed) < len(cameras):
             lost = next(camera for camera, T in zip(cameras, T_cam_world, strict=True) if T is None)
             what = "no image it shares with another camera agrees with the rest"
             raise CameraError(what, where=f"camera '{lost.name}'", remedy=_AT_THE_SAME_TIME)
-        fitted = adjust(Bundle(board, tuple(cameras), np.stack(placed), T_world_board), uv)
-        kept = np.where(fitted.outliers[..., None], np.nan, fitted.residuals)
+        fitted = adjust(Bundle(board, tuple(cameras), np.stack(placed), T_world_board), uv, covariance)
+        kept = np.where(fitted.outliers, np.nan, fitted.norms)
         # A few corners left out are a reflection or a finger; many are a bad view, judged by all its corners.
         few = fitted.outliers.sum(axis=2) <= _MOST_LEFT_OUT * np.isfinite(uv[..., 0]).sum(axis=2)
-        rms = _rms(np.where(few[..., None, None], kept, fitted.residuals))
-        ratio = np.nan_to_num(rms / np.maximum(np.nanmedian(rms, axis=1), 1e-3)[:, None])
+        norms = _rms(np.where(few[..., None], kept, fitted.norms))
+        ratio = np.nan_to_num(norms / np.maximum(np.nanmedian(norms, axis=1), 1e-3)[:, None])
         c, v = (int(i) for i in np.unravel_index(ratio.argmax(), ratio.shape))
         if ratio[c, v] < _FAR_ABOVE:
             return rejected, fitted
         uv[c, v] = np.nan
         # Between several cameras the odd view is one where the board or the exposure moved.
         cause = "was the board bent or read wrongly?" if len(group) == 1 else "did the board move between the cameras?"
-        reason = f"its residual {rms[c, v]:.2f} px is {ratio[c, v]:.0f} x that of the others: {cause}"
+        far = np.linalg.norm(fitted.residuals[c, v], axis=-1)
+        reason = f"its residual {_rms(far) / np.sqrt(2.0):.2f} px is {ratio[c, v]:.0f} x that of the others: {cause}"
         rejected.append(Rejection(views.cameras[group[c]], views.views[v], reason))
 
 
-def _rms(residuals: Floats) -> Floats:
-    """(C, V) px, NaN where there is no corner."""
-    seen = np.isfinite(residuals[..., 0])
-    squared = np.where(seen[..., None], residuals, 0.0) ** 2
+def _rms(lengths: Floats) -> Floats:
+    """Root mean square over the last axis, NaN where there is nothing."""
+    seen = np.isfinite(lengths)
     with np.errstate(invalid="ignore"):
-        return np.asarray(np.sqrt(squared.sum(axis=(2, 3)) / (2.0 * seen.sum(axis=2))))
+        return np.asarray(np.sqrt((np.where(seen, lengths, 0.0) ** 2).sum(axis=-1) / seen.sum(axis=-1)))
 
 
 def _tilts(bundle: Bundle, c: int) -> Floats:
@@ -286,7 +305,7 @@ def _quality(views: BoardViews, c: int, fitted: Adjusted, i: int) -> CameraQuali
     return CameraQuality(
         name=views.cameras[c],
         views=tuple(name for name, ok in zip(views.views, used, strict=True) if ok),
-        rms=frozen(_rms(np.where(kept[..., None], residuals, np.nan)[None])[0, used]),
+        rms=frozen(_rms(np.where(kept, np.linalg.norm(residuals, axis=-1), np.nan))[used] / np.sqrt(2.0)),
         tilts=frozen(_tilts(fitted.bundle, i)[used]),
         sigma=float(fitted.sigma[i]),
         corners=int(kept.sum()),
@@ -296,7 +315,11 @@ def _quality(views: BoardViews, c: int, fitted: Adjusted, i: int) -> CameraQuali
 
 
 def _result(
-    views: BoardViews, board: Board, fits: dict[int, tuple[Adjusted, int]], rejected: Sequence[Rejection]
+    views: BoardViews,
+    board: Board,
+    fits: dict[int, tuple[Adjusted, int]],
+    rejected: Sequence[Rejection],
+    doubts: Sequence[str],
 ) -> BoardCalibration:
     names: list[str] = []
     blocks: list[tuple[Adjusted, Ints]] = []
@@ -316,7 +339,7 @@ def _result(
     correlation = np.clip(covariance / np.outer(sigma, sigma), -1.0, 1.0)
     correlation = 0.5 * (correlation + correlation.T)
 
-    cameras, places, sigmas, qualities, warnings, end = [], [], [], [], [], 0
+    cameras, places, sigmas, qualities, warnings, end = [], [], [], [], list(doubts), 0
     for c, (fitted, columns) in enumerate(blocks):
         i = fits[c][1]
         camera, T = fitted.bundle.cameras[i], fitted.bundle.T_cam_world[i]
@@ -328,15 +351,31 @@ def _result(
         places.append(np.block([[U @ Vt, T[:3, 3:]], [T[3]]]) if fitted is blocks[0][0] else None)
         sigmas.append(CameraSigma(lens, pose if len(pose) else None, correlation[start:end, :end]))
         qualities.append(_quality(views, c, fitted, i))
-        warnings += _remarks(qualities[-1], placed=places[-1] is not None)
-    rig = Rig(tuple(cameras), tuple(places), tuple(sigmas))
+        focal = float((lens[:2] / camera.intrinsics[:2]).max())
+        warnings += _remarks(qualities[-1], focal, placed=places[-1] is not None)
+    # Between cameras there are lengths, in one alone none.
+    lengths = sum(T is not None for T in places) > 1
+    if lengths and board.scale_sigma is None:
+        warnings.append(
+            "the distance between the cameras is right if the board's squares are as said: measure several in a row on "
+            f"the print, and give their length and its sigma: --measured {max(board.shape) - 1} 0.2003 0.0002"
+        )
+    rig = Rig(tuple(cameras), tuple(places), tuple(sigmas), board.scale_sigma if lengths else None)
     return BoardCalibration(
         board, rig, frozen(covariance), tuple(names), tuple(qualities), tuple(rejected), tuple(warnings)
     )
 
 
-def _remarks(quality: CameraQuality, *, placed: bool) -> list[str]:
+def _remarks(quality: CameraQuality, focal: float, *, placed: bool) -> list[str]:
     remarks = []
+    if focal >= _WORST_FOCAL:
+        remarks.append(
+            f"camera '{quality.name}': the focal length is known to {100 * focal:.2g} % only (standard deviation): "
+            f"refine it with the arm (`estimate: {{intrinsics: refine}}`). {_TILT_THE_BOARD}"
+        )
+    if len(quality.views) < _FEW_VIEWS:
+        what = f"camera '{quality.name}': {len(quality.views)} images are few, 15 to 30 are good"
+        remarks.append(f"{what}; the standard deviations are themselves uncertain")
     if quality.coverage < _LEAST_COVERAGE:
         covered = quality.covered
         thirds = {

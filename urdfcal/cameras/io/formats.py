@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 from urdfcal.cameras.io.entries import read_bytes
 from urdfcal.cameras.io.kalibr import read_kalibr, write_kalibr
 from urdfcal.cameras.io.opencv import read_opencv, write_opencv
-from urdfcal.cameras.io.ros import read_ros, write_ros
+from urdfcal.cameras.io.ros import from_left, read_ros, write_ros
 from urdfcal.errors import CameraError
 
 if TYPE_CHECKING:
@@ -41,23 +41,32 @@ def read_cameras(paths: Sequence[str | Path], size: tuple[int, int] | None = Non
     """Read cameras from files of one format, told by their content.
 
     Args:
-        paths: a Kalibr camchain, camera_info files in the order of the cameras, or OpenCV's files.
+        paths: a Kalibr camchain, camera_info files in the order of the cameras, or OpenCV's files; or a folder with
+            such files and nothing else that ends in .yaml, .yml or .xml, as a pair in ROS's format is.
         size: (width, height) in px, for OpenCV files that do not tell.
 
     Raises:
         CameraError: a file cannot be read, or they are of different formats.
     """
-    files = [Path(path) for path in paths]
+    files = [file for path in map(Path, paths) for file in (_inside(path) if path.is_dir() else [path])]
     formats = [format_of(path) for path in files]
     if len(set(formats)) > 1:
         raise CameraError(f"the files are of different formats: {', '.join(formats)}", where=str(files[0]))
     if formats[0] == "ros":
-        return read_ros(files)
+        return read_ros(from_left(files) if Path(paths[0]).is_dir() else files)
     if formats[0] == "opencv":
         return read_opencv(files, size)
     if len(files) > 1:
         raise CameraError("a camchain is one file with all its cameras", where=str(files[1]))
     return read_kalibr(files[0])
+
+
+def _inside(folder: Path) -> list[Path]:
+    """The camera files in a folder."""
+    files = sorted(path for path in folder.iterdir() if path.suffix.lower() in (".yaml", ".yml", ".xml"))
+    if not files:
+        raise CameraError("there are no camera files (.yaml, .yml, .xml) in this folder", where=str(folder))
+    return files
 
 
 def write_cameras(path: str | Path, rig: Rig, format_: Format) -> tuple[Path, ...]:

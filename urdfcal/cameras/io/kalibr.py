@@ -32,8 +32,17 @@ from urdfcal.files import write_text
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-_SIGMA = "urdfcal_sigma"
-_USED = ("camera_model", "intrinsics", "distortion_model", "resolution", "distortion_coeffs", "T_cn_cnm1", _SIGMA)
+_SIGMA, _SCALE = "urdfcal_sigma", "urdfcal_scale_sigma"
+_USED = (
+    "camera_model",
+    "intrinsics",
+    "distortion_model",
+    "resolution",
+    "distortion_coeffs",
+    "T_cn_cnm1",
+    _SIGMA,
+    _SCALE,
+)
 # Kalibr writes these too; they say nothing about where a pixel looks.
 _IGNORED = ("rostopic", "cam_overlaps", "timeshift_cam_imu", "T_cam_imu")
 _SIGMAS = ("intrinsics", "distortion_coeffs", "T_cn_c0", "correlations")
@@ -57,18 +66,25 @@ def read_kalibr(path: str | Path) -> Rig:
     entries = {name: Entry.of(path, name, node, f"the keys of '{name}'") for name, node in file.fields.items()}
     cameras, chain, sigmas = [], [], []
     T: Floats | None = np.eye(4)
+    scale: float | None = None
     for i, name in enumerate(_chain_order(entries, path)):
         entry = entries[name]
         cameras.append(_camera(entry))
         if i > 0:
             T_step = _step(entry)
             T = None if T is None or T_step is None else T_step @ T
+            if _SCALE in entry.fields:
+                raise entry.error(_SCALE, f"{_SCALE} is of all lengths", "It belongs to the first camera.")
         elif "T_cn_cnm1" in entry.fields:
             raise entry.error("T_cn_cnm1", "the first camera has no camera before it", "Leave T_cn_cnm1 out.")
+        elif _SCALE in entry.fields:
+            scale = entry.number(_SCALE)
+            if not 0.0 <= scale < 1.0:
+                raise entry.error(_SCALE, f"{_SCALE} {scale:g} is no standard deviation of a share of all lengths")
         chain.append(T)
         sigmas.append(_sigma(entry, cameras[-1], placed=i > 0 and T is not None))
     try:
-        return Rig(tuple(cameras), tuple(chain), tuple(sigmas))
+        return Rig(tuple(cameras), tuple(chain), tuple(sigmas), scale)
     except CameraError as error:
         raise CameraError(error.what, where=f"{path} ({error.where})", remedy=error.remedy) from error
 
@@ -109,6 +125,8 @@ def write_kalibr(path: str | Path, rig: Rig) -> None:
         if sigma is not None:
             values = (sigma.parameters[:4], sigma.parameters[4:], sigma.pose, sigma.correlations)
             entry[_SIGMA] = {key: v.tolist() for key, v in zip(_SIGMAS, values, strict=True) if v is not None}
+    if rig.scale_sigma is not None and rig.names:
+        chain[rig.names[0]][_SCALE] = float(rig.scale_sigma)
     write_text(path, yaml.safe_dump(chain, sort_keys=False, default_flow_style=None, width=2**16))
 
 

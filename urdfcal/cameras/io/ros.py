@@ -126,6 +126,16 @@ def read_ros(paths: Sequence[str | Path]) -> Rig:
     return rig_of([_info(name, entry) for name, entry in zip(names, entries, strict=True)])
 
 
+def from_left(paths: Sequence[Path]) -> list[Path]:
+    """The files of a pair in the order of its cameras: the first one's rectified projection is not shifted."""
+
+    def shifted(path: Path) -> bool:
+        entry = Entry.read(path, "the keys of a camera_info")
+        return bool(np.any(_info("", entry).P[:, 3]))
+
+    return sorted(paths, key=shifted)
+
+
 def write_ros(path: str | Path, rig: Rig) -> tuple[Path, ...]:
     """Write camera_info files: the file ``path`` for one camera, for two the folder ``path`` with <camera>.yaml.
 
