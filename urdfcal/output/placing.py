@@ -26,7 +26,7 @@ class RobotPoses:
 
     Attributes:
         frames: (N, n + 1, 4, 4) base link and joint frames. [m]
-        T_base_frame: (F, N, 4, 4) what LEDs and cameras are fastened to: the world, then links. [m]
+        T_base_frame: (F, N, 4, 4) what LEDs and cameras are fastened to: the world, links, targets. [m]
         leds: (N, L, 3) LEDs. [m]
         T_base_cam: (C, N, 4, 4) cameras. [m]
     """
@@ -42,7 +42,9 @@ class RobotPoses:
         fastened = setup.attachments
         frames = joint_frames(setup.chain, arm.placements, q)
         # The world is a link of the base here: it moves with no joint.
-        tips = (Tip(WORLD, BASE, inverse(arm.T_world_base)), *fastened.tips)
+        tips = [Tip(WORLD, BASE, inverse(arm.T_world_base)), *fastened.tips]
+        for T, (name, carrier) in zip(arm.targets, fastened.carried, strict=True):
+            tips.append(Tip(name, tips[carrier].joint, tips[carrier].T_joint_link @ T))
         T_base_frame = np.array([link_frames(frames, tip) for tip in tips])
         T_base_carrier = np.swapaxes(T_base_frame[fastened.led], 0, 1)
         leds = (T_base_carrier[..., :3, :3] @ arm.leds[..., None])[..., 0] + T_base_carrier[..., :3, 3]

@@ -13,6 +13,7 @@ from urdfcal.estimation.blocks.arm import LENGTHS
 from urdfcal.estimation.blocks.base_pose import BASE
 from urdfcal.estimation.blocks.cameras import lens_key, pose_key
 from urdfcal.estimation.blocks.leds import LEDS
+from urdfcal.estimation.blocks.targets import target_key
 from urdfcal.estimation.joint_models.time_offset import TIME_OFFSETS
 from urdfcal.estimation.measurements.pixels import triangulate
 from urdfcal.estimation.model_selection import Trial
@@ -44,6 +45,7 @@ def build_document(of: FittedCalibration) -> d.ResultDocument:
         T_world_base=of.estimate.T_world_base.tolist(),
         T_world_base_sigma=_known(of.sigmas_of(BASE)),
         leds=_leds(of),
+        targets=_targets(of),
         cameras={camera.name: _camera(of, c) for c, camera in enumerate(of.estimate.cameras)},
         **listed,
         fit=_fit(of),
@@ -171,6 +173,16 @@ def _leds(of: FittedCalibration) -> dict[str, d.LedEntry]:
             position=of.estimate.leds[i].tolist(),
             sigma=[0.0, 0.0, 0.0] if led.sigma == 0.0 else _known(sigmas[i]),
         )
+    return result
+
+
+def _targets(of: FittedCalibration) -> dict[str, d.TargetEntry]:
+    frames = of.session.attachments
+    result = {}
+    for T, (name, carrier), target in zip(of.estimate.targets, frames.carried, of.session.targets, strict=True):
+        exact = target.sigma is not None and not target.sigma.any()
+        sigma: list[float | None] = [0.0] * 6 if exact else _known(of.sigmas_of(target_key(name)))
+        result[name] = d.TargetEntry(link=frames.frames[carrier], T_link_target=T.tolist(), sigma=sigma)
     return result
 
 
@@ -305,7 +317,7 @@ def _outliers(of: FittedCalibration) -> list[d.OutlierEntry]:
                 d.OutlierEntry(
                     pose=of.session.poses[block.pose[group]],
                     camera=None if cameras is None else of.estimate.cameras[cameras[group, slot]].name,
-                    led=of.session.leds[block.index["led"][group, slot]].name,
+                    led=of.session.led_names[block.index["led"][group, slot]],
                     residual=scale * float(np.linalg.norm(residual[group, slot])),
                     sigmas=float(norms[group, slot]),
                 )

@@ -115,6 +115,14 @@ class LedEntry(Section):
     sigma: Sigmas
 
 
+class TargetEntry(Section):
+    """The pose of a target on its link, or in the world; sigma of a small motion x, y, z, rx, ry, rz of the target."""
+
+    link: str
+    T_link_target: Transform
+    sigma: Sigmas
+
+
 class TimeOffsetEntry(Section):
     """The time offset of a camera's clock, in s; sigma is None where it was fixed."""
 
@@ -271,6 +279,7 @@ class ResultDocument(Section):
     T_world_base: Transform
     T_world_base_sigma: Sigmas
     leds: dict[str, LedEntry]
+    targets: dict[str, TargetEntry] = Field(default_factory=dict)
     cameras: dict[str, CameraEntry]
     parameters: list[ParameterEntry] = Field(default_factory=list)
     fit: FitSection
