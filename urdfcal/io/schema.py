@@ -179,7 +179,7 @@ class SetupFile(Keys):
         exceptions: Any = tolerances.__pydantic_extra__
         return {
             "leds": tuple(Led(name, **dict(led)) for name, led in self.leds.items()),
-            "targets": tuple(target.target(name) for name, target in self.targets.items()),
+            "targets": tuple(target.target(name, self.scale) for name, target in self.targets.items()),
             "mounts": self.cameras.mounts if self.cameras is not None else (),
             "led_distances": tuple(LedDistance(**dict(distance)) for distance in self.led_distances),
             "noise": Noise(**own, other=noise),

@@ -10,7 +10,6 @@ import pinocchio as pin
 from urdfcal.arrays import Floats, inverse
 from urdfcal.estimation.blocks.base import POSE_AXES, POSE_UNITS, Block, VectorBlock
 from urdfcal.estimation.blocks.leds import LEDS
-from urdfcal.estimation.blocks.scale import scale_of
 from urdfcal.estimation.state import Key
 
 if TYPE_CHECKING:
@@ -87,7 +86,8 @@ class PrintBlock(VectorBlock):
             names=(f"{target.name}.scale",),
             units=("1",),
             nominal=np.zeros(1),
-            sigma=np.array([np.inf if target.scale_sigma is None else target.scale_sigma]),
+            sigma=np.array([target.scale_sigma or np.inf]),
+            fixed={0: "it is given as exact"} if target.scale_sigma == 0.0 else {},
             phrase=f"the scale of {target.name}",
         )
 
@@ -119,6 +119,6 @@ def point_places(attachments: Attachments, state: State) -> Floats:
 
 
 def print_scale(target: str, state: State) -> float:
-    """Return the factor that a target's lengths are given too long by: its own, or that of all that measures."""
+    """Return the factor that a target's lengths are given too long by; 1 where it is no unknown."""
     own = print_key(target)
-    return 1.0 + float(state[own][0]) if own in state else scale_of(state)
+    return 1.0 + float(state[own][0]) if own in state else 1.0

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.estimation.blocks.leds import LEDS
-from urdfcal.estimation.blocks.scale import SCALE
 from urdfcal.estimation.blocks.targets import point_places, print_key, print_scale
 
 if TYPE_CHECKING:
@@ -123,7 +122,7 @@ def _put_prints(J: Jacobian, observed: Observations, links: Links, E: Floats, le
     attachments = links.attachments
     frame = attachments.led[observed.index["led"]]
     for k, name in enumerate(attachments.targets, attachments.first_target):
-        key = print_key(name) if J.wants(print_key(name)) else SCALE
+        key = print_key(name)
         if J.wants(key):
             mine = (frame == k) & observed.valid
             along = -np.where(mine[..., None], lever, 0.0) / print_scale(name, state)
