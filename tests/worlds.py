@@ -14,10 +14,10 @@ from urdfcal.errors import UrdfcalError
 from urdfcal.estimation.blocks.base_pose import BASE
 from urdfcal.estimation.blocks.cameras import pose_key
 from urdfcal.estimation.blocks.leds import LEDS
-from urdfcal.estimation.diagnosis.torque import gravity_torques
 from urdfcal.estimation.measurements import Detections
 from urdfcal.estimation.problem import Problem
 from urdfcal.robot.chain import Chain
+from urdfcal.robot.gravity import masses_of
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.robot.urdf.urdf import Urdf
 from urdfcal.session.knowledge import Noise
@@ -94,6 +94,7 @@ def repeated(data: Simulated, _: float) -> Session:
         session,
         poses=tuple(f"{k}" for k in range(50)),
         q=np.tile(session.q, (5, 1)),
+        previous=None,
         measurements=(table,),
         noise=replace(session.noise, pixel=sigma),
     )
@@ -119,10 +120,10 @@ def harmonic(data: Simulated, size: float, share: float, order: int) -> Session:
 
 
 def sagging(data: Simulated, size: float) -> Session:
-    tau = gravity_torques(data.session, data.session.chain, data.truth.q)
-    if tau is None:
+    masses = masses_of(data.session.urdf, data.session.chain)
+    if masses is None:
         raise UrdfcalError("the robot has no masses")
-    return seen(data, data.truth.q - size * tau)
+    return seen(data, data.truth.q - size * masses.torques(data.truth.q))
 
 
 def backlash(data: Simulated, size: float, share: float) -> Session:

@@ -11,7 +11,7 @@ import pytest
 
 from tests.estimation.derivatives import assert_derivatives
 from urdfcal.arrays import inverse
-from urdfcal.errors import CalibrationError
+from urdfcal.errors import CalibrationError, SessionError
 from urdfcal.estimation.blocks.arm import no_offsets
 from urdfcal.estimation.blocks.targets import TargetBlock, point_places, print_key, target_key
 from urdfcal.estimation.measurements import Detections, Points
@@ -22,8 +22,10 @@ from urdfcal.estimation.start import first_state
 from urdfcal.estimation.target_start import hand_eye
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.tree_dh import rows_of
+from urdfcal.session.combine import combine
 from urdfcal.session.exclusion import leave_out
 from urdfcal.session.knowledge import Excluded, Led
+from urdfcal.session.moves import resolve_moves
 from urdfcal.session.pattern import DotsPattern
 from urdfcal.session.target import Target
 
@@ -211,3 +213,11 @@ def test_a_target_far_from_where_the_session_puts_it_is_named(simulated: Callabl
     (warning,) = (text for text in found.warnings if "comes out" in text)
     assert warning.startswith("target 'board' comes out ")
     assert "from where the session puts it" in warning
+
+
+def test_sessions_with_targets_are_not_combined_and_their_points_do_not_move(simulated: Callable) -> None:
+    session = simulated("ur5_charuco", poses=6).session
+    with pytest.raises(SessionError, match=r"monday.*target 'board': sessions with targets are not combined"):
+        combine({"monday": session, "tuesday": session})
+    with pytest.raises(SessionError, match="cannot have moved in a session with targets"):
+        resolve_moves(replace(session, moved={"board:3": (session.poses[3],)}))

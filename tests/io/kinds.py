@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from urdfcal.session.model import Measurements
+from urdfcal.session.measurements import Measurements
 
 if TYPE_CHECKING:
     from urdfcal.arrays import Floats, Ints

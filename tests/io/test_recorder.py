@@ -108,6 +108,7 @@ READING = [0.1, 0.2, 0.1, 0.0]
         (lambda r: r.pose({"waist": 0.1, "shoulder": 0.1, "slide": 0.1}), "no reading of roll"),
         (lambda r: r.pose({"waste": 0.1}), "no joint 'waste'.*Did you mean 'waist'"),
         (lambda r: r.pose(READING, time=1.0), "it has a time, and others have none"),
+        (lambda r: r.pose(READING, torques=READING), "it has torques, and others have none"),
         (lambda r: r.sighting("7", "left", "red", [10, 10]), "'7' is none of the poses"),
         (lambda r: r.sighting("0", "Left", "red", [10, 10]), "'Left' is none of the cameras.*Did you mean 'left'"),
         (lambda r: r.sighting("0", "left", "green", [10, 10]), "'green' is none of the LEDs"),
@@ -141,3 +142,22 @@ def test_sightings_need_cameras() -> None:
     recorder.pose(READING)
     with pytest.raises(SessionError, match="no cameras"):
         recorder.sighting("0", "left", "red", [1, 1])
+
+
+def test_torques_are_recorded_with_their_poses_by_name_or_in_order() -> None:
+    recorder = Recorder(setup())
+    readings, uv = measured()
+    by_name = {"waist": 1.0, "shoulder": -2.0, "slide": 30.0, "roll": 0.5, "grip": 9.0}
+    for k, reading in enumerate(readings):
+        recorder.pose(reading, torques=by_name if k % 2 else [0.0, 0.1, 0.2, k])
+        if k != 2:  # nothing was seen there: it tells where the arm came from
+            recorder.sighting(str(k), "left", "red", uv[k, 0, 0])
+    with pytest.raises(SessionError, match="it has no torques, and others have"):
+        recorder.pose(readings[0])
+    with pytest.raises(SessionError, match="torques has values that are not finite"):
+        recorder.pose(readings[0], torques=[np.nan, 0.0, 0.0, 0.0])
+    session = recorder.session()
+    assert len(recorder) == len(session.poses)
+    np.testing.assert_array_equal(session.chain.readings(session.torques)[2], [0.0, 0.1, 0.2, 2.0])
+    np.testing.assert_array_equal(session.chain.readings(session.torques)[3], [1.0, -2.0, 30.0, 0.5])
+    np.testing.assert_array_equal(session.came_from[3], session.q[2])

@@ -62,6 +62,13 @@ def test_joint_models_are_asked_for_by_name(tmp_path: Path) -> None:
     assert read(tmp_path, text).setup()["joint_models"] == {"zero_offset": True, "time_offset": False}
 
 
+def test_joint_models_are_asked_for_joint_by_joint_or_left_to_the_measurements(tmp_path: Path) -> None:
+    text = LEAST + "joint_models: {compliance: on, harmonics: {joint_2: on, joint_3: off}}\n"
+    said = {"compliance": True, "harmonics": {"joint_2": True, "joint_3": False}}
+    assert read(tmp_path, text).setup()["joint_models"] == said
+    assert read(tmp_path, LEAST + "joint_models: auto\n").setup()["joint_models"] == {}
+
+
 @pytest.mark.parametrize("name", [model.name for model in JOINT_MODELS])
 def test_every_joint_model_has_a_key(tmp_path: Path, name: str) -> None:
     text = LEAST + f"joint_models: {{{name}: true}}\n"

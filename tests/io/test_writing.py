@@ -15,7 +15,7 @@ from urdfcal.estimation.measurements import MEASUREMENTS, Detections, Points
 from urdfcal.io.folder import read_session
 from urdfcal.io.schema import SessionFile
 from urdfcal.io.writing import write_session
-from urdfcal.session.knowledge import Estimate, Led, LedDistance, Noise, Tolerances
+from urdfcal.session.knowledge import Estimate, Led, LedDistance, Noise, Payload, Tolerances
 from urdfcal.session.pattern import FramePattern
 from urdfcal.session.target import Target
 
@@ -106,9 +106,12 @@ def test_pixels_and_points_together(tmp_path: Path, session: Session) -> None:
     )
 
 
-@pytest.mark.parametrize("models", [{}, {"zero_offset": True}, {"time_offset": False, "zero_offset": True}])
+@pytest.mark.parametrize(
+    "models",
+    [{}, {"zero_offset": True}, {"time_offset": False, "zero_offset": True}, {"gain": {"waist": True}, "lag": False}],
+)
 def test_joint_models_are_written_where_something_is_said_of_them(
-    tmp_path: Path, session: Session, models: dict[str, bool]
+    tmp_path: Path, session: Session, models: dict[str, Any]
 ) -> None:
     write_session(tmp_path / "out", replace(session, joint_models=models))
     assert ("joint_models" in (tmp_path / "out" / "session.yaml").read_text()) == bool(models)
@@ -202,11 +205,16 @@ def test_every_key_that_is_read_is_written(tmp_path: Path, session: Session) -> 
         estimate=Estimate("dh", "fixed"),
         joint_models={"zero_offset": True},
         scale_sigma=0.002,
+        moved={"base": session.poses[2:4], session.led_names[0]: (session.poses[1],)},
+        payload=Payload("tip", 1.2, np.array([0.0, 0.0, 0.05])),
+        gravity=np.array([9.81, 0.0, 0.0]),
+        gear_ratio={"roll": 121.0},
+        torques=np.zeros(session.q.shape),
     )
     write_session(tmp_path / "out", full)
     written = yaml.safe_load((tmp_path / "out" / "session.yaml").read_text())
     other_tables = {kind.kind for kind in MEASUREMENTS} - {table.kind for table in session.measurements}
     assert set(SessionFile.model_fields) - set(written) == other_tables | {"frames", "exclude"}
     found = read_session(tmp_path / "out")
-    for field in ("led_distances", "estimate", "joint_models", "scale_sigma"):
+    for field in ("led_distances", "estimate", "joint_models", "scale_sigma", "gear_ratio", "moved"):
         assert getattr(found, field) == getattr(full, field), field

@@ -14,7 +14,7 @@ from urdfcal.estimation.measurements import MEASUREMENTS, Detections, Points
 from urdfcal.session.knowledge import Noise
 
 if TYPE_CHECKING:
-    from urdfcal.session.model import Measurements
+    from urdfcal.session.measurements import Measurements
 
 
 class TestNoise:

@@ -18,7 +18,7 @@ from urdfcal.estimation.measurements import Detections, Points
 from urdfcal.estimation.measurements.points import TriangulatedPoints
 
 if TYPE_CHECKING:
-    from urdfcal.session.model import Measurements
+    from urdfcal.session.measurements import Measurements
 
 
 PLACES = ("hole", "pin")

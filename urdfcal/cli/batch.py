@@ -44,7 +44,9 @@ def command(
     sessions: tuple[Path, ...], output: Path, no_report: bool, no_priors: bool, scheduler: str | None, engine: str,
     as_json: bool, **how: Any,
 ) -> int:  # fmt: skip
-    """Calibrate SESSIONS side by side; one that fails stops no other. Run again, what is done is kept.
+    """Calibrate SESSIONS side by side.
+
+    One that fails stops no other; run again, what is done is kept.
 
     Exit status 1 says that at least one session has no result that can be used.
     """

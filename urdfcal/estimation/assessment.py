@@ -135,6 +135,7 @@ def assess(session: Session, problem: Problem, comparison: Comparison, evidence:
         *session.warnings,
         *(_found(finding) for finding in findings),
         *(() if misfit else _scale(evidence.scale, _DOUBTFUL_SCALE, _IMPOSSIBLE_SCALE)),
+        *_bends(evidence),
         *(noise if noise or misfit or findings else _noise(fit.reduced_chi2)),
         *([evidence.undone] if evidence.undone else []),
         *_repeats(problem),
@@ -294,6 +295,15 @@ def _elsewhere(comparison: Comparison, regions: Regions) -> Iterator[str]:
         yield (
             f"it does not hold elsewhere: {1e3 * regions.rms:.2g} mm rms in regions left out, {1e3 * inside:.2g} mm "
             "among the measured poses: use it where it was measured, or measure where it will be used"
+        )
+
+
+def _bends(evidence: Evidence) -> Iterator[str]:
+    """What the joints do is estimated with the arm, and no URDF can hold it."""
+    if evidence.bends:
+        yield (
+            f"{'; '.join(evidence.bends)}: estimated with the arm, but a URDF cannot hold it: the corrected one is the "
+            f"rigid part, and its tip {1e3 * evidence.rigid_loss:.2g} mm rms off for it at the measured poses"
         )
 
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from urdfcal.arrays import Bools, Floats, Ints, inverse
 from urdfcal.errors import CalibrationError
-from urdfcal.estimation.blocks.base_pose import BASE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -31,6 +30,8 @@ _MEETING = 1e6
 class Views:
     """What the cameras saw, and where the links that carry LEDs and cameras were.
 
+    Where methods take ``T_world_base``, it is (N, 4, 4), of every pose of the session.
+
     Attributes:
         at: the session, and where the links of the nominal arm are.
         detections: of the session.
@@ -46,12 +47,17 @@ class Views:
         """The cameras, and what is attached where."""
         return self.at.session
 
+    @property
+    def _at_base(self) -> Floats:
+        """T_world_base (N, 4, 4) of a world that is the base link."""
+        return np.broadcast_to(np.eye(4), (len(self.session.poses), 4, 4))
+
     def base(self, T_cam_frame: Sequence[Floats | None], leds: Floats) -> Floats:
         """T_world_base by PnP of the eye-to-hand camera of known pose that sees most; the first one's is known."""
         seen = np.bincount(self.detections.camera, minlength=len(T_cam_frame))
         places = {c: T for c in self.session.attachments.eye_to_hand if (T := T_cam_frame[c]) is not None}
         c = max(places, key=lambda c: int(seen[c]))
-        return inverse(places[c]) @ self.resect(int(c), np.eye(4), leds)
+        return inverse(places[c]) @ self.resect(int(c), self._at_base, leds)
 
     def place(self, c: int, T_world_base: Floats, leds: Floats, by_reference: Floats | None) -> Floats:
         """T_cam_frame of a camera of unknown pose: by its reference camera, else by PnP."""
@@ -93,8 +99,8 @@ class Views:
         Raises:
             CalibrationError: there is no such place.
         """
-        T_cam = self.resect(c, np.eye(4), leds)
-        rows, T = self._placed(c, np.eye(4))
+        T_cam = self.resect(c, self._at_base, leds)
+        rows, T = self._placed(c, self._at_base)
         p_cam = (T_cam @ T @ np.insert(leds[self.detections.led[rows]], 3, 1.0, axis=1)[..., None])[:, :3, 0]
         uv = self.session.rig.cameras[c].project(p_cam)
         distance = np.linalg.norm(uv - self.detections.uv[rows], axis=1)
@@ -121,7 +127,7 @@ class Views:
         return inverse(self._frame(pose, view_frame, T_world_base)) @ self._frame(pose, led_frame, T_world_base)
 
     def _frame(self, pose: Ints, frame: int, T_world_base: Floats) -> Floats:
-        return self.at.frame(frame, pose, self.state.replace({BASE: T_world_base}))
+        return self.at.frame(frame, pose, self.state, T_world_base)
 
     def resect(self, camera: int, T_world_base: Floats, leds: Floats) -> Floats:
         """The camera's place in its frame (4, 4) by PnP on the nominal arm's LED positions."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,9 +19,13 @@ from urdfcal.estimation.solver import solve
 from urdfcal.estimation.time_offset_start import start_state
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.robot.tree_dh import rows_of
+from urdfcal.session.moves import resolve_moves
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from urdfcal.estimation.solver import Progress, Solution
+    from urdfcal.estimation.state import Key
     from urdfcal.robot.mechanism import Mechanism
     from urdfcal.session.knowledge import Freedom
     from urdfcal.session.model import Session
@@ -117,7 +121,7 @@ class Explanation:
     """A session under an arm that is not corrected.
 
     Attributes:
-        residuals: for each kind of measurement (S, D) predicted minus measured, in the order of the session's
+        residuals: for each kind of measurement (S, D) predicted minus measured, in the order of the problem's
             table, without frames that have no joint readings. [unit of the kind]
         fit: base pose, LED positions and camera poses.
         problem: of those measurements.
@@ -128,18 +132,24 @@ class Explanation:
     problem: Problem
 
 
-def explain(chain: Mechanism, session: Session, progress: Progress | None = None) -> Explanation:
+def explain(
+    chain: Mechanism,
+    session: Session,
+    progress: Progress | None = None,
+    known: Mapping[Key[Any], Any] | None = None,
+) -> Explanation:
     """Fit base pose, LED positions and, for pixels, camera poses to a session; the arm stays as ``chain`` says.
 
     Args:
         chain: the arm.
         session: what was measured; its own chain is not used.
         progress: called after every solver step.
+        known: values of joint models that the arm has.
 
     Raises:
         CalibrationError: no start from these measurements.
     """
-    session = replace(session, chain=chain)
+    session = resolve_moves(replace(session, chain=chain))
     arm = rows_of(chain)
     start = start_state(session, arm, no_offsets(arm))
     session = session.recorded(time_offsets(start))
@@ -147,6 +157,7 @@ def explain(chain: Mechanism, session: Session, progress: Progress | None = None
     spec = nominal(session, start)
     free: Freedom = "free"
     spec = replace(spec, extrinsics=(free,) * len(spec.extrinsics))
+    start = start.replace(known or {})
     fit = solve(problem, start, choose_parameters(session, problem, start, spec), progress)
     residuals = [observed.by_row(problem.residual(observed, fit.state)) for observed in problem.observations]
     return Explanation(tuple(residuals), fit, problem)

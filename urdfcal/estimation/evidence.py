@@ -14,10 +14,11 @@ from urdfcal.estimation.diagnosis.family import undone
 from urdfcal.estimation.diagnosis.residuals import Unexplained
 from urdfcal.estimation.diagnosis.scatter import scatter
 from urdfcal.estimation.diagnosis.trials import suspect
+from urdfcal.estimation.joint_models.linear import LinearJointModel
 from urdfcal.estimation.noise import find_noise
 from urdfcal.estimation.regions import joint_regions, tip_regions
 from urdfcal.estimation.scale import find_scale
-from urdfcal.estimation.uncertainty import tip_error
+from urdfcal.estimation.uncertainty import rigid_loss, tip_error
 from urdfcal.estimation.validation import hold_out, jackknife, region_interval, rms_samples
 
 if TYPE_CHECKING:
@@ -78,6 +79,8 @@ class Evidence:
         findings: effects that explain the residuals beyond chance, the largest share first.
         regions: the error in regions that were left out.
         tip: the error of the calibrated tip that is to be expected.
+        bends: what the joints do that no URDF can hold, one sentence for each joint model; none of a rigid arm.
+        rigid_loss: how far the rigid arm's tip is off for that at the measured poses, root mean square. [m]
         improvement: 95 % interval of the nominal arm's rms error on held-out poses less the calibrated one's. [m]
         undone: that a correction which the session's URDF has is taken back; None where none is.
         suspicion: the change of the session that would make it fit; None where it fits, or no single one does.
@@ -88,6 +91,8 @@ class Evidence:
     findings: tuple[Finding, ...]
     regions: Regions
     tip: TipError
+    bends: tuple[str, ...]
+    rigid_loss: float
     improvement: tuple[float, float]
     undone: str | None
     suspicion: Suspicion | None
@@ -122,12 +127,16 @@ def gather(
     absurd = fit.reduced_chi2 > MISFIT_CHI2 or cut > MANY_OUTLIERS * (cut + kept)
     tip = _tip(problem, fit, regions, holds=not findings and fit.reduced_chi2 < DOUBTFUL_CHI2)
     calibrated = session.chain.with_placements(problem.arm.placements(problem.offsets(fit.state)))
+    models = (model for model in problem.joint_models if isinstance(model, LinearJointModel))
+    bends = tuple(m.summary(problem.readings, fit.state[m.key]) for m in models if np.any(fit.state[m.key]))
     return Evidence(
         noise=noise,
         scale=find_scale(problem, fit, unexplained),
         findings=findings,
         regions=regions,
         tip=tip,
+        bends=bends,
+        rigid_loss=rigid_loss(problem, fit.state) if bends else 0.0,
         improvement=_improvement(problem, comparison, seed),
         undone=undone(session, calibrated, tip.rms),
         suspicion=suspect(session, progress) if absurd else None,

@@ -8,20 +8,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.arrays import inverse
-from urdfcal.estimation.blocks.base_pose import BASE
+from urdfcal.estimation.blocks.base_pose import base_keys
 from urdfcal.estimation.blocks.targets import target_key
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from urdfcal.arrays import Floats
+    from urdfcal.arrays import Floats, Ints
     from urdfcal.estimation.state import State
     from urdfcal.session.attachments import Attachments
 
 
 @dataclass(frozen=True, eq=False)
 class Links:
-    """Poses of the frames that LEDs, points of targets and cameras are fixed in: the world, links, targets.
+    """Poses of the frames that LEDs, points of targets and cameras are fixed in: world, links, targets.
+
+    Frame 0 is the world of the pose's part.
 
     Attributes:
         attachments: what is fixed in which frame.
@@ -34,16 +36,21 @@ class Links:
     p: tuple[Floats, ...]
 
     @classmethod
-    def of(cls, attachments: Attachments, state: State, R: Sequence[Floats], p: Sequence[Floats]) -> Links:
-        """Take the world and the targets of a state beside the links' rotations (N, 3, 3) and origins (N, 3)."""
-        T, N = inverse(state[BASE]), len(R[0]) if R else 1
-        world = np.broadcast_to(T[:3, :3], (N, 3, 3)), np.broadcast_to(T[:3, 3], (N, 3))
-        every_R, every_p = [world[0], *R], [world[1], *p]
+    def of(cls, attachments: Attachments, state: State, part: Ints, R: Sequence[Floats], p: Sequence[Floats]) -> Links:
+        """Take the world of each pose's part (N,) and the targets beside the links' rotations and origins (N, ...)."""
+        T = inverse(np.array([state[key] for key in base_keys(attachments.parts)]))
+        T = np.broadcast_to(T[0], (len(part), 4, 4)) if len(T) == 1 else T[part]
+        every_R, every_p = [T[:, :3, :3], *R], [T[:, :3, 3], *p]
         for name, carrier in attachments.carried:
-            T = state[target_key(name)]
-            every_p.append(every_p[carrier] + every_R[carrier] @ T[:3, 3])
-            every_R.append(every_R[carrier] @ T[:3, :3])
+            own = state[target_key(name)]
+            every_p.append(every_p[carrier] + every_R[carrier] @ own[:3, 3])
+            every_R.append(every_R[carrier] @ own[:3, :3])
         return cls(attachments, tuple(every_R), tuple(every_p))
+
+    @property
+    def one_world(self) -> bool:
+        """Whether the world is at the same place of the base link at all poses."""
+        return len(self.attachments.parts) == 1
 
     def __len__(self) -> int:
         """Return the number of poses."""

@@ -10,6 +10,7 @@ import numpy as np
 from urdfcal.arrays import rms
 from urdfcal.errors import CalibrationError
 from urdfcal.estimation.identifiability import identify
+from urdfcal.estimation.joint_model_choice import Alternatives, without
 from urdfcal.estimation.model_spec import allowed, candidates, nominal
 from urdfcal.estimation.parameters import choose_parameters
 from urdfcal.estimation.solver import solve
@@ -18,6 +19,7 @@ from urdfcal.estimation.validation import hold_out, loss, random_folds
 if TYPE_CHECKING:
     from urdfcal.arrays import Floats
     from urdfcal.estimation.identifiability import Identifiability
+    from urdfcal.estimation.joint_model_choice import JointModelTrial
     from urdfcal.estimation.model_spec import ModelSpec
     from urdfcal.estimation.problem import Problem
     from urdfcal.estimation.solver import Progress, Solution
@@ -27,6 +29,8 @@ if TYPE_CHECKING:
 
 # Lenses that were calibrated are knowledge: freeing them must better the prediction by this many standard errors.
 _CERTAIN = 3.0
+# Joint models are chosen on derivatives, and after they are estimated once more: so often at most.
+_MOST_CHANGES = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,12 +42,14 @@ class Attempt:
         identifiability: which of its parameters the measurements identify.
         fit: its estimate.
         seen_loss: of the poses in the fit; of held-out ones it cannot be lower.
+        joint_models: what each joint model brings, or would bring.
     """
 
     spec: ModelSpec
     identifiability: Identifiability
     fit: Solution
     seen_loss: float
+    joint_models: tuple[JointModelTrial, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,9 +134,9 @@ def compare_models(
         if spec not in attempts:
             # Lenses first, the arm after: freed together they start in a bent valley.
             state = nominal_fit.state if spec.geometry == "none" else attempt(spec.nominal_arm).fit.state
-            found = identify(problem, state, choose_parameters(session, problem, state, spec))
-            fit = solve(problem, state, found.parameters, progress)
-            attempts[spec] = Attempt(spec, found, fit, loss(fit.norms, problem.observations))
+            # Joint models would make up for geometry that is left out.
+            rich = spec.geometry == models[-1].geometry
+            attempts[spec] = _estimate(session, problem, state, spec, seed if rich else None, progress)
         return attempts[spec]
 
     def validated(spec: ModelSpec) -> Trial:
@@ -157,6 +163,25 @@ def compare_models(
     return Comparison(nominal_fit, ordered, best, chosen, nominal_arm)
 
 
+def _estimate(
+    session: Session, problem: Problem, state: State, spec: ModelSpec, seed: int | None, progress: Progress | None
+) -> Attempt:
+    """Estimate a model; with a seed, and as long as the measurements speak for joint models, with these."""
+    trials: tuple[JointModelTrial, ...] = ()
+    for last in range(_MOST_CHANGES, -1, -1):
+        found = identify(problem, state, choose_parameters(session, problem, state, spec))
+        fit = solve(problem, state, found.parameters, progress)
+        if seed is None or spec.geometry == "none":
+            break
+        alternatives = Alternatives.of(session, problem, fit, spec.terms, seed)
+        terms = alternatives.better() if last else spec.terms
+        if set(terms) == set(spec.terms):
+            trials = alternatives.trials()
+            break
+        spec, state = replace(spec, terms=terms), without(fit.state, problem, terms)
+    return Attempt(spec, found, fit, loss(fit.norms, problem.observations), trials)
+
+
 def _preferred(trial: Trial, rival: Trial, problem: Problem) -> bool:
     """Return whether a model predicts held-out poses better; given lenses are left only for a certain improvement."""
     if trial.spec.intrinsics == rival.spec.intrinsics:
@@ -180,6 +205,7 @@ def validate(attempt: Attempt, problem: Problem, seed: int) -> Trial:
         attempt.identifiability,
         attempt.fit,
         attempt.seen_loss,
+        attempt.joint_models,
         held_out,
         loss(held_out.norms, problem.observations),
     )
@@ -188,5 +214,5 @@ def validate(attempt: Attempt, problem: Problem, seed: int) -> Trial:
 def with_fit(comparison: Comparison, fit: Solution, problem: Problem, seed: int) -> Comparison:
     """The same comparison with another estimate of the chosen model."""
     old = comparison.chosen
-    attempt = Attempt(old.spec, old.identifiability, fit, loss(fit.norms, problem.observations))
+    attempt = Attempt(old.spec, old.identifiability, fit, loss(fit.norms, problem.observations), old.joint_models)
     return comparison.with_chosen(validate(attempt, problem, seed))

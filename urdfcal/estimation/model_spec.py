@@ -9,6 +9,7 @@ from urdfcal.errors import SessionError
 from urdfcal.estimation.blocks.cameras import camera_values
 
 if TYPE_CHECKING:
+    from urdfcal.estimation.joint_models import Term
     from urdfcal.estimation.state import State
     from urdfcal.session.knowledge import ArmGeometry, Freedom
     from urdfcal.session.model import Session
@@ -29,20 +30,23 @@ class ModelSpec:
 
     Attributes:
         geometry: of the arm.
-        intrinsics: of each camera.
+        intrinsics: of each camera; of a lens that several have, at the first.
         extrinsics: of each camera in the frame it is fixed in; the first eye-to-hand one is the world and fixed.
         priors: whether tolerances hold the arm near nominal and the LEDs near their given positions.
+        terms: joint models of some joints, beside those that the session switches on.
     """
 
     geometry: ArmGeometry
     intrinsics: tuple[Freedom, ...] = ()
     extrinsics: tuple[Freedom, ...] = ()
     priors: bool = True
+    terms: tuple[Term, ...] = ()
 
     def __str__(self) -> str:
         words = [_WORDS[self.geometry]]
         for what, spec in (("intrinsics", self.intrinsics), ("camera poses", self.extrinsics)):
             words += [f"{word} {what}" for word in ("refine", "free") if word in spec]
+        words += dict.fromkeys(term.model for term in self.terms)
         return ", ".join(words).replace("refine ", "refined ")
 
     @property
@@ -53,7 +57,7 @@ class ModelSpec:
     @property
     def nominal_arm(self) -> ModelSpec:
         """The same cameras with the nominal arm."""
-        return replace(self, geometry="none")
+        return replace(self, geometry="none", terms=())
 
 
 def nominal(session: Session, state: State, *, priors: bool = True) -> ModelSpec:
@@ -90,11 +94,14 @@ def candidates(session: Session, state: State, *, priors: bool = True) -> tuple[
     base, estimate = nominal(session, state, priors=priors), session.estimate
     count = len(base.intrinsics)
     names, sigmas = session.rig.names[:count], session.rig.sigmas[:count]
-    said = tuple(estimate.of("intrinsics", name) for name in names)
+    said = tuple(
+        estimate.of("intrinsics", name) if of == c else _FIXED
+        for c, (name, of) in enumerate(zip(names, session.rig.lens, strict=False))
+    )
     lenses: tuple[Freedom, ...] = tuple("fixed" if known is None else "refine" for known in sigmas)
     extrinsics: list[Freedom] = []
     for c, (name, known, usual) in enumerate(zip(names, sigmas, base.extrinsics, strict=True)):
-        word = None if c in session.attachments.eye_to_hand[:1] else estimate.of("extrinsics", name)
+        word = None if c in session.attachments.worlds else estimate.of("extrinsics", name)
         if session.attachments.T_cam_frame[c] is None and word not in (None, "free"):
             raise SessionError(
                 f"the extrinsics of {name!r} are {word}, but where it stands is not given",
@@ -107,7 +114,7 @@ def candidates(session: Session, state: State, *, priors: bool = True) -> tuple[
     intrinsics = (
         tuple(word or given for word, given in zip(said, lenses, strict=True)),
         tuple(word or _FREE for word in said),
-        (_FREE,) * len(said),
+        tuple(_FREE if of == c else _FIXED for c, of in enumerate(session.rig.lens[:count])),
     )
     return tuple(
         ModelSpec(geometry, words, tuple(extrinsics), priors)
@@ -120,4 +127,8 @@ def allowed(session: Session, spec: ModelSpec) -> bool:
     """Whether a model is what the session asks for, as far as it asks for something."""
     names = session.rig.names[: len(spec.intrinsics)]
     said = (session.estimate.of("intrinsics", name) for name in names)
-    return all(word is None or word == freedom for word, freedom in zip(said, spec.intrinsics, strict=True))
+    own = (of == c for c, of in enumerate(session.rig.lens))
+    return all(
+        word is None or word == freedom or not mine
+        for word, freedom, mine in zip(said, spec.intrinsics, own, strict=False)
+    )

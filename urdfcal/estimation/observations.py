@@ -104,5 +104,5 @@ def arrange(session: Session, table: Measurement) -> Observations:
     value = np.zeros((*shape, D))
     covariance = np.broadcast_to(np.eye(D), (*shape, D, D)).copy()
     value[group, slot], covariance[group, slot] = table.values, table.covariances
-    readings = Readings(frozen(session.q[poses]), frozen(poses, np.intp), session.motion.at(poses))
+    readings = Readings.of(session).at(poses)
     return Observations(table, readings, frozen(row, np.intp), index, frozen(value), frozen(covariance))

@@ -10,14 +10,14 @@ import numpy as np
 
 from urdfcal.arrays import Bools, Floats, frozen
 from urdfcal.estimation.blocks.arm import ArmBlock
-from urdfcal.estimation.blocks.base_pose import BaseBlock
+from urdfcal.estimation.blocks.base_pose import BaseBlock, base_keys
 from urdfcal.estimation.blocks.leds import LEDS, LedDistances, LedsBlock
 from urdfcal.estimation.blocks.scale import ScaleBlock
 from urdfcal.estimation.blocks.targets import target_blocks
 from urdfcal.names import check_names
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from urdfcal.estimation.blocks.base import Block
     from urdfcal.estimation.model_spec import ModelSpec
@@ -122,6 +122,20 @@ class Parameters:
         blocks = zip(self.blocks, reasons, strict=True)
         return replace(self, blocks=tuple(block.fixing(why) if why else block for block, why in blocks))
 
+    def including(self, blocks: Sequence[Block[Any]]) -> Parameters:
+        """Return the packing with further blocks at its end, in place of those of the same unknowns."""
+        keys = {block.key for block in blocks}
+        kept = np.concatenate([np.full(len(block), block.key not in keys) for block in self.blocks])
+        more = sum(len(block) for block in blocks)
+        correlation = np.eye(int(kept.sum()) + more)
+        correlation[: len(correlation) - more, : len(correlation) - more] = self.correlation[np.ix_(kept, kept)]
+        return replace(
+            self,
+            blocks=(*(block for block in self.blocks if block.key not in keys), *blocks),
+            correlation=frozen(correlation),
+            measured=frozen(np.append(self.measured[kept], np.zeros(more)), bool),
+        )
+
     def scales(self, state: State) -> Floats:
         """Return what brings a unit of each parameter (P,) to about the same effect."""
         return np.concatenate([block.scale(state[block.key]) for block in self.blocks])
@@ -212,14 +226,18 @@ def choose_parameters(session: Session, problem: Problem, state: State, spec: Mo
     if spec.geometry in ("dh", "full"):
         blocks.append(ArmBlock.of(problem.arm, session.tolerances, priors=spec.priors))
     for model in problem.joint_models:
-        if model.estimated(session, spec.geometry):
-            without = model.toleranced and not spec.priors
-            blocks.append(replace(model, sigma=np.full(len(model), np.inf)) if without else model)
+        block = model.block(session, spec.geometry, [term for term in spec.terms if term.model == model.name])
+        if block is not None:
+            without = block.toleranced and not spec.priors
+            blocks.append(replace(block, sigma=np.full(len(block), np.inf)) if without else block)
     if session.scale_sigma is not None:
         blocks.append(ScaleBlock.of(session.scale_sigma))
     tables = [observed.table for observed in problem.observations]
-    in_world = any(table.defines_world(session.attachments) for table in tables)
-    blocks.append(BaseBlock.of(fixed=None if in_world else "nothing is measured in the world: the base link is it"))
+    by_part = [table.by_part(session.part) for table in tables]
+    for k, key in enumerate(base_keys(session.attachments.parts)):
+        in_world = any(k in of and of[k].defines_world(session.attachments) for of in by_part)
+        why = None if in_world else "nothing is measured in the world: the base link is it"
+        blocks.append(BaseBlock.of(fixed=why, key=key))
     blocks.append(LedsBlock.of(session.leds, state[LEDS], priors=spec.priors))
     blocks += target_blocks(session.targets, state, priors=spec.priors)
     sets = [table.blocks(session, spec, state) for table in tables]

@@ -55,7 +55,7 @@ class Problem:
             arm,
             joint_models_of(session),
             session.attachments,
-            Readings(session.q, np.arange(len(session.poses)), session.motion),
+            Readings.of(session),
             tuple(arrange(session, table) for table in tables),
             session.noise.reading,
         )
@@ -82,7 +82,7 @@ class Problem:
         """Return the joints' true values (N, n): the readings, and what the joint models add. [rad or m]."""
         q = readings.q
         for model in self.joint_models:
-            if model.key in state:
+            if model.key in state and np.any(state[model.key]):
                 q = q + model.values(readings, state[model.key])
         return q
 
@@ -90,7 +90,8 @@ class Problem:
         """Return where the frames of LEDs, targets and cameras are."""
         q, tips = self.joint_values(readings, state), self.attachments.tips
         T = link_poses(self.arm.chain, q, tips, self.arm.placements(state[ARM]))
-        return Links.of(self.attachments, state, [of[:, :3, :3] for of in T], [of[:, :3, 3] for of in T])
+        R, p = [of[:, :3, :3] for of in T], [of[:, :3, 3] for of in T]
+        return Links.of(self.attachments, state, readings.part, R, p)
 
     def predict(self, observed: Observations, state: State) -> Floats:
         """Return what should be measured (N, m, D); NaN where it is impossible, as behind a camera."""

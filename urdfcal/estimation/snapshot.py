@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.arrays import frozen
-from urdfcal.estimation.blocks.base_pose import BASE
+from urdfcal.estimation.blocks.base_pose import base_keys
 from urdfcal.estimation.blocks.cameras import camera_poses, camera_values
 from urdfcal.estimation.blocks.targets import point_places, target_key
 from urdfcal.estimation.joint_models.time_offset import time_offsets
@@ -26,7 +26,7 @@ class Snapshot:
 
     Attributes:
         offsets: (rows, columns) of the arm's parameterization, with what it can hold of the joint models. [rad, m]
-        T_world_base: (4, 4) the base link in the world. [m]
+        T_world_bases: (W, 4, 4) the base link in the world, in each part of the session. [m]
         leds: (L + M, 3) LED positions and points of targets, each in the frame that it is attached to. [m]
         targets: (T, 4, 4) each target in the frame that carries it. [m]
         cameras: lenses, in the rig's order; none where cameras have no part.
@@ -35,19 +35,25 @@ class Snapshot:
     """
 
     offsets: Floats
-    T_world_base: Floats
+    T_world_bases: Floats
     leds: Floats
     targets: Floats
     cameras: tuple[Camera, ...]
     T_cam_frame: Floats
     time_offsets: Floats
 
+    @property
+    def T_world_base(self) -> Floats:
+        """(4, 4) the base link in the world, where it stood first. [m]."""
+        first: Floats = self.T_world_bases[0]
+        return first
+
     @classmethod
     def of(cls, problem: Problem, state: State) -> Snapshot:
         """Look the values up."""
         return cls(
             offsets=frozen(problem.offsets(state)),
-            T_world_base=state[BASE],
+            T_world_bases=frozen([state[key] for key in base_keys(problem.attachments.parts)]),
             leds=frozen(point_places(problem.attachments, state)),
             targets=frozen(
                 np.array([state[target_key(name)] for name in problem.attachments.targets]).reshape(-1, 4, 4)

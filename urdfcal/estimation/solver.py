@@ -31,8 +31,7 @@ if TYPE_CHECKING:
 # (a few MB) stays in cache and memory does not grow with the session.
 _BLOCK = 1024
 # Ordinary sessions settle in ten; lenses that start a thousand pixels off need a hundred along a bent valley.
-_MAX_ITERATIONS = 300
-_MAX_CUTS = 5
+_MAX_ITERATIONS, _MAX_CUTS = 300, 5
 # A session of more poses than this is first solved on an even selection of some: the rest then need few passes.
 _MANY, _SOME = 1000, 300
 # Within this distance (rad, m, focal lengths, s) derivatives are the same to one part in a few thousand: steps taken
@@ -46,8 +45,7 @@ _CONVERGED, _CONVERGED_COARSE = 1e-6, 1e-2
 _SETTLED = 0.05
 # Rounding of a cost that no longer falls.
 _COST_ROUNDING = 1e-10
-# A chi-square this many of its standard deviations above expectation is a misfit; widening by less makes intervals
-# too wide on clean data (97 instead of 95 % at twenty poses).
+# A chi-square this many of its standard deviations above expectation is a misfit for certain (METHOD 12).
 _CERTAIN = 3.0
 
 
@@ -126,9 +124,8 @@ class Solution:
         """(count, count) of the active parameters, widened where there is a misfit: by its spread, if that is known."""
         scale = 1.0 / np.sqrt(np.diag(self.information))
         inverse: Floats = np.linalg.inv(self.information * np.outer(scale, scale)) * np.outer(scale, scale)
-        if not self.misfit:
-            return inverse
-        return inverse * self.reduced_chi2 if self.spread is None else inverse + self.spread
+        wide = inverse * self.reduced_chi2 if self.spread is None else inverse + self.spread
+        return wide if self.misfit else inverse
 
     @property
     def misfit(self) -> bool:
@@ -258,7 +255,7 @@ class _LeastSquares:
 
     def linearise(self, state: State, noise: tuple[JointNoise, ...] | None = None) -> _Local:
         """Find residuals, derivatives, and the noise that the joint readings give at a state."""
-        problem, count = self.problem, self.parameters.count
+        problem, count, readings = self.problem, self.parameters.count, self.problem.arm.chain.reading_jacobian
         residuals: list[Floats] = []
         derivatives: list[Floats] = []
         noises: list[JointNoise] = []
@@ -266,7 +263,6 @@ class _LeastSquares:
             tangent = Tangent.at(problem, observed, state, self.parameters)
             N, m, D = observed.value.shape
             residual, J = np.empty((N, m, D)), np.empty((N, m * D, count))
-            readings = problem.arm.chain.reading_jacobian
             joint = np.zeros((N, m * D, readings.shape[1] if problem.joint_sigma > 0.0 else 0))
             for poses in _chunks(N):
                 at = tangent.linearise(poses)
@@ -307,8 +303,8 @@ class _LeastSquares:
         for residual, J, W in zip(at.residual, at.J, whitening, strict=True):
             N, m, D = residual.shape
             for poses in _chunks(N):
-                both = np.concatenate([residual[poses].reshape(-1, m * D, 1), J[poses]], axis=2)
-                whitened = W.at(poses)(both).reshape(-1, 1 + J.shape[2])
+                whitened = W.at(poses)(np.concatenate([residual[poses].reshape(-1, m * D, 1), J[poses]], axis=2))
+                whitened = whitened.reshape(-1, 1 + J.shape[2])
                 r, J_poses = whitened[:, 0], whitened[:, 1:]
                 H += J_poses.T @ J_poses
                 g += J_poses.T @ r
@@ -353,11 +349,8 @@ def _descend(
     whitening = least_squares.whitening(at.noise, weights)
     normal = least_squares.evaluate(at, whitening)
     if not np.isfinite(normal.cost):
-        raise CalibrationError(
-            "the start puts an LED behind a camera",
-            remedy="Check the order of the cameras, where the eye-in-hand ones sit, the units of the joint readings "
-            "and the tip link.",
-        )
+        remedy = "Check the cameras' order and places, the units of the joint readings, and the tip link."
+        raise CalibrationError("the start puts an LED behind a camera", remedy=remedy)
     history: list[Iteration] = []
     growth, length, ahead, fresh = 2.0, np.inf, np.inf, False
     while damping < _MOST_DAMPING and len(history) < _MAX_ITERATIONS:
@@ -375,11 +368,11 @@ def _descend(
         try:
             candidate = least_squares.step(at, step)
             new = least_squares.evaluate(candidate, whitening)
+            cost = new.cost
         except CameraError:  # a trial lens that is none
-            damping, growth = damping * growth, 2.0 * growth
-            continue
+            cost = np.nan
         # NaN (an LED behind a camera) is no improvement either.
-        if not new.cost <= normal.cost * (1.0 + _COST_ROUNDING) + _COST_ROUNDING:
+        if not cost <= normal.cost * (1.0 + _COST_ROUNDING) + _COST_ROUNDING:
             damping, growth = damping * growth, 2.0 * growth
             continue
         before, length = length, float(np.sqrt(max(float(step @ normal.H @ step), 0.0)))
@@ -400,8 +393,7 @@ def _damped_step(normal: _NormalEquations, damping: float) -> Floats:
     diagonal = np.diag(normal.H)
     scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
     H = normal.H * np.outer(scale, scale)
-    step: Floats = -scale * np.linalg.solve(H + damping * np.eye(len(H)), scale * normal.g)
-    return step
+    return np.asarray(-scale * np.linalg.solve(H + damping * np.eye(len(H)), scale * normal.g))
 
 
 def _chunks(count: int) -> Iterator[slice]:

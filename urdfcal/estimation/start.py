@@ -10,7 +10,7 @@ import numpy as np
 from urdfcal.arrays import evenly, inverse, numbered
 from urdfcal.estimation.alignment import place_base
 from urdfcal.estimation.blocks.arm import ARM
-from urdfcal.estimation.blocks.base_pose import BASE
+from urdfcal.estimation.blocks.base_pose import base_keys
 from urdfcal.estimation.blocks.leds import LEDS, led_positions
 from urdfcal.estimation.blocks.scale import SCALE
 from urdfcal.estimation.blocks.targets import nominal_targets, target_key
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     from urdfcal.arrays import Bools, Floats, Ints
     from urdfcal.estimation.blocks.arm import ArmParameterization
+    from urdfcal.estimation.measurements.base import WorldPoints
     from urdfcal.session.model import Session
 
 # A few points in space, as where cameras' views overlap, are worth less than one camera's many detections.
@@ -54,16 +55,26 @@ class Start:
         links = np.array(link_poses(session.chain, session.q, tips, arm.placements(offsets)))
         return cls(session, links, np.array([led.position is None for led in session.leds], dtype=bool))
 
-    def frame(self, frame: int, pose: Ints, state: State) -> Floats:
-        """T_base_frame (S, 4, 4) of a frame at some poses (S,); the world is the base where that is not known. [m]."""
+    def frame(self, frame: int, pose: Ints, state: State, T_world_base: Floats | None = None) -> Floats:
+        """T_base_frame (S, 4, 4) of a frame at some poses (S,).
+
+        Args:
+            frame: which.
+            pose: (S,) indices.
+            state: where the targets are, and the bases.
+            T_world_base: (N, 4, 4) instead of the state's; where that has none, the world is the base. [m]
+        """
         attachments = self.session.attachments
         if frame >= attachments.first_target:
             own: Floats = state[target_key(attachments.frames[frame])]
-            return self.frame(int(attachments.carrier[frame]), pose, state) @ own
+            return self.frame(int(attachments.carrier[frame]), pose, state, T_world_base) @ own
         if frame:
             link: Floats = self.links[frame - 1, pose]
             return link
-        return np.broadcast_to(inverse(state[BASE]) if BASE in state else np.eye(4), (len(pose), 4, 4))
+        if T_world_base is None:
+            keys = base_keys(attachments.parts)
+            T_world_base = np.array([state[key] if key in state else np.eye(4) for key in keys])[self.session.part]
+        return inverse(T_world_base[pose])
 
     def placed(self, state: State) -> Bools:
         """Return which LEDs and points of targets (L + M,) are roughly known in their frames."""
@@ -99,19 +110,21 @@ def first_state(
     state = State({ARM: offsets, **nominal_places(session), **joints, **scale})
     at = Start.of(session, arm, offsets + sum(model.offsets(arm, joints[model.key]) for model in models))
     tables = [table for table in session.measurements if isinstance(table, Measurement)]
+    bases = base_keys(session.attachments.parts)
     for table in tables:
-        placed = _by_points(table, at, state)
-        if placed is not None:
-            at, state = placed
-            break
+        points = table.world_points(session)
+        if points is not None:
+            for k, key in enumerate(bases):
+                at, state = _by_points(points, at, state, k, key)
     if not any(table.defines_world(session.attachments) for table in tables):
-        state = state.replace({BASE: np.eye(4)})
+        state = state.replace({key: np.eye(4) for key in bases})
     state = place_targets(at, tables, state)
     for table in tables:
         state = table.start(at, state)
+    state = state.replace({key: np.eye(4) for key in bases if key not in state})
     state = place_targets(at, tables, state)
-    unseen = {target_key(name): np.eye(4) for name in session.attachments.targets if target_key(name) not in state}
-    return state.replace(unseen if BASE in state else {BASE: np.eye(4), **unseen})
+    unseen = [target_key(name) for name in session.attachments.targets if target_key(name) not in state]
+    return state.replace({key: np.eye(4) for key in unseen})
 
 
 def nominal_places(session: Session) -> dict[Key[Any], Floats]:
@@ -119,24 +132,21 @@ def nominal_places(session: Session) -> dict[Key[Any], Floats]:
     return {LEDS: led_positions(session.leds), **nominal_targets(session.targets)}
 
 
-def _by_points(table: Measurement, at: Start, state: State) -> tuple[Start, State] | None:
-    """Place base and LEDs by points in space, if there are enough of them."""
+def _by_points(points: WorldPoints, at: Start, state: State, part: int, base: Key[Floats]) -> tuple[Start, State]:
+    """Place the base of a part, and LEDs, by points in space, if there are enough of them and it is not placed."""
     session, frames = at.session, at.session.attachments.led
-    points = table.world_points(session)
-    if points is None:
-        return None
-    moving = (frames[points.led] != 0) & (points.led < len(session.leds))
+    here = session.part[points.pose] == part
+    moving = here & (frames[points.led] != 0) & (points.led < len(session.leds))
     pose, led, xyz = points.pose[moving], points.led[moving], points.xyz[moving]
-    if not len(xyz) or (not points.complete and len(xyz) < _ENOUGH):
-        return None
+    if base in state or not len(xyz) or (not points.complete and len(xyz) < _ENOUGH):
+        return at, state
     exact = np.array([led.sigma == 0.0 for led in session.leds])
     T_base_led = at.links[frames[led] - 1, pose]
     T_world_base, leds = place_base(T_base_led, led, xyz, state[LEDS], at.unknown_leds, exact)
     unknown = at.unknown_leds.copy()
-    if len(points.xyz) >= _ENOUGH:
-        seen = np.unique(points.led[points.led < len(session.leds)])
-        unknown[seen] &= frames[seen] == 0
-    return Start(session, at.links, unknown), state.replace({BASE: T_world_base, LEDS: leds})
+    if len(xyz) >= _ENOUGH:
+        unknown[np.unique(led)] = False
+    return Start(session, at.links, unknown), state.replace({base: T_world_base, LEDS: leds})
 
 
 def _selection(session: Session) -> Ints:
@@ -146,6 +156,6 @@ def _selection(session: Session) -> Ints:
         return every
     chosen = [evenly(every, _POSES)]
     for table in session.measurements:
-        views = numbered(column for key, column in table.index.items() if key != "pose")
+        views = numbered([session.part[table.pose], *(of for key, of in table.index.items() if key != "pose")])
         chosen += [evenly(table.pose[views == view], _POSES) for view in np.unique(views)]
     return np.unique(np.concatenate(chosen))

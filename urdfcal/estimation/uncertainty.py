@@ -6,9 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from urdfcal.arrays import rms
+from urdfcal.estimation.alignment import kabsch
 from urdfcal.estimation.blocks.arm import ARM
 from urdfcal.estimation.joint_models import Readings
-from urdfcal.robot.kinematics import joint_axes, tip_motion
+from urdfcal.estimation.joint_models.linear import LinearJointModel
+from urdfcal.robot.kinematics import joint_axes, tip_motion, tip_poses
 from urdfcal.rotations import skew
 from urdfcal.session.trajectory import AT_REST
 
@@ -16,6 +19,7 @@ if TYPE_CHECKING:
     from urdfcal.arrays import Floats
     from urdfcal.estimation.problem import Problem
     from urdfcal.estimation.solver import Solution
+    from urdfcal.estimation.state import State
 
 # Configurations that stand for the workspace when the base is aligned.
 _WORKSPACE = 300
@@ -82,6 +86,25 @@ def tip_error(problem: Problem, fit: Solution, seed: int = 0) -> tuple[float, tu
     return float(np.sqrt(np.sum(strengths))), (float(low), float(high))
 
 
+def rigid_loss(problem: Problem, state: State) -> float:
+    """Compute how far the tip of the rigid arm is off from that of the estimate at the session's poses.
+
+    Args:
+        problem: the arm, its joint models and the session's readings.
+        state: the estimate.
+
+    Returns:
+        The rms distance after the best alignment: what a URDF cannot hold of the joint models. [m]
+    """
+    chain, placements = problem.arm.chain, problem.arm.placements(state[ARM])
+    bent = [model for model in problem.joint_models if isinstance(model, LinearJointModel)]
+    rigid = state.replace({model.key: model.nominal for model in bent})
+    joints = (problem.joint_values(problem.readings, of) for of in (rigid, state))
+    here, true = (tip_poses(chain, q, placements)[:, :3, 3] for q in joints)
+    T = kabsch(here, true)
+    return rms(np.linalg.norm(here @ T[:3, :3].T + T[:3, 3] - true, axis=1))
+
+
 def _aligned(problem: Problem, fit: Solution, seed: int) -> tuple[Floats, Floats]:
     """How the tip moves over the workspace with the active parameters (N, 3, count), the base aligned (6, count)."""
     workspace = problem.arm.chain.random_values(_WORKSPACE, np.random.default_rng(seed))
@@ -98,7 +121,12 @@ def _motion(problem: Problem, fit: Solution, q: Floats) -> tuple[Floats, Floats]
     A = np.zeros((len(q), 3, parameters.count))
     A[..., parameters.active_columns(ARM)[0]] = (motion.regressor @ arm.twists(offsets, parameters.arm_rows))[:, :3]
     J_q = (motion.regressor @ joint_axes(arm.chain))[:, :3]
-    readings = Readings(q, np.arange(len(q)), AT_REST)
+    # Where an arm comes from, and torques that only a measurement tells, are as good as any.
+    torques = problem.readings.torques
+    if torques is not None:
+        torques = torques[np.arange(len(q)) % len(torques)]
+    part = np.zeros(len(q), dtype=np.intp)
+    readings = Readings(q, np.arange(len(q)), AT_REST, part, torques, np.roll(q, 1, axis=0))
     for model in problem.joint_models:
         where, active = parameters.active_columns(model.key)
         if where.stop > where.start:

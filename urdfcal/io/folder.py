@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,19 +16,21 @@ from urdfcal.estimation.measurements import MEASUREMENTS, Detections, Points
 from urdfcal.files import Source
 from urdfcal.io.checks.content import unseen
 from urdfcal.io.checks.plausibility import Inputs, check, check_positions
-from urdfcal.io.tables import read_frames, read_joints, read_log, read_measurements
+from urdfcal.io.tables import read_frames, read_joints, read_log, read_measurements, read_torques
 from urdfcal.names import check_known, suggest
 from urdfcal.robot.chain import read_mechanism
 from urdfcal.robot.urdf.urdf import Urdf, find_urdf
 from urdfcal.session.attachments import WORLD
+from urdfcal.session.combine import combine
 from urdfcal.session.exclusion import labels, leave_out
-from urdfcal.session.knowledge import Excluded, Led
-from urdfcal.session.model import Positions, RigDescription, Session, Stand
+from urdfcal.session.knowledge import Excluded, Led, Stand
+from urdfcal.session.model import Positions, RigDescription, Session
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from urdfcal.io.schema import SessionFile, SetupFile
+    from urdfcal.io.tables import JointTable
     from urdfcal.io.yaml_document import Document
     from urdfcal.robot.mechanism import Mechanism
 
@@ -95,9 +98,58 @@ def read_session(
         wrong = np.setdiff1d(counting[kind].rows, table.rows)
         tables[kind] = tables[kind].only(~np.isin(tables[kind].rows, wrong))
     measurements = tuple(table.measurements for table in tables.values())
-    session = positions.measured(measurements, sha256=hashes, warnings=warnings)
+    moved = {what: tuple(document.texts("moved", what)) for what in keys.moved}
     with document.placing():
+        session = positions.measured(measurements, sha256=hashes, warnings=warnings, moved=moved)
+        if keys.torques is not None:
+            session = _with_torques(session, _file(document, "torques"), keys.torques, inputs.joints)
         return leave_out(session, excluded) if excluded else session
+
+
+def read_sessions(
+    paths: Sequence[str | Path],
+    look: Callable[[Path], object] | None = None,
+    *,
+    exclude_poses: Sequence[str] = (),
+    ignore_limits: bool = False,
+) -> Session:
+    """Read a session, or several of one arm as one (:func:`~urdfcal.session.combine.combine`).
+
+    Several go by the names of their folders, with as many of the folders above as tell them apart.
+
+    Args:
+        paths: the sessions' folders, or the YAML files in them.
+        look: called with the path where a session has images but nobody has looked for LEDs in them yet; it writes the
+            detections.
+        exclude_poses: labels of poses that do not count, or ranges; of several sessions ``monday/26-31``.
+        ignore_limits: readings beyond a joint's limits are a warning, however far.
+
+    Raises:
+        SessionError: as for :func:`read_session`; they are not of one arm, or contradict each other.
+        RobotError: the URDF is not one, or has no such chain.
+        CameraError: the camera file is not one.
+    """
+    folders = [path if path.is_dir() else path.parent for path in (Path(path).resolve() for path in paths)]
+    names = [folder.name for folder in folders]
+    for depth in range(1, max(len(folder.parts) for folder in folders)):
+        names = ["/".join(folder.parts[-depth:]) for folder in folders]
+        if len(set(names)) == len(names):
+            break
+    else:
+        twice = next(path for path, name in zip(paths, names, strict=True) if names.count(name) > 1)
+        raise SessionError("this session is named twice", where=str(twice), remedy="Measurements count once.")
+    excluded: dict[str, list[str]] = {name: [] for name in names}
+    for label in exclude_poses:
+        whose = names[0] if len(names) == 1 else next((name for name in names if label.startswith(f"{name}/")), None)
+        if whose is None:
+            remedy = f"Write {names[0]}/{label}."
+            raise SessionError(f"{label!r} says not of which session it is", where="--exclude-poses", remedy=remedy)
+        excluded[whose].append(label if len(names) == 1 else label.removeprefix(f"{whose}/"))
+    sessions = {}
+    for path, name in zip(map(Path, paths), names, strict=True):
+        each = None if look is None else partial(look, path)
+        sessions[name] = read_session(path, each, exclude_poses=excluded[name], ignore_limits=ignore_limits)
+    return combine(sessions)
 
 
 def read_positions(path: str | Path) -> Positions:
@@ -170,6 +222,24 @@ def read_points(path: str | Path, session: Session) -> tuple[Points, tuple[Led, 
     """
     table = read_measurements(Path(path), Points, {"pose": session.poses}, session.noise.of(Points))
     return table.measurements, tuple(Led(name) for name in table.names["led"])  # type: ignore[return-value]
+
+
+def _with_torques(session: Session, path: Path, name: str, joints: JointTable) -> Session:
+    """Return a session with torques; poses without are none of it, and those after them came from there.
+
+    Raises:
+        SessionError: something was measured in one of them.
+    """
+    urdf_joints = () if session.urdf is None else session.urdf.joints
+    table, rows, torques = read_torques(path, session.chain, urdf_joints, session.poses)
+    measured = np.unique(np.concatenate([of.pose for of in session.measurements]))
+    for pose in np.setdiff1d(measured, rows)[:1].tolist():
+        what = f"pose {session.poses[pose]!r} has no torques, and something was measured in it"
+        remedy = f"Add its row to {path}, or take out what was measured in it."
+        raise joints.table.wrong(what, pose, "pose", remedy)
+    order = np.argsort(rows)
+    hashes = {**session.sha256, name: table.source.sha256}
+    return replace(session.at(rows[order]), torques=torques[order], sha256=hashes)
 
 
 def _excluded(document: Document, positions: Positions, poses: Sequence[str]) -> Excluded:

@@ -49,6 +49,7 @@ class Recorder:
         self._setup = setup
         self._readings: dict[str, Floats] = {}
         self._times: list[float] = []
+        self._torques: list[Floats] = []
         # By kind, and the indices of its keys: values and sigma.
         self._measured: dict[type[Measurement], dict[tuple[int, ...], tuple[Floats, float]]] = {
             Detections: {},
@@ -60,22 +61,28 @@ class Recorder:
         return len(self._readings)
 
     def pose(
-        self, joints: Mapping[str, float] | ArrayLike, *, label: str | None = None, time: float | None = None
+        self,
+        joints: Mapping[str, float] | ArrayLike,
+        *,
+        label: str | None = None,
+        time: float | None = None,
+        torques: Mapping[str, float] | ArrayLike | None = None,
     ) -> str:
-        """Add a pose in which the arm stands still.
+        """Add a pose in which the arm stands still; one in which nothing is measured tells where it came from.
 
         Args:
             joints: a reading [rad or m] of every actuated joint, by name, or (k,) in the order of ``chain.actuated``.
                 Joints of the robot that are not actuated joints of the chain are left out.
             label: what to call the pose; counted from 0 by default.
             time: when it was. [s]
+            torques: measured, [N m or N], of the same joints in the same way.
 
         Returns:
             The label, by which measurements refer to the pose.
 
         Raises:
             SessionError: a joint is missing or unknown, a reading is no finite number or beyond its limits, the label
-                is taken, or some poses have a time and others have not.
+                is taken, or some poses have a time or torques and others have not.
         """
         name = str(len(self)) if label is None else str(label)
         where = f"pose {name!r}"
@@ -87,11 +94,19 @@ class Recorder:
         readings = finite_array(by_order, (len(self._setup.chain.actuated),), "joints", where)
         for violation in self._setup.chain.outside_limits(readings[None], OVERRUN)[:1]:
             raise SessionError(str(violation), where=where, remedy="Readings are in radians and metres.")
-        if len(self) and (time is None) != (not self._times):
-            what = "it has no time, and others have" if time is None else "it has a time, and others have none"
-            raise SessionError(what, where=where, remedy="Give all poses a time, or none.")
-        if time is not None:
-            self._times.append(float(finite_array([time], (1,), "time", where)[0]))
+        for value, others, one, what in (
+            (time, self._times, "a time", "time"),
+            (torques, self._torques, "torques", "torques"),
+        ):
+            if len(self) and (value is None) != (not others):
+                said = f"no {what}, and others have" if value is None else f"{one}, and others have none"
+                raise SessionError(f"it has {said}", where=where, remedy=f"Give all poses {one}, or none.")
+        moment = None if time is None else float(finite_array([time], (1,), "time", where)[0])
+        if torques is not None:
+            by_order = self._by_order(torques, where) if isinstance(torques, Mapping) else torques
+            self._torques.append(finite_array(by_order, readings.shape, "torques", where))
+        if moment is not None:
+            self._times.append(moment)
         self._readings[name] = readings
         return name
 
@@ -160,8 +175,17 @@ class Recorder:
             poses=tuple(self._readings),
             q=self._setup.chain.joint_values(np.array(list(self._readings.values())).reshape(len(self), -1)),
             time=np.array(self._times) if self._times else None,
+            torques=self._all_torques(),
             measurements=tuple(measurements),
         )
+
+    def _all_torques(self) -> Floats | None:
+        """Those of all joints in all poses: of mimic joints none, their master's has them."""
+        own = [joint.mimic is None for joint in self._setup.chain.joints]
+        torques = np.zeros((len(self._torques), len(own)))
+        if self._torques:
+            torques[:, own] = self._torques
+        return torques if self._torques else None
 
     def _by_order(self, joints: Mapping[str, float], where: str) -> list[float]:
         """The chain's readings out of those of a whole robot."""

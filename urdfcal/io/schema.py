@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, create_model, model_validator
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, WrapValidator, create_model, model_validator
 
 from urdfcal.estimation.joint_models import JOINT_MODELS
 from urdfcal.estimation.measurements import MEASUREMENTS, Measurement
@@ -13,7 +13,17 @@ from urdfcal.io.keys import Keys, Name, NotNegative, PlaceKeys, Positive, ScaleK
 from urdfcal.io.target_keys import AnyTargetKeys  # noqa: TC001  # as of the next
 from urdfcal.robot.dh import Parameter  # noqa: TC001  # pydantic needs it at run time
 from urdfcal.session.attachments import CameraMount
-from urdfcal.session.knowledge import ArmGeometry, Estimate, Freedom, Led, LedDistance, Noise, TimeOffset, Tolerances
+from urdfcal.session.knowledge import (
+    ArmGeometry,
+    Estimate,
+    Freedom,
+    Led,
+    LedDistance,
+    Noise,
+    Payload,
+    TimeOffset,
+    Tolerances,
+)
 
 
 class RobotKeys(Keys):
@@ -74,6 +84,8 @@ class CamerasKeys(Keys):
 _Cameras = Annotated[CamerasKeys, BeforeValidator(lambda value: {"file": value} if isinstance(value, str) else value)]
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     NoiseKeys: TypeAlias = Keys
     JointModelName: TypeAlias = str
 else:
@@ -85,6 +97,19 @@ else:
         **{kind.noise: (Positive, kind.usual) for kind in MEASUREMENTS},
     )
     JointModelName = Literal[tuple(model.name for model in JOINT_MODELS)]
+
+
+def _by_joint(value: Any, on_or_off: Callable[[Any], bool]) -> bool | dict[str, bool]:
+    """Read what switches a model on or off, for all joints or for each by name."""
+    if isinstance(value, dict):
+        return {str(joint): on_or_off(said) for joint, said in value.items()}
+    return on_or_off(value)
+
+
+_JointModels = Annotated[
+    dict[JointModelName, Annotated[bool, WrapValidator(_by_joint)]],
+    BeforeValidator(lambda value: {} if value == "auto" else value),
+]
 
 
 class EstimateKeys(Keys):
@@ -108,6 +133,23 @@ class TolerancesKeys(Keys):
     length: NotNegative = Tolerances.length
     angle: NotNegative = Tolerances.angle
     zero: NotNegative = Tolerances.zero
+
+
+class PayloadKeys(Keys):
+    """What the arm carried: on which link, its mass in kg, and its centre there in m."""
+
+    link: Name
+    mass: Positive
+    center: Vector
+
+
+def _known_direction(gravity: Any) -> Any:
+    if isinstance(gravity, dict):
+        raise ValueError(  # noqa: TRY004  # pydantic's way
+            "the direction of gravity cannot be estimated: measure how the base leans, and write [x, y, z] in the base "
+            "link's frame, in m/s^2"
+        )
+    return gravity
 
 
 class StandKeys(Keys):
@@ -163,8 +205,11 @@ class SetupFile(Keys):
     noise: NoiseKeys = NoiseKeys()
     estimate: _Estimate = EstimateKeys()
     tolerances: TolerancesKeys = TolerancesKeys()
-    joint_models: dict[JointModelName, bool] = Field(default={})
+    joint_models: _JointModels = Field(default={})
     scale: ScaleKeys | None = None
+    payload: PayloadKeys | None = None
+    gravity: Annotated[Vector | None, BeforeValidator(_known_direction)] = None
+    gear_ratio: dict[Name, Positive] = Field(default={})
 
     @model_validator(mode="after")
     def _something_is_seen(self) -> SetupFile:
@@ -187,6 +232,9 @@ class SetupFile(Keys):
             "tolerances": Tolerances(tolerances.length, tolerances.angle, tolerances.zero, exceptions),
             "joint_models": self.joint_models,
             "scale_sigma": None if self.scale is None else self.scale.sigma,
+            "payload": None if self.payload is None else Payload(**dict(self.payload)),
+            "gear_ratio": self.gear_ratio,
+            **({} if self.gravity is None else {"gravity": np.array(self.gravity)}),
         }
 
 
@@ -209,7 +257,9 @@ class SessionFile(_Tables):
 
     joints: Name
     frames: Name | None = None
+    torques: Name | None = None
     exclude: ExcludeKeys = ExcludeKeys()
+    moved: dict[Name, _Names] = Field(default_factory=dict)
 
     @property
     def tables(self) -> dict[type[Measurement], str]:
@@ -225,6 +275,8 @@ class SessionFile(_Tables):
             if self.frames is not None and "camera" not in kind.keys:
                 both = f"frames and {kind.kind} are both named"
                 raise ValueError(f"{both}: {kind.kind} belong to an arm that stands still")
+        if self.frames is not None and self.torques is not None:
+            raise ValueError("frames and torques are both named: torques belong to an arm that stands still")
         if self.frames is not None and self.cameras is None:
             raise ValueError("frames are named, but no cameras")
         if self.frames is None and self.estimate.time_offset is not None:

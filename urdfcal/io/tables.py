@@ -153,6 +153,34 @@ def read_joints(path: Path, chain: Mechanism, robot_joints: Collection[str], *, 
     return JointTable(table, frozen(table.numbers(chain.actuated)), warnings, poses, time)
 
 
+def read_torques(
+    path: Path, chain: Mechanism, robot_joints: Collection[str], poses: Sequence[str]
+) -> tuple[Table, Ints, Floats]:
+    """Read torques.csv.
+
+    Args:
+        path: the file.
+        chain: whose actuated joints must each have a column.
+        robot_joints: names of all joints of the robot; columns of those off the chain are ignored.
+        poses: labels of joints.csv.
+
+    Returns:
+        The table, the pose (R,) of each row, and its torques (R, n); of mimic joints none, their master's has them.
+        [N m or N]
+
+    Raises:
+        SessionError: a pose is unknown or has two rows, or a number is none, with the place in the file.
+    """
+    table = Table.read(path, ["pose", *chain.actuated], (), set(robot_joints) - set(chain.actuated))
+    rows = table.indices("pose", poses, _KNOWN["pose"])
+    for first, row in repeats(rows.tolist())[:1]:
+        what = f"pose {poses[rows[row]]!r} is already in line {first + 2}"
+        raise table.wrong(what, row, "pose", "Keep one.")
+    torques = np.zeros((len(rows), len(chain.joints)))
+    torques[:, [joint.mimic is None for joint in chain.joints]] = table.numbers(chain.actuated)
+    return table, rows, torques
+
+
 def read_measurements(
     path: Path,
     kind: type[Measurement],

@@ -14,7 +14,8 @@ from urdfcal.names import check_known
 from urdfcal.robot.dh import PARAMETERS
 
 if TYPE_CHECKING:
-    from urdfcal.session.model import Measurements, Positions, Session
+    from urdfcal.session.measurements import Measurements
+    from urdfcal.session.model import Positions, Session
 
 ArmGeometry: TypeAlias = Literal["dh", "offsets", "full", "none"]
 Freedom: TypeAlias = Literal["fixed", "refine", "free"]
@@ -165,6 +166,44 @@ class Tolerances:
                 check_known(parameter, PARAMETERS, "parameters", where)
             exceptions[str(joint)] = _numbers(values, where, zero=True)
         keep(self, joints=ReadOnly(exceptions))
+
+
+@dataclass(frozen=True, eq=False)
+class Stand:
+    """Where a camera stands and looks.
+
+    Attributes:
+        position: (3,) in the base link's frame. [m]
+        look_at: (3,) point on its optical axis, in the base link's frame. [m]
+    """
+
+    position: Floats
+    look_at: Floats
+
+    def __post_init__(self) -> None:
+        places = {name: finite_array(getattr(self, name), (3,), name, "stand") for name in ("position", "look_at")}
+        keep(self, **places)
+        if np.array_equal(self.position, self.look_at):
+            raise SessionError("the camera looks at its own place", where="stand")
+
+
+@dataclass(frozen=True, eq=False)
+class Payload:
+    """What the arm carries beside its own links.
+
+    Attributes:
+        link: that it is fastened to.
+        mass: of it. [kg]
+        center: (3,) its centre of mass in the link's frame. [m]
+    """
+
+    link: str
+    mass: float
+    center: Floats
+
+    def __post_init__(self) -> None:
+        _keep_numbers(self, "payload", "mass")
+        keep(self, link=str(self.link), center=finite_array(self.center, (3,), "center", "payload"))
 
 
 @dataclass(frozen=True, eq=False)

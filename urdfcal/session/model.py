@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
-from abc import ABC
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from urdfcal.arrays import Floats, Ints, ReadOnly, Rebuilt, finite_array, frozen, keep
+from urdfcal.arrays import Floats, Ints, ReadOnly, Rebuilt, finite_array, finite_number, frozen, keep
 from urdfcal.cameras.rig import Rig
 from urdfcal.errors import SessionError
 from urdfcal.names import check_known, check_names
+from urdfcal.robot.gravity import STANDARD_GRAVITY
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.session.attachments import Attachments, CameraMount, attach
-from urdfcal.session.knowledge import Estimate, Excluded, Led, LedDistance, Noise, Tolerances
+from urdfcal.session.knowledge import Estimate, Excluded, Led, LedDistance, Noise, Payload, Stand, Tolerances
+from urdfcal.session.measurements import Measurements
+from urdfcal.session.moves import check_moves, moves_at
 from urdfcal.session.trajectory import AT_REST, Motion, Trajectory
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
     from pathlib import Path
 
     from typing_extensions import Self
@@ -34,129 +36,19 @@ MIN_POSES = 3
 _MIMIC_ROUNDING = 1e-9
 
 
-@dataclass(frozen=True, eq=False)
-class Measurements(Rebuilt, ABC):
-    """Measurements of one kind, sorted by their keys; what was not measured is a missing row.
-
-    A kind is a frozen dataclass with an index array (S,) for each of its ``keys``, the first one ``pose``, an array
-    (S, D) of what was measured, and ``sigma`` (S,), the standard deviation of each number. A kind that measures that
-    something is zero, such as a contact, has no such array.
-
-    Attributes:
-        pose: (S,) index of the pose.
-        names: what the indices of a key stand for that only this table names, such as places.
-        kind: the table's key in session.yaml, and the stem of its CSV file.
-        keys: the columns that name things, which together are unique.
-        dimension: D, the numbers of one measurement.
-        columns: the columns that hold these; none where they are zero.
-        array: the field that holds these; empty where there is none.
-        noise: the key of ``noise`` that says the usual standard deviation.
-        usual: its default.
-        unit: of the numbers.
-        report: unit and factor in which they are reported.
-    """
-
-    kind: ClassVar[str]
-    keys: ClassVar[tuple[str, ...]]
-    dimension: ClassVar[int]
-    columns: ClassVar[tuple[str, ...]] = ()
-    array: ClassVar[str] = ""
-    noise: ClassVar[str]
-    usual: ClassVar[float]
-    unit: ClassVar[str]
-    report: ClassVar[tuple[str, float]]
-
-    pose: Ints
-    names: Mapping[str, tuple[str, ...]] = field(default_factory=dict, kw_only=True)
-
-    if TYPE_CHECKING:
-
-        @property
-        def sigma(self) -> Floats:
-            """(S,) standard deviation of each number."""
-
-    def __post_init__(self) -> None:
-        """Check the columns, sort them by the keys and make them read-only."""
-        index = {key: np.asarray(getattr(self, key)) for key in self.keys}
-        count = len(index["pose"]) if index["pose"].ndim == 1 else 0
-        if count == 0:
-            raise SessionError("there is no measurement", where=self.kind)
-        for key, column in index.items():
-            if column.shape != (count,) or column.dtype.kind not in "iu" or column.min() < 0:
-                raise SessionError(f"{key} is not an array of {count} indices", where=self.kind)
-        try:
-            sigma = finite_array(np.broadcast_to(self.arrays["sigma"], (count,)), (count,), "sigma", self.kind)
-        except ValueError as error:
-            what = f"sigma has shape {np.shape(self.arrays['sigma'])}, not ({count},)"
-            raise SessionError(what, where=self.kind) from error
-        if sigma.min() <= 0.0:
-            raise SessionError(f"sigma is {sigma.min():g}; it must be positive", where=self.kind)
-        columns = {**self.arrays, **index, "sigma": sigma}
-        if self.array:
-            columns[self.array] = finite_array(self.values, (count, self.dimension), self.array, self.kind)
-        order = np.lexsort([index[key] for key in reversed(self.keys)])
-        for name, column in columns.items():
-            keep(self, **{name: frozen(np.asarray(column)[order], np.intp if name in index else float)})
-        keep(self, names=ReadOnly(self.names))
-        twice = np.logical_and.reduce([np.diff(getattr(self, key)) == 0 for key in self.keys])
-        if twice.any():
-            first = int(np.flatnonzero(twice)[0])
-            names = ", ".join(f"{key} {getattr(self, key)[first]}" for key in self.keys)
-            raise SessionError(f"there are two measurements of {names}", where=self.kind)
-
-    def __len__(self) -> int:
-        """Return the number of rows."""
-        return len(self.pose)
-
-    @property
-    def values(self) -> Floats:
-        """What was measured, (S, D)."""
-        result: Floats = getattr(self, self.array) if self.array else np.zeros((len(self), self.dimension))
-        return result
-
-    @property
-    def index(self) -> dict[str, Ints]:
-        """The index array (S,) of each key."""
-        return {key: getattr(self, key) for key in self.keys}
-
-    def rows(self, chosen: Any) -> Self:
-        """Return some of the rows, by an index or a mask (S,)."""
-        return replace(self, **{name: column[chosen] for name, column in self.arrays.items()})
-
-    def with_sigma(self, sigma: float) -> Self:
-        """Return the same measurements with one standard deviation for all. [unit]."""
-        changed: dict[str, Any] = {"sigma": np.full(len(self), sigma)}
-        return replace(self, **changed)
-
-    def at(self, poses: Ints) -> Self | None:
-        """Return the rows at some poses, (K,) in ascending order, numbered by these; None if there are none."""
-        kept = np.isin(self.pose, poses)
-        if not kept.any():
-            return None
-        rows = self.rows(kept)
-        return replace(rows, pose=np.searchsorted(poses, rows.pose))
-
-    def check(self, counts: Mapping[str, int]) -> None:
-        """Refuse indices of things that do not exist.
-
-        Args:
-            counts: how many there are of what a key names; others are not checked.
-
-        Raises:
-            SessionError: an index is too large.
-        """
-        for key, column in self.index.items():
-            largest = int(column.max())
-            if key in counts and largest >= counts[key]:
-                raise SessionError(f"{key} {largest} does not exist: there are {counts[key]}", where=self.kind)
-
-    @property
-    def arrays(self) -> dict[str, Any]:
-        """The columns by the names of their fields, each with S rows."""
-        return {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.name != "names"}
-
+# From the poles to the equator it is 9.832 to 9.764; that of some units, axes or signs of payloads is not. [m/s^2]
+_GRAVITY = (9.7, 9.9)
 
 Kind = TypeVar("Kind", bound=Measurements)
+
+
+def before(values: Floats, time: Floats | None) -> Floats:
+    """Return the values (N, ...) of the pose before each, by time (N,) if there is one; of the first its own."""
+    order = np.arange(len(values)) if time is None else np.argsort(time, kind="stable")
+    earlier = np.empty_like(order)
+    earlier[order] = order[[0, *range(len(order) - 1)]]
+    result: Floats = values[earlier]
+    return result
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -175,11 +67,17 @@ class Setup(Rebuilt):
         noise: of the measurements.
         estimate: what is to be estimated.
         tolerances: of the robot.
-        joint_models: by name, which are estimated (True) or not (False); of the others each decides itself.
+        joint_models: by name, which are estimated (True) or not (False), of all joints or of each by name; of the
+            others the measurements decide.
+        payload: what the arm carries.
+        payloads: what it carries in each part, where that differs.
+        gravity: (3,) in the base link's frame. [m/s^2]
+        gear_ratio: turns of the motor for one of the joint, by the joint's name.
         scale_sigma: of the share that the instrument's lengths may be too long by; where nothing is said the rig's,
             or None.
         sha256: hash of every input file, by the name that the session gives it.
         folder: where it was read from.
+        parts: names of what it was measured in: between parts the base, or what the cameras are on, was moved.
     """
 
     chain: Mechanism
@@ -193,14 +91,24 @@ class Setup(Rebuilt):
     noise: Noise = field(default_factory=Noise)
     estimate: Estimate = field(default_factory=Estimate)
     tolerances: Tolerances = field(default_factory=Tolerances)
-    joint_models: Mapping[str, bool] = field(default_factory=dict)
+    joint_models: Mapping[str, bool | Mapping[str, bool]] = field(default_factory=dict)
+    payload: Payload | None = None
+    payloads: tuple[Payload | None, ...] = ()
+    gravity: Floats = field(default_factory=lambda: STANDARD_GRAVITY)
+    gear_ratio: Mapping[str, float] = field(default_factory=dict)
     scale_sigma: float | None = None
     sha256: Mapping[str, str] = field(default_factory=dict)
     folder: Path | None = None
+    parts: tuple[str, ...] = ("",)
 
     def __post_init__(self) -> None:
         keep(self, **{name: tuple(getattr(self, name)) for name in ("leds", "targets", "led_distances", "mounts")})
         keep(self, sha256=ReadOnly(self.sha256), joint_models=ReadOnly(self.joint_models))
+        keep(self, gravity=finite_array(self.gravity, (3,), "gravity", "gravity"), gear_ratio=ReadOnly(self.gear_ratio))
+        self._check_load()
+        by_joint = {name: of for name, of in self.joint_models.items() if isinstance(of, Mapping)}
+        for name, joint in ((name, joint) for name, of in by_joint.items() for joint in of):
+            check_known(joint, self.chain.actuated, "joints", f"joint_models.{name}")
         if self.scale_sigma is None:
             keep(self, scale_sigma=self.rig.scale_sigma)
         for name in (name for distance in self.led_distances for name in distance.leds):
@@ -218,35 +126,31 @@ class Setup(Rebuilt):
                 check_known(name, self.rig.names, "cameras", "estimate")
         _ = self.attachments  # a link that is none of the robot's is refused now, not when it is first needed
 
+    def _check_load(self) -> None:
+        """Refuse a gravity, payload or gear ratio that cannot be."""
+        strength = float(np.linalg.norm(self.gravity))
+        if not _GRAVITY[0] <= strength <= _GRAVITY[1]:
+            remedy = "Write its vector in the base link's frame, in m/s^2: [0, 0, -9.81] of a base that stands upright."
+            raise SessionError(f"gravity of {strength:.4g} m/s^2 is not the Earth's", where="gravity", remedy=remedy)
+        if self.payload is not None and self.urdf is None:
+            remedy = "Give the setup its URDF, or leave the payload out."
+            raise SessionError("without a URDF nothing is known of its link", where="payload", remedy=remedy)
+        if self.payload is not None and self.urdf is not None:
+            check_known(self.payload.link, tuple(self.urdf.links), "links", "payload.link")
+        for joint, ratio in self.gear_ratio.items():
+            check_known(joint, self.chain.actuated, "joints", f"gear_ratio.{joint}")
+            finite_number(ratio, "the ratio", f"gear_ratio.{joint}", zero=False)
+
     @cached_property
     def attachments(self) -> Attachments:
         """What LEDs, targets and cameras are attached to."""
         mounts = {mount.camera: mount for mount in self.mounts}
-        return attach(self.chain, [led.link for led in self.leds], self.targets, self.rig, mounts)
+        return attach(self.chain, [led.link for led in self.leds], self.targets, self.rig, mounts, self.parts)
 
     @cached_property
     def led_names(self) -> tuple[str, ...]:
         """What the tables call the LEDs, then the targets' points, in order."""
         return (*(led.name for led in self.leds), *(name for of in self.targets for name in of.point_names))
-
-
-@dataclass(frozen=True, eq=False)
-class Stand:
-    """Where a camera stands and looks.
-
-    Attributes:
-        position: (3,) in the base link's frame. [m]
-        look_at: (3,) point on its optical axis, in the base link's frame. [m]
-    """
-
-    position: Floats
-    look_at: Floats
-
-    def __post_init__(self) -> None:
-        places = {name: finite_array(getattr(self, name), (3,), name, "stand") for name in ("position", "look_at")}
-        keep(self, **places)
-        if np.array_equal(self.position, self.look_at):
-            raise SessionError("the camera looks at its own place", where="stand")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -276,14 +180,22 @@ class Positions(Setup):
         poses: (N) labels.
         q: (N, n) value of every joint of the chain in every pose, mimic joints included. [rad or m]
         time: (N,) of each pose, where recorded. [s]
+        torques: (N, n) measured joint torques, with the sign that the maker gives them; None where there are none.
+            [N m or N]
+        previous: (N, n) values of the joints where the arm came from, perhaps in a pose in which nothing was measured;
+            None for the poses in order, of time if there is one. [rad or m]
         motion: at rest in every pose, or a trajectory: each pose is then a frame of one camera, q what its log says.
+        part: (N,) of each pose; left out: the first.
         warnings: what looked odd when it was read.
     """
 
     poses: tuple[str, ...]
     q: Floats
     time: Floats | None = None
+    torques: Floats | None = None
+    previous: Floats | None = None
     motion: Motion = AT_REST
+    part: Ints = field(default_factory=lambda: np.zeros(0, np.intp))
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -298,11 +210,22 @@ class Positions(Setup):
             raise SessionError("a mimic joint's value in q is not what it follows from", where="session")
         if self.time is not None:
             keep(self, time=finite_array(self.time, (count,), "time", "session"))
+        keep(self, part=frozen(self.part if len(self.parts) > 1 else np.zeros(count), np.intp))
+        if self.part.shape != (count,) or not np.isin(self.part, range(len(self.parts))).all():
+            raise SessionError(f"part is not the index of one of {len(self.parts)} in each pose", where="session")
+        for name in ("torques", "previous"):
+            if getattr(self, name) is not None:
+                keep(self, **{name: finite_array(getattr(self, name), self.q.shape, name, "session")})
 
     @property
     def readings(self) -> Floats:
         """(N, k) values [rad or m] of the joints that have a reading of their own, as in joints.csv."""
         return self.chain.readings(self.q)
+
+    @property
+    def came_from(self) -> Floats:
+        """(N, n) values of the joints before the arm moved to each pose; the first pose's own ones. [rad or m]."""
+        return before(self.q, self.time) if self.previous is None else self.previous
 
     def label(self, pose: int) -> str:
         """What the tables and the images' file names call a pose: a frame goes by the name its camera gave it."""
@@ -321,14 +244,16 @@ class Session(Positions):
     Attributes:
         measurements: one table for each kind of measurement, such as detections in images or points of a tracker.
         excluded: what was left out of it.
+        moved: by name of an LED or a camera, or "base", the poses before which it moved.
     """
 
     measurements: tuple[Measurements, ...]
     excluded: Excluded = field(default_factory=Excluded)
+    moved: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        keep(self, measurements=tuple(self.measurements))
+        keep(self, measurements=tuple(self.measurements), moved=ReadOnly(self.moved))
         if not self.measurements:
             raise SessionError("there are no measurements", remedy="There is nothing to calibrate from.")
         counts = {"pose": len(self.poses), "led": len(self.led_names), "camera": len(self.rig.cameras)}
@@ -342,6 +267,7 @@ class Session(Positions):
                     raise SessionError("a moving arm is measured by cameras alone", where="session")
                 if np.any(table.index["camera"] != self.motion.camera[table.pose]):
                     raise SessionError("a detection is by another camera than its frame", where=table.kind)
+        check_moves(self)
 
     def find(self, kind: type[Kind]) -> Kind | None:
         """Return the measurements of a kind; None if there are none."""
@@ -355,7 +281,11 @@ class Session(Positions):
             poses=tuple(self.poses[k] for k in poses),
             q=self.q[poses],
             time=None if self.time is None else self.time[poses],
+            torques=None if self.torques is None else self.torques[poses],
+            previous=self.came_from[poses],
             motion=self.motion.at(poses),
+            part=self.part[poses],
+            moved=moves_at(self, poses),
             measurements=tuple(table for table in tables if table is not None),
         )
 

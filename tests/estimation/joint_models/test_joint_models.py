@@ -16,23 +16,40 @@ from tests.estimation.derivatives import STEPS, assert_derivatives
 from tests.estimation.problems import Example, at_rest, filmed
 from urdfcal.errors import SessionError
 from urdfcal.estimation.blocks.arm import ARM
-from urdfcal.estimation.joint_models import JOINT_MODELS, JointModel
+from urdfcal.estimation.joint_models import JOINT_MODELS, JointModel, Readings
+from urdfcal.estimation.joint_models.compliance import Compliance
+from urdfcal.estimation.joint_models.linear import LinearJointModel
+from urdfcal.estimation.joint_models.torque_basis import TorqueBasis
 from urdfcal.estimation.linearize import Tangent
 from urdfcal.estimation.problem import Problem
 from urdfcal.robot.tree_dh import rows_of
+from urdfcal.session.knowledge import Payload
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from urdfcal.arrays import Floats
-    from urdfcal.estimation.joint_models import Readings
     from urdfcal.session.model import Session
 
 GENERAL: tuple[Callable[[Callable], Session], ...] = (at_rest, filmed)
 """Sessions that most models apply to: an arm at rest, and a moving one."""
 
-SESSIONS: dict[str, Callable[[Callable], Session]] = {}
+
+def geared(simulated: Callable) -> Session:
+    """An arm with gears of known ratio."""
+    session = at_rest(simulated)
+    return replace(session, gear_ratio={session.chain.names[0]: 121.0, session.chain.names[3]: 50.0})
+
+
+def without_urdf(simulated: Callable) -> Session:
+    """An arm of which nobody knows what it weighs."""
+    return replace(at_rest(simulated), urdf=None)
+
+
+SESSIONS: dict[str, Callable[[Callable], Session]] = {"motor_harmonics": geared, "torque_basis": without_urdf}
 """By name, a session for a model that applies to none of these, made from the fixture ``simulated``."""
+
+LINEAR = tuple(model for model in JOINT_MODELS if issubclass(model, LinearJointModel))
 
 # Parameters away from nominal by this share of their standard deviation, or by this much if they have none.
 _SHARE, _WITHOUT_PRIOR = 0.02, 1e-3
@@ -184,6 +201,15 @@ def test_one_that_is_switched_on_and_does_not_apply_is_refused(simulated: Callab
     assert Problem.of(replace(session, joint_models={"time_offset": False}), rows_of(session.chain))
 
 
+def test_what_is_no_matter_of_single_joints_is_refused_for_one(simulated: Callable) -> None:
+    session = at_rest(simulated)
+    session = replace(session, joint_models={"zero_offset": {session.chain.names[0]: True}})
+    with pytest.raises(SessionError, match="zero_offset is not a matter of single joints"):
+        Problem.of(session, rows_of(session.chain))
+    with pytest.raises(SessionError, match="joint_9"):
+        replace(session, joint_models={"gain": {"joint_9": True}})
+
+
 @pytest.mark.parametrize("geometry", ["none", "offsets", "dh"])
 def test_what_the_session_says_of_a_model_overrules_its_default(geometry: str, simulated: Callable) -> None:
     class Asked(JointModel):
@@ -199,3 +225,59 @@ def test_what_the_session_says_of_a_model_overrules_its_default(geometry: str, s
         assert not kind.estimated(off, geometry)
     on = replace(session, joint_models={"asked": True})
     assert Asked.estimated(on, geometry) == (geometry != "none")
+
+
+def test_where_torques_are_measured_a_joint_yields_to_them(simulated: Callable) -> None:
+    session = simulated("panda", poses=8).session
+    torques = np.random.default_rng(0).normal(size=session.q.shape)
+    model = Compliance.of(replace(session, torques=torques))
+    readings = Readings.of(replace(session, torques=torques))
+    np.testing.assert_allclose(model.values(readings, np.full(7, 1e-5)), -1e-5 * torques)
+    with pytest.raises(SessionError, match="measured torques, and these readings have none"):
+        model.values(Readings.of(session), np.full(7, 1e-5))
+
+
+def test_gravity_and_payload_are_those_of_the_session(simulated: Callable) -> None:
+    session = simulated("panda", poses=8).session
+    p = np.full(7, 1e-5)
+
+    def values(**changes: object) -> Floats:
+        changed = replace(session, **changes)
+        return Compliance.of(changed).values(Readings.of(changed), p)
+
+    upright = values()
+    np.testing.assert_allclose(values(gravity=-session.gravity), -upright)  # hung from the ceiling
+    assert np.abs(values(gravity=np.array([9.81, 0.0, 0.0])) - upright).max() > 1e-5
+    assert np.abs(values(payload=Payload("panda_hand", 2.0, np.zeros(3))) - upright).max() > 1e-5
+
+
+def test_whatever_a_robot_weighs_its_torques_are_in_the_basis(simulated: Callable) -> None:
+    session = simulated("panda", poses=40).session
+    known = Compliance.of(session)
+    unknown = TorqueBasis.of(replace(session, urdf=None))
+    readings = Readings.of(session)
+    assert TorqueBasis.of(session) is None
+    torques, basis = known.features(readings), unknown.features(readings)
+    for j, joint in enumerate(session.chain.names):
+        mine = basis[:, unknown.of_joints([joint])]
+        rest = torques[:, j] - mine @ np.linalg.lstsq(mine, torques[:, j], rcond=None)[0]
+        assert np.abs(rest).max() <= 0.05 * np.abs(torques).max()
+
+
+def test_a_mimic_joint_follows_its_master_in_a_joint_model_too(simulated: Callable) -> None:
+    session = simulated("so101", poses=8).session
+    session = replace(session, gear_ratio=dict.fromkeys(session.chain.actuated, 50.0))
+    for model in filter(None, (kind.of(session) for kind in LINEAR)):
+        values = model.values(Readings.of(session), some_value(model))
+        np.testing.assert_allclose(
+            values, session.chain.readings(values) @ session.chain.reading_jacobian.T, atol=1e-15
+        )
+
+
+def test_where_an_arm_came_from_is_the_pose_before_unless_it_is_said(simulated: Callable) -> None:
+    session = simulated("panda", poses=8).session
+    np.testing.assert_array_equal(Readings.of(session).previous[1:], session.q[:-1])
+    some = session.at(np.array([0, 2, 5]))
+    np.testing.assert_array_equal(some.came_from, session.q[[0, 1, 4]])
+    said = replace(session, previous=session.q[::-1])
+    np.testing.assert_array_equal(Readings.of(said).at(slice(2, 4)).previous, session.q[::-1][2:4])

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from urdfcal.io.tables import MeasurementTable
-    from urdfcal.session.model import Measurements
+    from urdfcal.session.measurements import Measurements
 
 YAML, JOINTS, PIXELS, POINTS = "session.yaml", "joints.csv", "detections.csv", "points.csv"
 
@@ -305,7 +305,7 @@ def test_poses_leds_and_cameras_never_seen_are_named(folder: Path) -> None:
     cells(PIXELS, lambda _, row: row if row["led"] == "red" and row["camera"] == "left" else None)(folder)
     cells(PIXELS, lambda _, row: row if row["pose"] not in "36" else None)(folder)
     poses, leds, cameras = read_session(folder).warnings
-    assert poses.endswith("joints.csv: 2 of 8 poses have no measurement and do not count: 3, 6")
+    assert poses.endswith("joints.csv: 2 of 8 poses have no measurement: 3, 6")
     assert leds.endswith("session.yaml:5:1, key 'leds': never seen: blue")
     assert cameras.endswith("session.yaml:8:1, key 'cameras': these cameras see nothing: right")
 
@@ -318,7 +318,7 @@ def test_what_another_instrument_measured_is_not_unseen(both: Path) -> None:
     assert cameras.endswith("these cameras see nothing: right")
     cells(POINTS, lambda _, row: row if row["led"] == "red" and row["pose"] != "6" else None)(both)
     poses, leds, _ = read_session(both).warnings
-    assert poses.endswith("joints.csv: 1 of 8 poses have no measurement and do not count: 6")
+    assert poses.endswith("joints.csv: 1 of 8 poses have no measurement: 6")
     assert leds.endswith("never seen: blue")
 
 
@@ -356,7 +356,7 @@ def test_an_arm_on_its_way_may_be_out_of_view_half_of_the_time(moving: Path) -> 
     def unseen(kept: int) -> list[str]:
         write_moving(moving)
         cells(PIXELS, lambda i, row: row if i < 2 * kept else None)(moving)
-        return [text for text in read_session(moving).warnings if "do not count" in text]
+        return [text for text in read_session(moving).warnings if "no measurement" in text]
 
     assert unseen(FRAMES) == []
     assert "21 of 40" in unseen(FRAMES - 1)[0]

@@ -8,28 +8,23 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from urdfcal.estimation.blocks.base_pose import BASE
+from urdfcal.estimation.blocks.base_pose import base_keys
 from urdfcal.estimation.blocks.cameras import has_cameras, lens_key, pose_key
 from urdfcal.estimation.blocks.leds import LEDS
 from urdfcal.estimation.blocks.targets import target_key
 from urdfcal.estimation.diagnosis.residuals import Part
-from urdfcal.estimation.diagnosis.torque import gravity_torques
+from urdfcal.estimation.joint_models.linear import LinearJointModel
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
     from urdfcal.arrays import Floats
+    from urdfcal.estimation.joint_models import Readings
     from urdfcal.estimation.problem import Problem
     from urdfcal.estimation.state import State
-    from urdfcal.robot.mechanism import Joint, Mechanism
     from urdfcal.session.model import Session
 
 Movable = Literal["joint", "led", "target", "camera", "base"]
-
-# Joints that moved by less between poses did not move. [rad or m]
-_STILL = 1e-6
-# A joint that turns by less shows no harmonics: they look like a zero offset or a gear ratio. [rad]
-_TURN = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +33,7 @@ class Subject:
 
     Attributes:
         kind: of it.
-        name: of it; empty for the base.
+        name: of it; of the base that of the part of the session.
         columns: derivative (N, m D, k) of a kind of measurement by its motion.
     """
 
@@ -49,11 +44,9 @@ class Subject:
     @property
     def called(self) -> str:
         """What a sentence calls it."""
-        if self.kind == "joint":
-            return self.name
-        return (
-            "the robot's base" if self.kind == "base" else f"{'LED' if self.kind == 'led' else self.kind} {self.name!r}"
-        )
+        base = f"the robot's base in {self.name!r}" if self.name else "the robot's base"
+        words = {"led": f"LED {self.name!r}", "base": base, "joint": self.name}
+        return words.get(self.kind, f"{self.kind} {self.name!r}")
 
     def size(self, motion: Floats) -> str:
         """Say how far it moved; motion (1,) for a joint, (3,) for an LED, (6,) else. [rad or m]."""
@@ -91,30 +84,29 @@ def subjects(session: Session, problem: Problem, state: State) -> Iterator[Subje
     if has_cameras(state) and len(session.rig.names) > 1:
         for c, name in enumerate(session.rig.names):
             yield Subject("camera", name, partial(Part.by, key=pose_key(name), camera=c))
-    yield Subject("base", "", partial(Part.by, key=BASE))
+    for key, name in zip(base_keys(session.parts), session.parts, strict=True):
+        yield Subject("base", name, partial(Part.by, key=key))
 
 
 def effects(session: Session, problem: Problem, state: State) -> Iterator[Effect]:
     """List what a rigid arm between perfect joints, before perfect lenses, does not have."""
-    chain, q = problem.arm.chain, problem.readings.q
-    for j, joint in enumerate(chain.joints):
-        if joint.mimic is None:
-            yield from _joint_effects(j, joint, q[:, j])
-    tau = gravity_torques(session, chain, q)
-    if tau is not None:
-        yield from _torque_effects(chain, tau)
+    for model in problem.joint_models:
+        if isinstance(model, LinearJointModel):
+            yield from _joint_effects(model, problem.readings, state[model.key])
     for c, name in enumerate(session.rig.names if has_cameras(state) else ()):
+        if session.rig.lens[c] != c:
+            continue  # another's, which is tested
         what = f"the detections of camera {name!r} err with their place in the image: its intrinsics are not as given"
-        yield Effect(f"{name}: lens", partial(Part.by, key=lens_key(name), camera=c), partial(_say, what))
-        yield from _focal_effects(c, name, state)
+        yield Effect(f"{name}: lens", partial(Part.by, key=lens_key(name)), partial(_say, what))
+        yield from _focal_effects(name, state)
 
 
-def _focal_effects(c: int, name: str, state: State) -> Iterator[Effect]:
+def _focal_effects(name: str, state: State) -> Iterator[Effect]:
     """A focal length alone is found where all of a lens would need more evidence."""
     focal = state[lens_key(name)].intrinsics[:2, None]
 
     def longer(part: Part) -> Floats:
-        columns: Floats = part.by(lens_key(name), slice(0, 2), c) @ focal
+        columns: Floats = part.by(lens_key(name), slice(0, 2)) @ focal
         return columns
 
     def sentence(p: Floats) -> str:
@@ -130,54 +122,33 @@ def drifts(session: Session, problem: Problem, state: State) -> Iterator[Effect]
         yield Effect(f"{subject.called}: drift", partial(_drifted, subject, order), partial(_say_drift, subject))
 
 
-def _joint_effects(j: int, joint: Joint, q: Floats) -> Iterator[Effect]:
-    name, unit, turn = joint.name, "mm" if joint.prismatic else "mrad", np.ptp(q)
-    for h, times in ((1, "once"), (2, "twice")) if not joint.prismatic and turn > _TURN else ():
+def _joint_effects(model: LinearJointModel, readings: Readings, p: Floats) -> Iterator[Effect]:
+    """What a joint model would explain, joint by joint and, where they have it together, of all; not where it is in."""
+    features, joints = model.known_features(readings), model.mechanism.actuated_joints
+    out = (p == 0.0) & (np.ptp(features, axis=0) > 0.0)
+    columns: dict[str, Callable[[Part], Floats]] = {}
+    for j, joint in enumerate(joints):
+        for label, places in model.groups.items():
+            some = [k for k, of in enumerate(model.joints) if of == j]
+            some = [some[place] for place in places if some and out[some[place]]]
+            if some and model.shows(joint, readings.q[:, model.mechanism.names.index(joint.name)]):
+                columns[joint.name] = partial(_carried, model, some, readings)
+                yield Effect(f"{joint.name}: {label}", columns[joint.name], partial(model.sentence, joint, label))
+    if model.together and len(columns) > 1:
+        every = [k for k, name in enumerate(model.names_of_joints) if name in columns]
+        (label,) = model.groups
 
-        def harmonic(p: Floats, times: str = times) -> str:
-            return (
-                f"{name} errs with its own angle, {1e3 * np.hypot(*p):.2g} mrad, {times} a turn: encoder eccentricity, "
-                "or the gear's error"
-            )
+        def all_of_them(sizes: Floats) -> str:
+            return model.sentence_of_all("the joints", 1e3 * float(np.abs(sizes * features[:, every]).max()))
 
-        yield Effect(f"{name}: harmonic {h}", _by_joint(j, np.stack([np.sin(h * q), np.cos(h * q)], axis=1)), harmonic)
-    if turn > 0.0:
-        step = np.diff(q, prepend=q[:1])
-
-        def gain(p: Floats) -> str:
-            return f"{name} moves {1e2 * p[0]:+.2g} % more than it reads: gear ratio, or screw pitch"
-
-        def approach(p: Floats) -> str:
-            return f"{name} is {2e3 * abs(p[0]):.2g} {unit} apart between approaches from its two sides: backlash"
-
-        yield Effect(f"{name}: gain", _by_joint(j, (q - q.mean())[:, None]), gain)
-        yield Effect(
-            f"{name}: approach", _by_joint(j, np.sign(np.where(np.abs(step) > _STILL, step, 0.0))[:, None]), approach
-        )
+        yield Effect(f"all joints: {label}", partial(_carried, model, every, readings), all_of_them)
 
 
-def _torque_effects(chain: Mechanism, tau: Floats) -> Iterator[Effect]:
-    moved = [j for j in range(len(chain.joints)) if np.ptp(tau[:, j]) > 0.0]
-    columns = {j: _by_joint(j, tau[:, [j]]) for j in moved}
-    for j, of in columns.items():
-
-        def yields(p: Floats, name: str = chain.names[j]) -> str:
-            return f"{name} yields under the arm's weight, {abs(p[0]):.1e} rad/(N m): the arm bends"
-
-        yield Effect(f"{chain.names[j]}: torque", of, yields)
-
-    def all_yield(p: Floats) -> str:
-        most = 1e3 * float(np.abs(p * np.abs(tau[:, moved]).max(axis=0)).max())
-        return f"the joints yield under the arm's weight, by up to {most:.2g} mrad: the arm bends"
-
-    yield Effect(
-        "all joints: torque", lambda part: np.concatenate([of(part) for of in columns.values()], axis=-1), all_yield
-    )
-
-
-def _by_joint(joint: int, values: Floats) -> Callable[[Part], Floats]:
-    """Columns of a joint that errs by values (poses, k) times k sizes."""
-    return lambda part: part.by_joint(joint) * values[part.pose][:, None, :]
+def _carried(model: LinearJointModel, some: Sequence[int], readings: Readings, part: Part) -> Floats:
+    """Columns (N, m D, k) of some parameters of a joint model."""
+    by_model = model.jacobian(readings.at(part.pose), model.nominal)[..., some]
+    columns: Floats = part.at.J_q @ by_model
+    return columns
 
 
 def _drifted(subject: Subject, order: Floats, part: Part) -> Floats:

@@ -137,7 +137,9 @@ def _joint_trials(session: Session) -> Iterator[Mending]:
         def values(q: Floats) -> Floats:
             return chain.joint_values(change(chain.readings(q)))
 
-        return replace(session, q=values(session.q), motion=session.motion.read_otherwise(values))
+        return replace(
+            session, q=values(session.q), torques=None, previous=None, motion=session.motion.read_otherwise(values)
+        )
 
     each = np.arange(len(chain.actuated))
     for j, name in enumerate(chain.actuated):
@@ -205,4 +207,13 @@ def _on(session: Session, link: str) -> Session:
     if not set(chain.names) <= set(session.chain.names):
         raise CalibrationError("a joint of it has no reading")
     own = partial(np.take, indices=[session.chain.names.index(name) for name in chain.names], axis=1)
-    return replace(session, chain=chain, q=own(session.q), motion=session.motion.read_otherwise(own))
+    return replace(
+        session,
+        chain=chain,
+        q=own(session.q),
+        torques=None,
+        previous=None,
+        joint_models={},
+        gear_ratio={},
+        motion=session.motion.read_otherwise(own),
+    )

@@ -2,17 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from urdfcal.errors import SessionError
-from urdfcal.estimation.joint_models.base import JointModel, Readings
+from urdfcal.estimation.joint_models.backlash import Backlash
+from urdfcal.estimation.joint_models.base import JointModel, Readings, Term
+from urdfcal.estimation.joint_models.compliance import Compliance
+from urdfcal.estimation.joint_models.gain import Gain
+from urdfcal.estimation.joint_models.harmonics import Harmonics
+from urdfcal.estimation.joint_models.lag import Lag
+from urdfcal.estimation.joint_models.linear import LinearJointModel
+from urdfcal.estimation.joint_models.motor_harmonics import MotorHarmonics
 from urdfcal.estimation.joint_models.time_offset import TimeOffsets
+from urdfcal.estimation.joint_models.torque_basis import TorqueBasis
 from urdfcal.estimation.joint_models.zero_offset import ZeroOffsets
 
 if TYPE_CHECKING:
     from urdfcal.session.model import Positions
 
-JOINT_MODELS: tuple[type[JointModel], ...] = (ZeroOffsets, TimeOffsets)
+JOINT_MODELS: tuple[type[JointModel], ...] = (
+    ZeroOffsets,
+    TimeOffsets,
+    Compliance,
+    TorqueBasis,
+    Lag,
+    Gain,
+    Harmonics,
+    MotorHarmonics,
+    Backlash,
+)
 """Every joint model there is. A new one is a file of its own and a name here."""
 
 
@@ -23,6 +42,11 @@ def joint_models_of(session: Positions) -> tuple[JointModel, ...]:
         SessionError: one that the session switches on does not apply to it.
     """
     models = {kind.name: kind.of(session) for kind in JOINT_MODELS}
+    for name, said in session.joint_models.items():
+        if isinstance(said, Mapping) and not isinstance(models[name], LinearJointModel | None):
+            raise SessionError(
+                f"{name} is not a matter of single joints", where="joint_models", remedy="Write on or off."
+            )
     for name, model in models.items():
         if model is None and session.joint_models.get(name):
             raise SessionError(
@@ -33,4 +57,4 @@ def joint_models_of(session: Positions) -> tuple[JointModel, ...]:
     return tuple(model for model in models.values() if model is not None)
 
 
-__all__ = ["JOINT_MODELS", "JointModel", "Readings", "joint_models_of"]
+__all__ = ["JOINT_MODELS", "JointModel", "Readings", "Term", "joint_models_of"]

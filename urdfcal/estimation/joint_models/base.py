@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar
 
@@ -13,6 +13,8 @@ from urdfcal.estimation.blocks.arm import no_offsets
 from urdfcal.estimation.blocks.base import VectorBlock
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
     from typing_extensions import Self
 
     from urdfcal.arrays import Bools, Floats, Ints
@@ -29,11 +31,24 @@ class Readings:
         q: (N, n) readings of all joints of the mechanism, mimic joints included. [rad or m]
         pose: (N,) index of each pose in the session.
         motion: of the arm at these poses: at rest, or moving while it is filmed.
+        part: (N,) of the session that each pose belongs to.
+        torques: (N, n) measured joint torques, None where there are none. [N m or N]
+        previous: (N, n) readings where the arm came from, None where that is not known. [rad or m]
     """
 
     q: Floats
     pose: Ints
     motion: Motion
+    part: Ints
+    torques: Floats | None = None
+    previous: Floats | None = None
+    _known: dict[str, Floats] = field(default_factory=dict, init=False, repr=False)
+
+    @classmethod
+    def of(cls, session: Positions) -> Readings:
+        """Take all poses of a session."""
+        poses = np.arange(len(session.poses))
+        return cls(session.q, poses, session.motion, session.part, session.torques, session.came_from)
 
     @cached_property
     def unit(self) -> Ints:
@@ -42,7 +57,32 @@ class Readings:
 
     def at(self, poses: slice | Bools | Ints) -> Readings:
         """Return the readings of some of the poses."""
-        return Readings(self.q[poses], self.pose[poses], self.motion.at(np.arange(len(self.q))[poses]))
+        torques, previous = (None if of is None else of[poses] for of in (self.torques, self.previous))
+        motion = self.motion.at(np.arange(len(self.q))[poses])
+        some = Readings(self.q[poses], self.pose[poses], motion, self.part[poses], torques, previous)
+        some._known.update({key: values[poses] for key, values in self._known.items()})
+        return some
+
+    def once(self, key: str, compute: Callable[[Readings], Floats]) -> Floats:
+        """Return what depends on the readings alone, (N, ...), computed when it is first asked for."""
+        if key not in self._known:
+            self._known[key] = compute(self)
+        return self._known[key]
+
+
+@dataclass(frozen=True)
+class Term:
+    """A joint model of some joints, chosen because the measurements speak for it.
+
+    Attributes:
+        model: its name.
+        joints: names of the joints.
+        scale: of its priors' standard deviations.
+    """
+
+    model: str
+    joints: tuple[str, ...]
+    scale: float = 1.0
 
 
 class JointModel(VectorBlock):
@@ -76,7 +116,18 @@ class JointModel(VectorBlock):
         """
         said = session.joint_models.get(cls.name)
         usual = cls.enabled(session, geometry)
-        return usual if said is None else said and (usual or geometry != "none")
+        return usual if said is None else bool(said) and (usual or geometry != "none")
+
+    def block(self, session: Positions, geometry: str, terms: Sequence[Term]) -> Self | None:
+        """Return the block as it is estimated; None where it is not.
+
+        Args:
+            session: what it says of the model.
+            geometry: of the arm.
+            terms: of this model, chosen beside what the session says.
+        """
+        del terms
+        return self if self.estimated(session, geometry) else None
 
     @abstractmethod
     def values(self, readings: Readings, p: Floats) -> Floats:

@@ -62,7 +62,7 @@ class ZeroOffsets(JointModel):
     @classmethod
     def estimated(cls, session: Positions, geometry: str) -> bool:
         """Return whether zero offsets have parameters of their own: switched on beside DH rows they are theta's."""
-        return cls.enabled(session, geometry) and session.joint_models.get(cls.name, True)
+        return cls.enabled(session, geometry) and bool(session.joint_models.get(cls.name, True))
 
     def values(self, readings: Readings, p: Floats) -> Floats:
         """Return the offsets, the same at every pose."""

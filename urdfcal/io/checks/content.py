@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from urdfcal.arrays import Floats
     from urdfcal.io.checks.plausibility import Inputs
     from urdfcal.io.tables import MeasurementTable
-    from urdfcal.session.model import Measurements
+    from urdfcal.session.measurements import Measurements
 
 # One bad pixel, or one in twenty, is an error of its own, and the others are worth having; more have a cause.
 _FEW = 0.05
@@ -227,7 +227,7 @@ def unseen(inputs: Inputs) -> Iterator[str]:
     blind = [pose for k, pose in enumerate(labels) if k not in seen and pose not in excluded.poses]
     if len(blind) > (0 if inputs.frames is None else _MOST * len(labels)):
         path = (inputs.frames or inputs.joints).table.path
-        yield f"{path}: {len(blind)} of {len(labels)} poses have no measurement and do not count: {listed(blind)}"
+        yield f"{path}: {len(blind)} of {len(labels)} poses have no measurement: {listed(blind)}"
     positions, names = inputs.positions, inputs.positions.led_names
     leds = {names[i] for i in _named(tables, "led")} | set(excluded.leds)
     if dark := [led.name for led in positions.leds if led.name not in leds]:

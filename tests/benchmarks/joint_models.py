@@ -1,0 +1,272 @@
+"""Whether joint models are found where they are, and only there.
+
+    python -m tests.benchmarks.joint_models [--seeds 10] [--poses 60] [--rigs ur5 panda so101] [--worlds rigid gain]
+    python -m tests.benchmarks.joint_models --measured ../shared/data
+    python -m tests.benchmarks.joint_models --speed 5000
+
+Simulated: every world is a rig of which the joints are not where they are read, in one way or in all of them; `auto` is
+the calibration that chooses. Printed for each world and rig, root mean squares over the seeds:
+
+- bound: the tip's error over the workspace that is to be expected of the true model with tolerances, and with the size
+  of what is wrong with the joints, as priors (Cramer-Rao);
+- auto, true, off: the tip's error of the calibration that chooses, of the one with the true model switched on, and of
+  the rigid one. Readings of the workspace are as good as the session's: each pose is reached from the one before;
+- held: share of the chosen models' parameters within their 95 % intervals;
+- found: how often models were chosen that are there, and, after the comma, that are not.
+
+Required: auto at most 1.2 times the bound; of rigid arms at most 1.03 times off, and nothing chosen in 95 %.
+
+Measured: from one UR10 session to the other, and left-out regions, with and without joint models.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tests.benchmarks.accuracy import information_of
+from tests.states import true_state_of
+from tests.worlds import seen
+from urdfcal.arrays import rms
+from urdfcal.errors import UrdfcalError
+from urdfcal.estimation.alignment import kabsch
+from urdfcal.estimation.blocks.arm import ARM
+from urdfcal.estimation.evaluation import explain
+from urdfcal.estimation.identifiability import identify
+from urdfcal.estimation.joint_models import JOINT_MODELS, Readings
+from urdfcal.estimation.joint_models.linear import LinearJointModel
+from urdfcal.estimation.model_spec import ModelSpec
+from urdfcal.estimation.parameters import choose_parameters
+from urdfcal.estimation.problem import Problem
+from urdfcal.estimation.solver import solve
+from urdfcal.estimation.uncertainty import _aligned
+from urdfcal.io.folder import read_rig, read_session
+from urdfcal.io.shipped_rigs import find_rig
+from urdfcal.pipeline import calibrate
+from urdfcal.robot.kinematics import tip_poses
+from urdfcal.robot.tree_dh import rows_of
+from urdfcal.session.knowledge import Estimate
+from urdfcal.session.trajectory import AT_REST
+from urdfcal.simulation.simulate import draw_offsets, simulate
+
+if TYPE_CHECKING:
+    from urdfcal.arrays import Floats
+    from urdfcal.result.fitted import FittedCalibration
+    from urdfcal.session.model import Session
+    from urdfcal.simulation.simulate import Simulated
+
+WORKSPACE = 500
+SPREAD_DRAWS = 1000
+AS_GIVEN = Estimate("dh", "fixed", "fixed")
+LINEAR = tuple(model for model in JOINT_MODELS if issubclass(model, LinearJointModel))
+OFF = {model.name: False for model in LINEAR}
+
+
+def draw(model: LinearJointModel, rng: np.random.Generator) -> Floats:
+    """What is wrong with every joint (gain: with one), in realistic sizes."""
+    k = len(model)
+    if model.name == "compliance":
+        return rng.uniform(1e-5, 7e-5, k) * np.where(np.array(model.units) == "m/N", 0.02, 1.0)
+    if model.name == "lag":
+        return -rng.uniform(1e-4, 5e-4, k)
+    if model.name == "gain":
+        return np.where(np.arange(k) == rng.integers(k), rng.choice([-1e-3, 1e-3]), 0.0)
+    if model.name == "backlash":
+        return -0.5 * rng.uniform(1e-4, 1e-3, k) * np.where(np.array(model.units) == "m", 0.1, 1.0)
+    amplitude, phase = rng.uniform(1e-4, 1e-3, (k // 4, 2)) * [1.0, 0.3], rng.uniform(0.0, 2.0 * np.pi, (k // 4, 2))
+    return np.stack([amplitude * np.sin(phase), amplitude * np.cos(phase)], axis=2).reshape(-1)
+
+
+@dataclass(frozen=True)
+class World:
+    """A simulated session whose joints are not where they are read.
+
+    Attributes:
+        data: the session, as it was measured, and the truth.
+        p: what is wrong, by the model's name.
+    """
+
+    data: Simulated
+    p: dict[str, Floats]
+
+    @classmethod
+    def of(cls, rig: str, seed: int, poses: int, names: tuple[str, ...]) -> World:
+        data = simulate(read_rig(find_rig(rig)), poses=poses, seed=seed)
+        rng, readings, q = np.random.default_rng([7, seed]), Readings.of(data.session), data.truth.q
+        p: dict[str, Floats] = {}
+        for model in models(data.session):
+            if model.name in names:
+                p[model.name] = draw(model, rng)
+                q = q + model.values(readings, p[model.name])
+        return cls(replace(data, session=seen(data, q)), p)
+
+    def session(self, **joint_models: object) -> Session:
+        return replace(self.data.session, estimate=AS_GIVEN, joint_models=joint_models)
+
+    @property
+    def true_models(self) -> dict[str, object]:
+        """What the session would say of joint models if it knew."""
+        known = {model.name: model for model in models(self.data.session)}
+        on = {name: dict.fromkeys(np.array(known[name].names_of_joints)[p != 0.0], True) for name, p in self.p.items()}
+        return {
+            **OFF,
+            **{name: {**dict.fromkeys(known[name].names_of_joints, False), **said} for name, said in on.items()},
+        }
+
+    def joint_values(self, readings: Readings) -> Floats:
+        q = readings.q
+        for model in models(self.data.session):
+            if model.name in self.p:
+                q = q + model.values(readings, self.p[model.name])
+        return q
+
+    def bound(self) -> float:
+        """The tip's rms error that is to be expected of the true model. [m]"""
+        session = self.session(**self.true_models)
+        table = rows_of(session.chain)
+        problem = Problem.of(session, table)
+        keys = {model.name: model.key for model in problem.joint_models}
+        state = true_state_of(self.data).replace({keys[name]: p for name, p in self.p.items()})
+        spec = ModelSpec("dh", ("fixed",) * 2, ("fixed",) * 2)
+        parameters = identify(problem, state, choose_parameters(session, problem, state, spec)).parameters
+        prior = np.array(parameters.prior)
+        rng = np.random.default_rng(0)
+        spread = np.sqrt(np.mean([draw_offsets(table, rng) ** 2 for _ in range(SPREAD_DRAWS)], axis=0))
+        drawn = prior.copy()
+        drawn[parameters.columns(ARM)] = [spread[row, table.columns.index(name)] for row, name in table.parameters]
+        for name, p in self.p.items():
+            where = parameters.columns(keys[name])
+            prior[where] = drawn[where] = rms(p[p != 0.0])
+        on = parameters.active
+        L = np.diag(prior[on] ** -2.0)
+        pull = L @ np.where(np.isfinite(prior[on]), drawn[on], 0.0)[:, None]
+        information = information_of(problem, state, parameters)
+        H = np.linalg.inv(information + L)
+        covariance = H @ (information + pull * np.eye(len(L)) * pull.T) @ H
+        A, _ = _aligned(problem, SimpleNamespace(parameters=parameters, state=state), 0)
+        return float(np.sqrt(np.einsum("nij,jk,nik->", A, covariance, A) / len(A)))
+
+    def error(self, calibration: FittedCalibration) -> float:
+        """The tip's rms error over the workspace, the best alignment at the base. [m]"""
+        chain = calibration.chain
+        q = chain.random_values(WORKSPACE, np.random.default_rng(1))
+        readings = Readings(q, np.arange(len(q)), AT_REST, previous=np.roll(q, 1, axis=0))
+        found = calibration.problem.joint_values(readings, calibration.fit.state)
+        here = tip_poses(chain.with_placements(calibration.placements), found)[:, :3, 3]
+        true = tip_poses(chain.with_placements(self.data.truth.placements), self.joint_values(readings))[:, :3, 3]
+        T = kabsch(here, true)
+        return rms(np.linalg.norm(here @ T[:3, :3].T + T[:3, 3] - true, axis=1))
+
+    def held(self, calibration: FittedCalibration) -> list[bool]:
+        """Which of the chosen models' parameters are within their intervals."""
+        fit, found = calibration.fit, []
+        for model in models(self.data.session):
+            where, active = fit.parameters.active_columns(model.key)
+            if active.any():
+                true = self.p.get(model.name, model.nominal)
+                sigma = np.sqrt(np.diag(fit.covariance))[where]
+                found += (np.abs(fit.state[model.key] - true)[active] < 1.96 * sigma).tolist()
+        return found
+
+
+def models(session: Session) -> list[LinearJointModel]:
+    return [model for kind in LINEAR if (model := kind.of(session)) is not None]
+
+
+def chosen(calibration: FittedCalibration) -> set[str]:
+    return {term.model for term in calibration.comparison.chosen.spec.terms}
+
+
+def simulated(rigs: list[str], worlds: list[str], seeds: int, poses: int) -> None:
+    print("tip, mm                      bound      auto  auto/bound      true       off  auto/off  held   found")
+    for name in worlds:
+        names = tuple(OFF) if name == "together" else () if name == "rigid" else (name,)
+        for rig in rigs:
+            rows, held, hits, false, nothing = [], [], 0, 0, 0
+            for seed in range(seeds):
+                world = World.of(rig, seed, poses, names)
+                auto, true, off = (
+                    calibrate(world.session(**said), force=True) for said in ({}, world.true_models, OFF)
+                )
+                rows.append([world.bound(), *(world.error(of) for of in (auto, true, off))])
+                held += world.held(auto)
+                hits += len(chosen(auto) & set(names))
+                false += len(chosen(auto) - set(names))
+                nothing += not chosen(auto)
+            bound, auto, true, off = 1e3 * np.sqrt(np.mean(np.square(rows), axis=0))
+            print(f"{name:14} {rig:10} {bound:9.4f} {auto:9.4f} {auto / bound:11.3f} {true:9.4f} {off:9.4f}", end="")
+            print(
+                f" {auto / off:9.3f} {np.mean(held) if held else np.nan:6.3f}  {hits} of {len(names) * seeds},", end=""
+            )
+            print(f" {false}; nothing {nothing} of {seeds}", flush=True)
+
+
+def measured(folder: Path) -> None:
+    sessions = {name: read_session(folder / f"ur10_{name}") for name in ("spread", "cubes")}
+    for a, b in (("spread", "cubes"), ("cubes", "spread")):
+        for words, said in (("auto", {}), ("off", OFF)):
+            calibration = calibrate(replace(sessions[a], joint_models=said), force=True)
+            known = {m.key: calibration.fit.state[m.key] for m in calibration.problem.joint_models}
+            chain = calibration.chain.with_placements(calibration.placements)
+            (residual,) = explain(chain, sessions[b], known=known).residuals
+            elsewhere = 1e3 * calibration.evidence.regions.rms
+            print(f"ur10 {a} -> {b} {words:5} {1e3 * rms(np.linalg.norm(residual, axis=1)):.3f} mm", end="")
+            print(f"   left-out regions {elsewhere:.3f} mm  {', '.join(sorted(chosen(calibration)))}", flush=True)
+    for name in ("irb120_liaowu", "motoman_right", "panda_sockets"):
+        for words, said in (("auto", {}), ("off", OFF)):
+            try:
+                session = read_session(folder / name)
+            except UrdfcalError as error:
+                print(f"{name}: {error}")
+                break
+            calibration = calibrate(replace(session, joint_models=said), force=True)
+            held_out = 1e3 * calibration.comparison.chosen.rms("distance")
+            print(
+                f"{name} {words:5} held out {held_out:.3f} mm, regions {1e3 * calibration.evidence.regions.rms:.3f}",
+                end="",
+            )
+            print(f" mm  {', '.join(sorted(chosen(calibration)))}", flush=True)
+
+
+def speed(poses: int) -> None:
+    """Time one solve of the rigid arm, and of one with compliance."""
+    data = simulate(read_rig(find_rig("ur5")), poses=poses, seed=0)
+    spec = ModelSpec("dh", ("fixed",) * 2, ("fixed",) * 2)
+    taken = {}
+    for words, on in (("rigid", False), ("compliance", True)) * 2:
+        session = replace(data.session, joint_models={**OFF, "compliance": on})
+        problem = Problem.of(session, rows_of(session.chain))
+        state = true_state_of(data)
+        start = state.replace({ARM: np.zeros_like(state[ARM])})
+        parameters = identify(problem, start, choose_parameters(session, problem, start, spec)).parameters
+        before = time.perf_counter()
+        solve(problem, start, parameters)
+        taken[words] = time.perf_counter() - before
+    print(f"{poses} poses: rigid {taken['rigid']:.3f} s, with compliance {taken['compliance'] / taken['rigid']:.2f} x")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--poses", type=int, default=60)
+    parser.add_argument("--rigs", nargs="*", default=["ur5", "panda", "so101"])
+    parser.add_argument("--worlds", nargs="*", default=["rigid", *OFF, "together"])
+    parser.add_argument("--measured", type=Path)
+    parser.add_argument("--speed", type=int)
+    arguments = parser.parse_args()
+    if arguments.measured:
+        measured(arguments.measured)
+    elif arguments.speed:
+        speed(arguments.speed)
+    else:
+        simulated(arguments.rigs, arguments.worlds, arguments.seeds, arguments.poses)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,186 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from tests.worlds import backlash, gain, harmonic, sagging, seen
+from urdfcal.estimation.alignment import kabsch
+from urdfcal.estimation.evaluation import explain
+from urdfcal.estimation.joint_model_choice import Alternatives, _transfers
+from urdfcal.estimation.joint_models import JOINT_MODELS, Readings
+from urdfcal.estimation.joint_models.linear import LinearJointModel
+from urdfcal.estimation.uncertainty import tip_error
+from urdfcal.estimation.validation import hold_out, random_folds
+from urdfcal.io.folder import read_session
+from urdfcal.pipeline import calibrate
+from urdfcal.robot.gravity import masses_of
+from urdfcal.robot.kinematics import tip_poses
+from urdfcal.session.knowledge import Estimate
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from urdfcal.result.fitted import FittedCalibration
+    from urdfcal.session.model import Session
+
+LINEAR = tuple(model for model in JOINT_MODELS if issubclass(model, LinearJointModel))
+OFF = {model.name: False for model in LINEAR}
+AS_GIVEN = Estimate("dh", "fixed", "fixed")
+
+
+def calibrated(session: Session, **joint_models: object) -> FittedCalibration:
+    return calibrate(replace(session, estimate=AS_GIVEN, joint_models=joint_models), force=True)
+
+
+def chosen(calibration: FittedCalibration) -> dict[str, set[str]]:
+    found: dict[str, set[str]] = {}
+    for term in calibration.comparison.chosen.spec.terms:
+        found.setdefault(term.model, set()).update(term.joints)
+    return found
+
+
+def lagging(data, size: float):
+    readings = Readings.of(data.session)
+    return seen(data, data.truth.q - size * (readings.q - readings.previous))
+
+
+WORLDS: dict[str, tuple[Callable, float, str | None]] = {
+    "compliance": (sagging, 3e-5, None),
+    "lag": (lagging, 5e-4, None),
+    "gain": (partial(gain, share=0.33), 1e-3, "panda_joint3"),
+    "harmonics": (partial(harmonic, share=0.5, order=1), 1e-3, "panda_joint4"),
+    "backlash": (partial(backlash, share=0.2), 1.5e-3, "panda_joint2"),
+}
+
+
+@pytest.mark.parametrize("model", WORLDS)
+def test_what_an_arm_does_is_chosen_and_nothing_else(model: str, simulated: Callable) -> None:
+    make, size, joint = WORLDS[model]
+    calibration = calibrated(make(simulated("panda", poses=60), size))
+    found = chosen(calibration)
+    assert set(found) == {model}
+    if joint is not None:
+        assert found[model] == {joint}
+
+
+@pytest.mark.parametrize("rig", ["ur5", "stanford", "so101", "tiago_dual"])
+def test_a_rigid_arm_stays_rigid(rig: str, simulated: Callable) -> None:
+    calibration = calibrated(simulated(rig, poses=60).session)
+    assert chosen(calibration) == {}
+    assert not any(trial.included for trial in calibration.comparison.chosen.joint_models)
+
+
+def test_what_is_switched_off_is_not_chosen(simulated: Callable) -> None:
+    session = sagging(simulated("panda", poses=60), 3e-5)
+    assert "compliance" not in chosen(calibrated(session, compliance=False))
+    assert not calibrated(session, **OFF).comparison.chosen.joint_models
+
+
+def test_what_is_switched_on_for_a_joint_is_estimated_of_it_alone(simulated: Callable) -> None:
+    session = simulated("panda", poses=40).session
+    calibration = calibrated(session, **{**OFF, "harmonics": {"panda_joint2": True, "panda_joint3": False}})
+    (block,) = [block for block in calibration.fit.parameters.blocks if block.key.name == "harmonics"]
+    on = np.array(block.names)[block.active]
+    assert {name.split(".")[0] for name in on} == {"panda_joint2"}
+    assert {entry.name for entry in calibration.document.parameters} == set(on)
+
+
+def test_an_estimate_without_a_model_tells_what_one_with_it_would_be(simulated: Callable) -> None:
+    # All that is chosen is chosen by linear algebra: it must agree with estimates made anew.
+    session = sagging(simulated("panda", poses=60), 5e-6)
+    rigid, elastic = (calibrated(session, **{**OFF, "compliance": on}) for on in (False, True))
+    told = Alternatives.of(replace(session, joint_models={}), rigid.problem, rigid.fit, (), 0)
+    (term,) = told.alike("compliance")
+    for terms, real in (((), rigid), ((term,), elastic)):
+        inside, *_ = told.errors(terms)
+        held_out = hold_out(real.problem, real.fit, random_folds(real.problem, 0))
+        again = np.sqrt(np.mean(held_out.distance[0][real.fit.kept[0]] ** 2))
+        assert np.sqrt(np.mean(inside)) == pytest.approx(again, rel=0.05)
+    assert told.log_evidence(()) == 0.0
+
+
+def test_a_parameter_that_is_not_certain_makes_the_tip_uncertain(simulated: Callable) -> None:
+    session = sagging(simulated("panda", poses=30), 3e-5)
+    elastic = calibrated(session, **{**OFF, "compliance": True})
+    expected, _ = tip_error(elastic.problem, elastic.fit)
+    fit = elastic.fit
+    where, _ = fit.parameters.active_columns(
+        next(m for m in elastic.problem.joint_models if m.name == "compliance").key
+    )
+    sharper = np.array(fit.information)
+    sharper[where, where] += 1e16 * np.eye(where.stop - where.start)  # as if it were known exactly
+    known, _ = tip_error(elastic.problem, replace(fit, information=sharper))
+    assert known < expected
+
+
+def test_what_a_model_brings_is_told_of_each_joint_and_in_other_regions(simulated: Callable) -> None:
+    data = simulated("panda", poses=60)
+    trials = {trial.term.model: trial for trial in calibrated(sagging(data, 3e-5)).comparison.chosen.joint_models}
+    sag, harmonics = trials["compliance"], trials["harmonics"]
+    assert sag.included
+    assert min(sag.inside, sag.elsewhere) > 1e-4
+    assert sag.log_evidence > 20.0
+    # The shoulder carries most of the arm, the wrist little of it.
+    assert sag.by_joint["panda_joint2"] > 1e-4 > abs(sag.by_joint["panda_joint6"])
+    assert not harmonics.included
+    assert not harmonics.by_joint
+    assert abs(harmonics.inside) < 1e-4
+
+
+def test_what_a_urdf_cannot_hold_is_said(simulated: Callable) -> None:
+    data = simulated("panda", poses=60)
+    calibration = calibrated(sagging(data, 3e-5))
+    (said,) = [reason for reason in calibration.warnings if "URDF cannot hold it" in reason]
+    assert said.startswith("sag of the joints under the arm's weight, by up to 1.")
+    # Against the truth: the calibrated arm at the readings, and at where gravity truly takes the joints.
+    chain = calibration.chain.with_placements(calibration.placements)
+    sag = -3e-5 * masses_of(data.session.urdf, data.session.chain).torques(data.session.q)
+    here, true = (tip_poses(chain, data.session.q + of)[:, :3, 3] for of in (0.0, sag))
+    T = kabsch(here, true)
+    loss = np.sqrt(np.mean(np.sum((here @ T[:3, :3].T + T[:3, 3] - true) ** 2, axis=1)))
+    assert calibration.evidence.rigid_loss == pytest.approx(loss, rel=0.1)
+    assert f"{1e3 * calibration.evidence.rigid_loss:.2g} mm rms" in said
+    assert not [reason for reason in calibrated(data.session).warnings if "URDF cannot hold it" in reason]
+
+
+def test_gears_of_one_kind_have_play_together(simulated: Callable) -> None:
+    # None of the six is certain alone, and a lag would explain half of it.
+    data = simulated("ur5", poses=60)
+    (model,) = [kind.of(data.session) for kind in LINEAR if kind.name == "backlash"]
+    size = np.random.default_rng(0).uniform(1e-4, 4e-4, len(model))
+    session = seen(data, data.truth.q - model.values(Readings.of(data.session), size))
+    (term,) = calibrated(session).comparison.chosen.spec.terms
+    assert term.model == "backlash"
+    assert term.joints == session.chain.names
+
+
+@pytest.mark.parametrize(
+    ("joints", "tips", "borne_out"),
+    [
+        ([1.0, 1.1, 0.9], [1.0, 1.1, 0.9], True),
+        ([1.0, 1.1, 0.9], [1.6, 1.5, 1.4], False),  # of one kind of regions alone
+        ([0.1, 2.0, 0.9], [1.0, 1.1, 0.9], False),  # within one standard error
+    ],
+)
+def test_left_out_regions_of_both_kinds_bear_a_model_out(
+    joints: list[float], tips: list[float], borne_out: bool
+) -> None:
+    before = [np.full(3, 1.5)] * 3
+    assert _transfers(before, [np.full(3, 9.0), np.array(joints), np.array(tips)]) is borne_out
+
+
+@pytest.mark.parametrize(("here", "there", "most"), [("spread", "cubes", 0.62e-3), ("cubes", "spread", 0.53e-3)])
+def test_a_measured_ur10_holds_in_another_region(here: str, there: str, most: float, shared: Path) -> None:
+    # As drawn 0.78 and 0.98 mm, rigid 0.80 and 0.63 mm.
+    calibration = calibrate(read_session(shared / f"ur10_{here}"))
+    assert "compliance" in chosen(calibration)
+    assert "harmonics" not in chosen(calibration)
+    known = {model.key: calibration.fit.state[model.key] for model in calibration.problem.joint_models}
+    chain = calibration.chain.with_placements(calibration.placements)
+    (residual,) = explain(chain, read_session(shared / f"ur10_{there}"), known=known).residuals
+    assert np.sqrt(np.mean(np.sum(residual**2, axis=1))) < most

@@ -1,0 +1,387 @@
+"""Choose joint models by what they explain, and by what they predict where nothing was measured (METHOD 13).
+
+All of it on the derivatives at an estimate: a model that is not in it has a column for each of its parameters, and what
+an estimate with it would be follows from linear algebra. Only what is chosen is estimated anew.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from urdfcal.arrays import ReadOnly, one_blas_thread, rms
+from urdfcal.estimation.joint_models import Term
+from urdfcal.estimation.joint_models.linear import LinearJointModel
+from urdfcal.estimation.linearize import Tangent
+from urdfcal.estimation.noise import find_noise
+from urdfcal.estimation.regions import joint_regions, tip_regions
+from urdfcal.estimation.validation import random_folds
+from urdfcal.estimation.whitening import Whitening, joint_noise
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from urdfcal.arrays import Bools, Floats, Ints
+    from urdfcal.estimation.problem import Problem
+    from urdfcal.estimation.solver import Solution
+    from urdfcal.estimation.state import State
+    from urdfcal.session.model import Session
+
+# More poses say the same, only surer, and cost a pass over all.
+_MOST_POSES = 1000
+# What the logarithm of the evidence must gain: odds of twenty.
+_EVIDENCE = 3.0
+# Priors' standard deviations are tried as they are, and wider: joints of cheap arms are worse than those of good ones.
+_SCALES = (1.0, 5.0, 25.0)
+# ... for that, the logarithm of the evidence must gain a little.
+_RESCALED = 1.0
+# Share of the largest feature below which there is none.
+_NOTHING = 1e-9
+_RIDGE = 1e-12
+_REJECTED = 1e-12
+
+
+@dataclass(frozen=True)
+class JointModelTrial:
+    """What a joint model of some joints brings.
+
+    Attributes:
+        term: the model, its joints and the scale of its priors.
+        included: whether it is part of the estimate.
+        log_evidence: of the estimate with it, less that of the one without it.
+        inside: how much nearer poses left out at random are predicted with it, root mean square. [m]
+        elsewhere: the same of left-out regions. [m]
+        by_joint: what of ``inside`` is lost without a joint's part, for each joint of a model that is included. [m]
+    """
+
+    term: Term
+    included: bool
+    log_evidence: float
+    inside: float
+    elsewhere: float
+    by_joint: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class _Unit:
+    """A joint model of one joint, or of all together, that can be chosen.
+
+    Attributes:
+        term: at the scale that it has.
+        columns: (K,) which of all models' parameters are its own.
+        forced: whether the session switches it on.
+        on: whether it is part of the estimate.
+        certain: what the evidence must gain that it is chosen although left-out regions do not bear it out.
+    """
+
+    term: Term
+    columns: Bools
+    forced: bool
+    on: bool
+    certain: float
+
+
+@dataclass(frozen=True, eq=False)
+class Alternatives:
+    """An estimate, and what it would be with or without joint models, to first order.
+
+    Attributes:
+        units: what can be chosen: a model of one joint, or of all together.
+        owner: (K,) the model and the joint that each of all models' parameters belongs to.
+        sigma: (K,) standard deviations of these, at scale 1.
+        divisions: of the poses: folds, clusters of joint space, clusters of tips.
+        prior: (P + 1, P + 1) products of the prior's rows, of the estimate's own P parameters and the residual.
+        share: of the poses that are independent of each other.
+    """
+
+    units: tuple[_Unit, ...]
+    owner: tuple[tuple[str, str], ...]
+    sigma: Floats
+    divisions: tuple[_Division, ...]
+    prior: Floats
+    share: float
+
+    @classmethod
+    def of(cls, session: Session, problem: Problem, fit: Solution, terms: Sequence[Term], seed: int) -> Alternatives:
+        """Take an estimate.
+
+        Args:
+            session: what it says of joint models.
+            problem: what was measured.
+            fit: the estimate.
+            terms: joint models that are part of it beside those that the session switches on.
+            seed: of the division into folds.
+        """
+        even = [observed.even(_MOST_POSES) for observed in problem.observations]
+        thinned = problem.with_observations([of.at(some) for of, some in zip(problem.observations, even, strict=True)])
+        models = [model for model in problem.joint_models if isinstance(model, LinearJointModel)]
+        units, columns = _units(session, thinned, models, terms)
+        values = np.concatenate([fit.state[model.key] for model in models])[columns]
+        everything = _with_all(fit, models, columns)
+        P, parameters = everything.parameters.count - len(columns), everything.parameters
+        # Noise is what no model explains: that of a rigid arm would hide behind it what is looked for.
+        *found, joint = find_noise(problem, everything)
+        labels = (random_folds(thinned, seed), joint_regions(thinned), tip_regions(thinned))
+        with one_blas_thread():
+            rows = []
+            for observed, some, kept, noise in zip(thinned.observations, even, fit.kept, found, strict=True):
+                at = Tangent.at(thinned, observed, fit.state, parameters).linearise()
+                N, m, D = at.residual.shape
+                used, J = kept[some], at.J.reshape(N, m * D, -1)
+                X = np.concatenate([J, at.residual.reshape(N, m * D, 1) - J[..., P:] @ values[:, None]], axis=2)
+                covariance = (noise.found / rms(observed.table.sigma)) ** 2 * observed.covariance
+                reading = joint_noise(at, thinned.arm.chain.reading_jacobian, joint.found)
+                W = Whitening.of(covariance / np.where(used, 1.0, _REJECTED)[..., None, None], reading)
+                size = np.nan_to_num(thinned.metres_per_unit(observed, fit.state)) * used
+                rows.append((observed.pose, W(X), np.repeat(size, D, axis=1)[..., None] * X, used.sum(axis=1)))
+            divisions = tuple(_Division.of(label, rows) for label in labels)
+            r, J_prior = parameters.prior_residuals(fit.state)
+        own = ~np.any(J_prior[:, P:], axis=1)
+        prior = np.column_stack([J_prior[own, :P], r[own]])
+        poses = thinned.poses
+        share = len(np.unique(thinned.readings.unit[poses])) / len(poses)
+        sigma = np.concatenate([model.sigma for model in models])[columns]
+        names = [(model.name, joint) for model in models for joint in model.names_of_joints]
+        owner = tuple(names[column] for column in columns)
+        return cls(units, owner, sigma, divisions, prior.T @ prior, share)
+
+    @property
+    def count(self) -> int:
+        """P, the number of the estimate's own parameters."""
+        return len(self.prior) - 1
+
+    @cached_property
+    def _reduced(self) -> tuple[Floats, Floats]:
+        """The normal equations (K, K) and (K,) of the models alone, whatever the estimate's own parameters are."""
+        P, total = self.count, np.array(self.divisions[0].total)
+        keep = [*range(P), len(total) - 1]
+        total[np.ix_(keep, keep)] += self.prior
+        S = self.share * (total[P:, P:] - total[P:, :P] @ _solve(total[:P, :P], total[:P, P:]))
+        return S[:-1, :-1], S[:-1, -1]
+
+    @property
+    def included(self) -> tuple[Term, ...]:
+        """The terms that are part of the estimate."""
+        return tuple(unit.term for unit in self.units if unit.on)
+
+    def better(self) -> tuple[Term, ...]:
+        """Return terms that the measurements speak for more than for those of the estimate, or the same.
+
+        Step by step a term is added, its priors are widened, or it is taken out: whatever the evidence gains most by.
+        """
+        chosen = self.included
+        for _ in range(2 * len(self.units)):
+            step = self._step(chosen)
+            if step is None:
+                break
+            chosen = step
+        return chosen
+
+    def _step(self, chosen: tuple[Term, ...]) -> tuple[Term, ...] | None:
+        now, before = self._score(chosen), self.errors(chosen)
+        options: list[tuple[float, tuple[Term, ...]]] = []
+        for unit in self.units:
+            mine = [term for term in chosen if self._covers(unit.term, term)]
+            if not mine and any(self._covers(term, unit.term) for term in chosen):
+                continue
+            others, on = (
+                tuple(term for term in chosen if term not in mine),
+                [t.joints for t in mine] == [unit.term.joints],
+            )
+            least = _RESCALED if on else _EVIDENCE
+            if on and not unit.forced:
+                options.append((self._score(others) - now, others))
+            for scale in _SCALES:
+                term = replace(unit.term, scale=scale)
+                gain = -np.inf if term in chosen else self._score((*others, term)) - now
+                if gain > least and (on or gain > unit.certain or _transfers(before, self.errors((*others, term)))):
+                    options.append((gain, (*others, term)))
+        gain, better = max(options, key=lambda option: option[0], default=(0.0, chosen))
+        return better if gain > 0.0 else None
+
+    def alike(self, model: str) -> list[Term]:
+        """List the units of a model, all joints together the last."""
+        return [unit.term for unit in self.units if unit.term.model == model]
+
+    @staticmethod
+    def _covers(a: Term, b: Term) -> bool:
+        return a.model == b.model and set(b.joints) <= set(a.joints)
+
+    def trials(self) -> tuple[JointModelTrial, ...]:
+        """Return what each joint model brings, or would bring."""
+        included = self.included
+        found, now, errors = [], self.log_evidence(included), self.errors(included)
+        for model in dict.fromkeys(unit.term.model for unit in self.units):
+            mine = [term for term in included if term.model == model]
+            other = tuple(term for term in included if term.model != model)
+            whole = self.alike(model)[-1]
+            term = Term(model, tuple(joint for one in mine for joint in one.joints)) if mine else whole
+            if not mine:
+                other = (*other, whole)
+            sign = 1.0 if mine else -1.0
+            gains = [sign * gain for gain in self._losses(errors, other)]
+            parts = {joint: self._losses(errors, _without(included, model, joint))[0] for joint in term.joints if mine}
+            evidence = sign * (now - self.log_evidence(other))
+            found.append(JointModelTrial(term, bool(mine), evidence, gains[0], min(gains[1:]), ReadOnly(parts)))
+        return tuple(found)
+
+    def _losses(self, errors: Sequence[Floats], chosen: Sequence[Term]) -> list[float]:
+        """How much farther off poses are predicted with other terms, for each division. [m]."""
+        return [_rms(after) - _rms(before) for before, after in zip(errors, self.errors(chosen), strict=True)]
+
+    def scales(self, chosen: Sequence[Term]) -> Floats:
+        """The standard deviations (K,) of all models' parameters with some terms: 0 for what is in none of them."""
+        sigma = np.zeros(len(self.sigma))
+        for term in chosen:
+            mine = [model == term.model and joint in term.joints for model, joint in self.owner]
+            sigma[mine] = term.scale * self.sigma[mine]
+        return sigma
+
+    def log_evidence(self, chosen: Sequence[Term]) -> float:
+        """Return the logarithm of the evidence of the estimate with some terms, but for a constant."""
+        (G, g), sigma = self._reduced, self.scales(chosen)
+        on = sigma > 0.0
+        G, g = G[np.ix_(on, on)] * np.outer(sigma[on], sigma[on]) + np.eye(int(on.sum())), g[on] * sigma[on]
+        return float(0.5 * g @ np.linalg.solve(G, g) - 0.5 * np.linalg.slogdet(G)[1])
+
+    def _score(self, chosen: Sequence[Term]) -> float:
+        """The evidence, less the logarithm of how many terms there are to choose from: one of n joints, or all."""
+        choices = [
+            len(_SCALES) * (len(of) if len(term.joints) < len(of[-1].joints) else min(len(of), 2))
+            for term in chosen
+            for of in [self.alike(term.model)]
+        ]
+        return self.log_evidence(chosen) - float(np.sum(np.log(choices)))
+
+    def errors(self, chosen: Sequence[Term]) -> tuple[Floats, ...]:
+        """Return the mean squared distance in each part of each division, predicted from the others. [m^2]."""
+        sigma = self.scales(chosen)
+        P = self.count
+        keep = np.concatenate([np.arange(P), P + np.flatnonzero(sigma), [P + len(sigma)]])
+        ridge = np.zeros((len(keep), len(keep)))
+        own = np.concatenate([np.arange(P), [len(keep) - 1]])
+        ridge[np.ix_(own, own)] = self.prior
+        inside = np.arange(P, len(keep) - 1)
+        ridge[inside, inside] = sigma[sigma > 0.0] ** -2.0
+        return tuple(division.errors(keep, ridge) for division in self.divisions)
+
+
+@dataclass(frozen=True, eq=False)
+class _Division:
+    """Poses divided into parts: products of the columns (C, C) over each part, whitened, and in metres."""
+
+    whitened: Floats
+    metres: Floats
+    used: Floats
+
+    @classmethod
+    def of(cls, label: Ints, rows: Sequence[tuple[Ints, Floats, Floats, Ints]]) -> _Division:
+        parts = np.unique(np.concatenate([label[pose] for pose, *_ in rows]))
+        size = rows[0][1].shape[2]
+        found = np.zeros((2, len(parts), size, size))
+        used = np.zeros(len(parts))
+        for pose, *columns, count in rows:
+            for k, part in enumerate(parts):
+                here = label[pose] == part
+                used[k] += count[here].sum()
+                for what, of in zip(found, columns, strict=True):
+                    X = of[here].reshape(-1, size)
+                    what[k] += X.T @ X
+        return cls(found[0], found[1], used)
+
+    @cached_property
+    def total(self) -> Floats:
+        """The whitened products over all parts."""
+        result: Floats = self.whitened.sum(axis=0)
+        return result
+
+    def errors(self, keep: Ints, ridge: Floats) -> Floats:
+        """Return the mean squared distance in each part by an estimate from the others. [m^2]."""
+        some, last = np.ix_(keep, keep), len(keep) - 1
+        found = np.zeros(len(self.used))
+        for k in range(len(found)):
+            H = (self.total - self.whitened[k])[some] + ridge
+            x = np.append(-_solve(H[:last, :last], H[:last, last]), 1.0)
+            found[k] = x @ self.metres[k][some] @ x / max(self.used[k], 1.0)
+        return found
+
+
+def _solve(H: Floats, g: Floats) -> Floats:
+    """Solve normal equations in column-scaled form."""
+    diagonal = np.diag(H)
+    scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
+    scaled = H * np.outer(scale, scale) + _RIDGE * np.eye(len(H))
+    result: Floats = (scale * np.linalg.solve(scaled, (scale * g.T).T).T).T
+    return result
+
+
+def _transfers(before: Sequence[Floats], after: Sequence[Floats]) -> bool:
+    """Return whether left-out regions of both kinds are predicted better (one-standard-error rule, Breiman 1984).
+
+    Clusters of joint space alone let through harmonics of a UR10's first joint that spoil another region: 0.50 to 0.56
+    mm.
+    """
+    pairs = list(zip(before[1:], after[1:], strict=True))
+    return all(np.mean(new) + np.std(new, ddof=1) / np.sqrt(len(new)) < np.mean(old) for old, new in pairs)
+
+
+def _without(terms: Sequence[Term], model: str, joint: str) -> list[Term]:
+    """Take a joint out of a model's terms."""
+    return [replace(t, joints=tuple(j for j in t.joints if (t.model, j) != (model, joint))) for t in terms]
+
+
+def _rms(squares: Floats) -> float:
+    return float(np.sqrt(np.mean(squares)))
+
+
+def _with_all(fit: Solution, models: Sequence[LinearJointModel], columns: Ints) -> Solution:
+    """The estimate as one whose parameters are those of all models, too, of the middle scale."""
+    blocks, first = [], 0
+    for model in models:
+        off = np.setdiff1d(np.arange(len(model)), columns - first)
+        blocks.append(
+            replace(model, sigma=_SCALES[1] * model.sigma, fixed=dict.fromkeys(off.tolist(), "not looked for"))
+        )
+        first += len(model)
+    return replace(fit, parameters=fit.parameters.including(blocks))
+
+
+def _units(
+    session: Session, problem: Problem, models: Sequence[LinearJointModel], terms: Sequence[Term]
+) -> tuple[tuple[_Unit, ...], Ints]:
+    """List what can be chosen, and which of all models' parameters take part."""
+    kept: list[Bools] = []
+    groups: list[tuple[LinearJointModel, tuple[str, ...], bool]] = []
+    for model in models:
+        features, said = model.known_features(problem.readings), model.said(session)
+        present = np.ptp(features, axis=0) > _NOTHING * max(float(np.abs(features).max(initial=0.0)), 1e-300)
+        allowed = [said.get(joint, True) for joint in model.names_of_joints]
+        kept.append(present & allowed)
+        joints = [
+            joint for joint in dict.fromkeys(model.names_of_joints) if np.any(kept[-1] & model.of_joints([joint]))
+        ]
+        for force in (True, False):
+            some = tuple(joint for joint in joints if said.get(joint, False) == force)
+            alone = [] if force or model.together or len(some) == 1 else [(joint,) for joint in some]
+            groups += [(model, group, force) for group in (*alone, some) if group]
+    columns = np.flatnonzero(np.concatenate(kept))
+    units = []
+    for model, group, force in groups:
+        mine = np.concatenate([m.of_joints(group if m is model else ()) for m in models])[columns]
+        scale = next((t.scale for t in terms if (t.model, t.joints) == (model.name, group)), None)
+        term = Term(model.name, group, scale or 1.0)
+        units.append(_Unit(term, mine, force, force or scale is not None, model.certain))
+    return tuple(units), columns
+
+
+def without(state: State, problem: Problem, terms: Sequence[Term]) -> State:
+    """Return a state whose joint models are at their nominal value where they are in none of some terms."""
+    values = {}
+    for model in problem.joint_models:
+        if isinstance(model, LinearJointModel):
+            joints = [joint for term in terms if term.model == model.name for joint in term.joints]
+            values[model.key] = np.where(model.of_joints(joints), state[model.key], model.nominal)
+    return state.replace(values)

@@ -1,0 +1,86 @@
+"""Compliance: joints yield to their torque, by gears and bearings that are no stiffer than they are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from urdfcal.errors import SessionError
+from urdfcal.estimation.joint_models.linear import LinearJointModel, Prior
+from urdfcal.robot.gravity import Masses, masses_of
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from urdfcal.arrays import Floats
+    from urdfcal.estimation.joint_models.base import Readings
+    from urdfcal.robot.mechanism import Joint
+    from urdfcal.session.model import Positions
+
+
+@dataclass(frozen=True, eq=False)
+class Compliance(LinearJointModel):
+    """Each joint gives way by its compliance times its torque: as measured, or what holds the arm against gravity.
+
+    Measured torques have the sign that the maker gives them; compliances then have it, too.
+
+    Strain-wave and cycloidal gears of arms of 5 to 30 kg yield by 1e-5 to 7e-5 rad/(N m): catalogues give 1e4 to 1e5
+    N m/rad at the output (Harmonic Drive CSG-20 to 40: 1.3e4 to 1.2e5; Nabtesco RV-20E: 1.7e5); a UR10 before a laser
+    tracker has 1.7e-5, an arm of seven axes with measured torques 6.5e-5. Ball screws: 1e7 to 1e9 N/m; belts 1e6.
+
+    Attributes:
+        masses: that the joints carry in each part of the session; none where torques are measured.
+        gravity: (3,) in the base link's frame. [m/s^2]
+    """
+
+    name: ClassVar[str] = "compliance"
+    groups: ClassVar[Mapping[str, tuple[int, ...]]] = {"torque": (0,)}
+    revolute: ClassVar[Prior | None] = Prior("rad/(N m)", 5e-5, 0.05)
+    prismatic: ClassVar[Prior | None] = Prior("m/N", 1e-6, 0.01)
+    together: ClassVar[bool] = True
+    certain: ClassVar[float] = 0.0
+
+    masses: tuple[Masses, ...] = field(kw_only=True)
+    gravity: Floats = field(kw_only=True)
+
+    @classmethod
+    def depends_on(cls, session: Positions) -> dict[str, Any] | None:
+        """Take measured torques, else the masses of URDF and payload."""
+        if session.torques is not None:
+            return {"masses": (), "gravity": session.gravity}
+        payloads = session.payloads or (session.payload,) * len(session.parts)
+        urdf, chain = session.urdf, session.chain
+        masses = () if urdf is None else tuple(masses_of(urdf, chain, payload) for payload in payloads)
+        return {"masses": masses, "gravity": session.gravity} if masses and None not in masses else None
+
+    def features(self, readings: Readings) -> Floats:
+        """Return the torques, against which a joint gives way.
+
+        Raises:
+            SessionError: they were measured where the compliance was found, and are not known here.
+        """
+        tau = readings.torques
+        if self.masses:
+            tau = np.empty_like(readings.q)
+            for part in np.unique(readings.part):
+                here = readings.part == part
+                tau[here] = self.masses[part].torques(readings.q[here], self.gravity)
+        if tau is None:
+            raise SessionError(
+                "the compliance is that under measured torques, and these readings have none",
+                where="torques",
+                remedy="Give the torques of every pose.",
+            )
+        carried: Floats = -(tau @ self.mechanism.reading_jacobian)[:, self.joints]
+        return carried
+
+    def sentence(self, joint: Joint, group: str, p: Floats) -> str:
+        """Say how much it yields."""
+        unit = "m/N" if joint.prismatic else "rad/(N m)"
+        return f"{joint.name} yields under the arm's weight, {abs(p[0]):.1e} {unit}: the arm bends"
+
+    def sentence_of_all(self, joints: str, most: float) -> str:
+        """Say how much they yield."""
+        return f"sag of {joints} under the arm's weight, by up to {most:.2g} mrad: the arm bends"
