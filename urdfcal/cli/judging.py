@@ -7,7 +7,7 @@ import re
 from dataclasses import asdict
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
@@ -16,6 +16,7 @@ from urdfcal.cli.console import PATH, json_option, seed_option, sheet, status_li
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from urdfcal.arrays import Floats
     from urdfcal.estimation.acceptance import Acceptance
     from urdfcal.result.calibration import Calibration
     from urdfcal.result.changes import ArmChanges, ParameterChange
@@ -65,28 +66,22 @@ def verify(
 
     Exit code 0: the 95 % interval is within the limit; 1: it is not, or that cannot be told.
     """
-    from urdfcal.estimation.acceptance import accept, outside
+    from urdfcal.estimation.acceptance import accept
     from urdfcal.io.folder import read_session
     from urdfcal.result.calibration import Calibration
 
-    calibration = None
-    if _is_urdf(result):
-        measured = read_session(session)
-        chain = _urdf_chain(result, measured, tip, base)
-    elif tip or base:
+    calibration = None if is_urdf(result) else Calibration.load(result)
+    if calibration is not None and (tip or base):
         raise click.UsageError("--tip and --base go with a URDF: a result names its links")
-    else:
-        calibration = Calibration.load(result)
-        measured = read_session(session)
-        chain = _calibrated_chain(calibration, measured, session)
+    measured = read_session(session)
+    chain = arm_of(result, calibration, measured, session, tip, base)
     for warning in measured.warnings:
         click.echo(f"- {warning}", err=True)
     with status_line() as say:
         say("fitting base, LEDs and cameras")
         found = accept(chain, measured, limit, seed)
-    domain = None if calibration is None else calibration.document.domain
     new = calibration is None or not _calibrated_with(calibration, measured)
-    beyond = outside(measured, domain.joints) if domain else ()
+    domain = domain_of(calibration, measured.chain, measured.chain.readings(measured.q))
     if as_json:
         shown = {
             "rms_mm": 1e3 * found.rms,
@@ -97,19 +92,41 @@ def verify(
             "measurements": found.measurements,
             "outliers": found.outliers,
             "new": new,
-            "outside_domain": None if domain is None else [asdict(joint) for joint in beyond],
+            **domain.data,
         }
         click.echo(json.dumps(shown, indent=2))
     else:
         click.echo(_verdict(found))
         if not new:
             click.echo("- these are the measurements that it was calibrated with: others will be further off")
-        for remark in (*_left_out(found), *map(str, beyond)):
+        for remark in (*_left_out(found), *domain.remarks):
             click.echo(f"- {remark}")
     ctx.exit(0 if found.within else 1)
 
 
-def _is_urdf(reference: str) -> bool:
+class Excursions(NamedTuple):
+    """Which poses leave the measured domain of a calibration, as data and in words; empty where it is not known."""
+
+    data: dict[str, Any]
+    remarks: tuple[str, ...]
+
+
+def domain_of(calibration: Calibration | None, mechanism: Mechanism, readings: Floats) -> Excursions:
+    """Find the readings (N, k) of a mechanism's actuated joints that a calibration has not measured. [rad or m]."""
+    from urdfcal.session.domain import beyond, outside
+
+    domain = None if calibration is None else calibration.document.domain
+    if domain is None:
+        return Excursions({"poses_outside_domain": None, "outside_domain": None}, ())
+    found = outside(mechanism, readings, domain.joints)
+    count = int(beyond(mechanism, readings, domain.joints).any(axis=1).sum())
+    what = f"{count} of {len(readings)} poses lie outside the measured domain: the calibration is extrapolated there"
+    data = {"poses_outside_domain": count, "outside_domain": [asdict(joint) for joint in found]}
+    return Excursions(data, (what, *map(str, found)) if found else ())
+
+
+def is_urdf(reference: str) -> bool:
+    """Whether a URDF is named, and no result."""
     path = Path(reference)
     return (
         reference.startswith("package://")
@@ -118,18 +135,18 @@ def _is_urdf(reference: str) -> bool:
     )
 
 
-def _urdf_chain(reference: str, session: Session, tip: str | None, base: str | None) -> Mechanism:
+def arm_of(
+    reference: str, calibration: Calibration | None, session: Session, folder: Path,
+    tip: str | None = None, base: str | None = None,
+) -> Mechanism:  # fmt: skip
+    """The session's joints, to its own links, with the placements of a URDF, or of the calibration if there is one."""
+    from urdfcal.robot.apply import apply_to_mechanism
     from urdfcal.robot.chain import read_mechanism
     from urdfcal.robot.urdf.urdf import Urdf
 
-    links = [link.link for link in session.chain.tips]
-    return read_mechanism(Urdf.read(reference), [tip or links[0], *links[1:]], base or session.chain.base_link)
-
-
-def _calibrated_chain(calibration: Calibration, session: Session, folder: Path) -> Mechanism:
-    """The session's joints, to its own links, with the calibrated placements."""
-    from urdfcal.robot.apply import apply_to_mechanism
-
+    if calibration is None:
+        links = [link.link for link in session.chain.tips]
+        return read_mechanism(Urdf.read(reference), [tip or links[0], *links[1:]], base or session.chain.base_link)
     where = session.urdf_reference or str(folder)
     return apply_to_mechanism(session.chain, calibration.chain, calibration.placements, where)
 

@@ -23,7 +23,7 @@ _FAR = 20.0
 
 
 @click.command("evaluate")
-@click.argument("urdf", metavar="A.urdf")
+@click.argument("urdf", metavar="A.urdf|RESULT")
 @click.argument("other", metavar="B.urdf|SESSION")
 @click.option("--tip", metavar="LINK", help="Link at the end of the chain.  [default: the session's]")
 @base_option
@@ -43,7 +43,9 @@ def evaluate(
 ) -> None:
     """Compare the tips of two versions of a robot over its workspace, or the residuals of a session under one.
 
-    With a session, base pose and LED positions (and camera poses, for pixels) are fitted; the arm is A's.
+    With a session, base pose and LED positions (and camera poses, for pixels) are fitted; the arm is A's. Of a RESULT,
+    a folder that calibrate has written or its calibration.json, it is the corrected URDF's, and poses outside the
+    measured domain are counted.
     """
     if Path(other).is_dir() or other.endswith((".yaml", ".yml")):
         if tip or base or poses:
@@ -82,12 +84,12 @@ def compared(a: str, b: str, tip: str, base: str | None, poses: int, seed: int) 
 def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
     import numpy as np
 
+    from urdfcal.cli.judging import arm_of, domain_of, is_urdf
     from urdfcal.estimation.evaluation import explain
     from urdfcal.io.folder import read_points, read_session
-    from urdfcal.robot.chain import read_mechanism
-    from urdfcal.robot.urdf.urdf import Urdf
+    from urdfcal.result.calibration import Calibration
 
-    session = read_session(folder)
+    calibration, session = None if is_urdf(urdf) else Calibration.load(urdf), read_session(folder)
     for warning in session.warnings:
         click.echo(f"- {warning}", err=True)
     if points is not None:
@@ -98,14 +100,15 @@ def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
             remedy = "Coordinates are in metres; these look like millimetres."
             raise SessionError(what, where=str(points), remedy=remedy)
         session = replace(session, measurements=(measured,), leds=leds, moved={})
-    links = [tip.link for tip in session.chain.tips]
-    chain = read_mechanism(Urdf.read(urdf), links, session.chain.base_link)
-    explained = explain(chain, session)
+    explained = explain(arm_of(urdf, calibration, session, folder), session)
     result: dict[str, Any] = {"a": urdf, "session": str(folder), "points": points and str(points)}
     for table, residual in zip(session.measurements, explained.residuals, strict=True):
         unit, scale = table.report
         result[f"residual_{unit}"] = {"sightings": len(residual), **_spread(np.linalg.norm(residual, axis=1), scale)}
-    return result
+    domain = domain_of(calibration, session.chain, session.chain.readings(session.q))
+    for remark in domain.remarks:
+        click.echo(f"- {remark}", err=True)
+    return result | domain.data
 
 
 def _spread(values: Floats, scale: float) -> dict[str, float]:
