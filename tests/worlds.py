@@ -10,17 +10,16 @@ import pinocchio as pin
 
 from tests.states import true_state_of
 from urdfcal.arrays import inverse
-from urdfcal.errors import UrdfcalError
 from urdfcal.estimation.blocks.base_pose import BASE
 from urdfcal.estimation.blocks.cameras import pose_key
 from urdfcal.estimation.blocks.leds import LEDS
 from urdfcal.estimation.measurements import Detections
 from urdfcal.estimation.problem import Problem
 from urdfcal.robot.chain import Chain
-from urdfcal.robot.gravity import masses_of
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.robot.urdf.urdf import Urdf
 from urdfcal.session.knowledge import Noise
+from urdfcal.simulation.joint_errors import draw_joint_errors, true_joint_values
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -119,23 +118,22 @@ def harmonic(data: Simulated, size: float, share: float, order: int) -> Session:
     return seen(data, q)
 
 
+def erring(data: Simulated, **sizes: float | dict[str, float]) -> Session:
+    """The session, had its joints the errors that rig.yaml can say."""
+    exact = replace(data.session.unmeasured(), q=data.truth.readings)
+    return seen(data, true_joint_values(exact, draw_joint_errors(sizes, exact, data.truth.seed)))
+
+
 def sagging(data: Simulated, size: float) -> Session:
-    masses = masses_of(data.session.urdf, data.session.chain)
-    if masses is None:
-        raise UrdfcalError("the robot has no masses")
-    return seen(data, data.truth.q - size * masses.torques(data.truth.q))
+    return erring(data, compliance=size)
 
 
 def backlash(data: Simulated, size: float, share: float) -> Session:
-    q, j = data.truth.q.copy(), joint(data, share)
-    q[:, j] -= 0.5 * size * np.sign(np.diff(q[:, j], prepend=q[0, j]))
-    return seen(data, q)
+    return erring(data, backlash={data.session.chain.names[joint(data, share)]: size})
 
 
 def gain(data: Simulated, size: float, share: float) -> Session:
-    q, j = data.truth.q.copy(), joint(data, share)
-    q[:, j] *= 1.0 + size
-    return seen(data, q)
+    return erring(data, gain={data.session.chain.names[joint(data, share)]: size})
 
 
 def jumped(data: Simulated, size: float, share: float) -> Session:

@@ -26,13 +26,12 @@ import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
 from tests.benchmarks.accuracy import information_of
 from tests.states import true_state_of
-from tests.worlds import seen
 from urdfcal.arrays import rms
 from urdfcal.errors import UrdfcalError
 from urdfcal.estimation.alignment import kabsch
@@ -51,7 +50,7 @@ from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.robot.tree_dh import rows_of
-from urdfcal.session.knowledge import Estimate
+from urdfcal.session.knowledge import Estimate, JointError
 from urdfcal.session.trajectory import AT_REST
 from urdfcal.simulation.simulate import draw_offsets, simulate
 
@@ -66,21 +65,8 @@ SPREAD_DRAWS = 1000
 AS_GIVEN = Estimate("dh", "fixed", "fixed")
 LINEAR = tuple(model for model in JOINT_MODELS if issubclass(model, LinearJointModel))
 OFF = {model.name: False for model in LINEAR}
-
-
-def draw(model: LinearJointModel, rng: np.random.Generator) -> Floats:
-    """What is wrong with every joint (gain: with one), in realistic sizes."""
-    k = len(model)
-    if model.name == "compliance":
-        return rng.uniform(1e-5, 7e-5, k) * np.where(np.array(model.units) == "m/N", 0.02, 1.0)
-    if model.name == "lag":
-        return -rng.uniform(1e-4, 5e-4, k)
-    if model.name == "gain":
-        return np.where(np.arange(k) == rng.integers(k), rng.choice([-1e-3, 1e-3]), 0.0)
-    if model.name == "backlash":
-        return -0.5 * rng.uniform(1e-4, 1e-3, k) * np.where(np.array(model.units) == "m", 0.1, 1.0)
-    amplitude, phase = rng.uniform(1e-4, 1e-3, (k // 4, 2)) * [1.0, 0.3], rng.uniform(0.0, 2.0 * np.pi, (k // 4, 2))
-    return np.stack([amplitude * np.sin(phase), amplitude * np.cos(phase)], axis=2).reshape(-1)
+# The joint model that corrects an error of another name.
+CALLED = {"eccentricity": "harmonics"}
 
 
 @dataclass(frozen=True)
@@ -97,14 +83,12 @@ class World:
 
     @classmethod
     def of(cls, rig: str, seed: int, poses: int, names: tuple[str, ...]) -> World:
-        data = simulate(read_rig(find_rig(rig)), poses=poses, seed=seed)
-        rng, readings, q = np.random.default_rng([7, seed]), Readings.of(data.session), data.truth.q
-        p: dict[str, Floats] = {}
-        for model in models(data.session):
-            if model.name in names:
-                p[model.name] = draw(model, rng)
-                q = q + model.values(readings, p[model.name])
-        return cls(replace(data, session=seen(data, q)), p)
+        rig = read_rig(find_rig(rig))
+        joint = rig.chain.actuated[int(np.random.default_rng([7, seed]).integers(len(rig.chain.actuated)))]
+        known = {**dict.fromkeys(get_args(JointError), "default"), "gain": {joint: 1e-3}}
+        errors = {name: size for name, size in known.items() if CALLED.get(name, name) in names}
+        data = simulate(replace(rig, errors=errors), poses=poses, seed=seed)
+        return cls(data, dict(data.truth.joint_errors))
 
     def session(self, **joint_models: object) -> Session:
         return replace(self.data.session, estimate=AS_GIVEN, joint_models=joint_models)

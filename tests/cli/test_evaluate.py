@@ -93,7 +93,7 @@ def test_poses_outside_what_a_result_has_measured_are_counted(
 ) -> None:
     session, result = folder / "session", folder / "result"
     own, urdf = evaluated(capsys, result, session), evaluated(capsys, result / "elbow3r_calibrated.urdf", session)
-    assert own["residual_px"]["rms"] == pytest.approx(urdf["residual_px"]["rms"], rel=1e-6)
+    assert own["residual_px"]["rms"] == pytest.approx(urdf["residual_px"]["rms"], rel=1e-3)  # the LED held or fitted
     assert (own["poses_outside_domain"], own["outside_domain"]) == (0, [])
     assert urdf["poses_outside_domain"] is None  # no calibration was given
 

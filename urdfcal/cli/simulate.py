@@ -15,7 +15,9 @@ from urdfcal.cli.console import PATH, POSITIVE, progress_bar, seed_option
 @click.option("--poses", type=click.IntRange(min=3), default=50, help="Number of arm positions.")
 @seed_option
 @click.option("--pixel", type=click.FloatRange(min=0.0), help="Noise of the detections in px.  [default: the rig's]")
-@click.option("--error-scale", type=click.FloatRange(min=0.0), default=1.0, help="Multiplies the true robot's errors.")
+@click.option(
+    "--error-scale", type=click.FloatRange(min=0.0), default=1.0, help="Multiplies the errors of its geometry."
+)
 @click.option(
     "--outliers", type=click.FloatRange(0.0, 1.0), default=0.0, help="Fraction of detections moved by 5 to 200 px."
 )

@@ -11,6 +11,7 @@ import pinocchio as pin
 from urdfcal.estimation.blocks.arm import ARM, ArmBlock
 from urdfcal.estimation.blocks.cameras import camera_poses, camera_values, has_cameras
 from urdfcal.estimation.blocks.leds import LEDS, led_sigma
+from urdfcal.estimation.blocks.targets import TargetBlock
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -48,6 +49,10 @@ IMPLAUSIBLE = 20.0
 # A scale that far from none is a mistake; between the two it is one or a strange arm. Standard deviations of the common
 # factor under the tolerances: on common arms three are 0.35 to 0.7 %, 2 to 4 mm at the tip.
 _DOUBTFUL_SCALE, _IMPOSSIBLE_SCALE = 3.0, 5.0
+_LENGTHS = {
+    "instrument": "the stereo baseline, or the size of the board that it was calibrated with",
+    "distances": "the distances that are given as known",
+}
 # Noise declared this many times off what is found for certain distorts weights and intervals beyond rounding.
 _NOISE_OFF = 1.5
 # An LED that was measured with a ruler comes out within this many of its standard deviations, all three coordinates
@@ -140,6 +145,7 @@ def assess(session: Session, problem: Problem, comparison: Comparison, evidence:
         *_repeats(problem),
         *(str(c) for c in moved if c.tolerances > _UNUSUAL and c not in implausible),
         *_displaced_leds(session, fit),
+        *_displaced_targets(fit),
         *_displaced_mounts(session, fit),
         *_other_lenses(session, fit),
         *_elsewhere(comparison, evidence.regions),
@@ -221,8 +227,8 @@ def _scale(scale: LengthScale, least: float, most: float) -> Iterator[str]:
     if least < scale.sigmas <= most:
         yield (
             f"all lengths come out {1e2 * abs(scale.factor):.2g} +- {1e2 * scale.sigma:.1g} % too "
-            f"{'long' if scale.factor > 0.0 else 'short'} for the arm's tolerances: check the stereo baseline, or the "
-            f"size of the board that it was calibrated with; 0.1 % is {1e3 * scale.tip_per_permille:.2g} mm at the tip"
+            f"{'long' if scale.factor > 0.0 else 'short'} for the arm's tolerances: check {_LENGTHS[scale.unit]}; "
+            f"0.1 % is {1e3 * scale.tip_per_permille:.2g} mm at the tip"
         )
 
 
@@ -259,6 +265,20 @@ def _displaced_leds(session: Session, fit: Solution) -> Iterator[str]:
                 f"LED {led.name!r} comes out {1e3 * apart:.0f} mm from where the session puts it on {link!r}, "
                 f"{apart / sigma:.0f} times its sigma: check the tip link, and position"
             )
+
+
+def _displaced_targets(fit: Solution) -> Iterator[str]:
+    """Targets that come out far from where the session puts them."""
+    for block in fit.parameters.blocks:
+        if isinstance(block, TargetBlock):
+            off = np.abs(block.local(fit.state[block.key])[0])
+            if (sigmas := float(np.max(off / block.sigma))) > _DISPLACED:
+                apart = f"{1e3 * np.linalg.norm(off[:3]):.0f} mm and {1e3 * np.linalg.norm(off[3:]):.0f} mrad"
+                name = block.key.name.partition(".")[0]
+                yield (
+                    f"target {name!r} comes out {apart} from where the session puts it, {sigmas:.0f} times its sigma: "
+                    "check its link, position and rpy, and which way its print is turned"
+                )
 
 
 def _other_lenses(session: Session, fit: Solution) -> Iterator[str]:

@@ -86,8 +86,8 @@ def masses_of(urdf: Urdf, mechanism: Mechanism, payload: Body | None = None) -> 
         payload: what the robot carries beside its own links.
     """
     model = pin.buildModelFromXML(urdf.text)
-    if not model.existFrame(mechanism.base_link) or not all(map(model.existJointName, mechanism.names)):
-        return None  # a version of the robot with other names
+    if not all(model.existJointName(name) for name in mechanism.names) or not model.existFrame(mechanism.base_link):
+        return None
     if payload is not None:
         frame = model.frames[model.getFrameId(payload.link)]
         inertia = pin.Inertia(payload.mass, np.array(payload.center), np.zeros((3, 3)))

@@ -11,6 +11,7 @@ from urdfcal.arrays import Floats, frozen
 from urdfcal.errors import SessionError
 from urdfcal.estimation.measurements import Detections
 from urdfcal.session.trajectory import JointLog, Trajectory
+from urdfcal.simulation.joint_errors import true_joint_values
 from urdfcal.simulation.planning import load_collision_checker
 from urdfcal.simulation.scene import noisy_values, simulate_detections
 
@@ -77,7 +78,7 @@ def set_in_motion(simulated: Simulated, settings: MotionSettings) -> Simulated:
         )
     time_offsets = np.array(settings.time_offsets or offset_rng.uniform(-_OFFSET, _OFFSET, count))
 
-    path = _Path.through(_tour(truth.q, load_collision_checker(truth, session)[0]), settings.speed)
+    path = _Path.through(_tour(truth.readings, load_collision_checker(truth, session)[0]), settings.speed)
     log_time = np.arange(0.0, path.end + _REST, 1.0 / settings.joint_rate)
     taken = [np.arange(_DARK + p / rate, path.end + _DARK, 1.0 / rate) for p in phase_rng.random(count)]
     camera = np.repeat(np.arange(count), [len(of) for of in taken])
@@ -89,17 +90,17 @@ def set_in_motion(simulated: Simulated, settings: MotionSettings) -> Simulated:
         row=np.concatenate([np.arange(len(of)) for of in taken]),
         time=time - time_offsets[camera],
     )
-    q = path.at(time)
-    noise, share = (truth.pixel, session.noise.of(Detections)), truth.outlier_share
-    detections, outliers = simulate_detections(truth, q, camera[:, None], noise, share, noise_rng, outlier_rng)
-    moving = replace(
-        session,
+    exact = replace(
+        session.unmeasured(),
         poses=tuple(f"{truth.cameras[c].name}/{trajectory.label(k)}" for k, c in enumerate(camera.tolist())),
-        q=trajectory.values(np.zeros(count)),
+        q=path.at(time),
         time=trajectory.time,
         motion=trajectory,
-        measurements=(detections,),
     )
+    q = true_joint_values(exact, truth.joint_errors)
+    noise, share = (truth.pixel, session.noise.of(Detections)), truth.outlier_share
+    detections, outliers = simulate_detections(truth, q, camera[:, None], noise, share, noise_rng, outlier_rng)
+    moving = exact.measured((detections,), q=trajectory.values(np.zeros(count)))
     moved = replace(truth, q=frozen(q), outliers=frozen(outliers, np.intp), time_offsets=frozen(time_offsets))
     return replace(simulated, session=moving, truth=moved)
 

@@ -11,13 +11,16 @@ import numpy as np
 from urdfcal.arrays import one_blas_thread
 from urdfcal.estimation.blocks.base_pose import BaseBlock, base_keys
 from urdfcal.estimation.blocks.cameras import CameraPoseBlock, LensBlock, camera_poses, camera_values
-from urdfcal.estimation.blocks.leds import LEDS, LedDistances, LedsBlock
+from urdfcal.estimation.blocks.leds import LEDS, LedsBlock
 from urdfcal.estimation.blocks.scale import ScaleBlock
+from urdfcal.estimation.blocks.targets import PrintBlock, target_blocks
 from urdfcal.estimation.linearize import Tangent
+from urdfcal.estimation.noise import with_noise
 from urdfcal.estimation.parameters import Parameters
 from urdfcal.estimation.robust import norm_quantile
-from urdfcal.estimation.whitening import JointNoise, joint_covariance
+from urdfcal.estimation.whitening import Whitening, joint_noise
 from urdfcal.session.knowledge import Led
+from urdfcal.session.target import Target
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -49,13 +52,13 @@ class Part:
         observed: N poses of m slots of D numbers.
         at: residuals, and derivatives by ``parameters`` and the joint values.
         parameters: base, LEDs, scale, and the pose and lens of every camera, all active.
-        W: (N, m D, m D) whitens whole poses.
+        W: whitens whole poses.
     """
 
     observed: Observations
     at: Linearization
     parameters: Parameters
-    W: Floats
+    W: Whitening
 
     @property
     def pose(self) -> Ints:
@@ -87,8 +90,7 @@ class Part:
 
     def whitened(self, columns: Floats) -> Floats:
         """Return columns (N, m D, k) in standard deviations."""
-        result: Floats = self.W @ columns
-        return result
+        return self.W(columns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,16 +133,16 @@ class Unexplained:
         everything = _everything(session, fit.state)
         parts, rs, Js, poses = [], [], [], []
         with one_blas_thread():
-            parts_of = zip(thinned.observations, even, fit.norms, fit.outlier, less, strict=True)
-            for observed, some, norm, outlier, factor in parts_of:
+            covariances = with_noise(thinned.observations, less)
+            parts_of = zip(thinned.observations, covariances, even, fit.norms, fit.outlier, strict=True)
+            for observed, covariance, some, norm, outlier in parts_of:
                 at = Tangent.at(thinned, observed, fit.state, everything).linearise()
                 J = Tangent.at(thinned, observed, fit.state, fit.parameters).linearise().J
                 sigma, chain = less_joint * thinned.joint_sigma, thinned.arm.chain
-                covariance = factor**2 * observed.covariance
-                joint = joint_covariance(at, chain.reading_jacobian, sigma)
+                joint = joint_noise(at, chain.reading_jacobian, sigma)
                 limit = norm_quantile(observed.dimension, _BOUNDED)
                 weight = np.where(outlier[some], (limit / np.maximum(norm[some], limit)) ** 2, 1.0)
-                W = JointNoise.of(covariance, joint).whitening(covariance, weight)
+                W = Whitening.of(covariance / weight[..., None, None], joint)
                 part = Part(observed, at, everything, W)
                 N, m, D = at.residual.shape
                 rs.append(part.whitened(at.residual.reshape(N, m * D, 1)).ravel())
@@ -227,10 +229,12 @@ def solve_score(gram: Floats, score: Floats, scale: Floats) -> tuple[float, Floa
 
 
 def _everything(session: Session, state: State) -> Parameters:
-    """Base, LEDs, scale, and the pose and the lens of every camera, all of them free."""
-    led_names = [Led(name) for name in session.led_names]
+    """Base, LEDs, targets and their prints, scale, and the pose and the lens of every camera, all of them free."""
+    leds = [Led(led.name) for led in session.leds]
     blocks: list[Block[Any]] = [BaseBlock.of(fixed=None, key=key) for key in base_keys(session.parts)]
-    blocks.append(LedsBlock.of(led_names, state[LEDS], priors=False))
+    blocks.append(LedsBlock.of(leds, state[LEDS], priors=False))
+    blocks += target_blocks([Target(of.name, of.pattern) for of in session.targets], state, priors=False)
+    blocks += [PrintBlock.of(of) for of in session.targets if of.point_names]
     blocks.append(ScaleBlock.of(np.inf))
     attachments, free = session.attachments, np.full(6, np.inf)
     lenses, poses = camera_values(attachments, state), camera_poses(attachments, state)
@@ -238,7 +242,4 @@ def _everything(session: Session, state: State) -> Parameters:
     own = (lens for c, lens in enumerate(lenses) if attachments.lens[c] == c)
     blocks += [LensBlock.of(lens, np.full(len(lens.parameters), np.inf)) for lens in own]
     size = sum(len(block) for block in blocks)
-    nothing: Sequence[Any] = ()
-    return Parameters(
-        tuple(blocks), np.eye(size), np.zeros(size, dtype=bool), LedDistances.of(session.led_names, nothing)
-    )
+    return Parameters(tuple(blocks), np.eye(size), np.zeros(size, dtype=bool))

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.estimation.blocks.leds import LEDS
+from urdfcal.estimation.blocks.targets import point_places, print_key, print_scale
 
 if TYPE_CHECKING:
     from urdfcal.arrays import Bools, Floats, Ints
@@ -28,7 +29,7 @@ def led_points(observed: Observations, links: Links, state: State) -> tuple[Floa
     """
     led = observed.index["led"]
     frame = links.attachments.led[led]
-    leds, each = state[LEDS], np.arange(len(led))[:, None]
+    leds, each = point_places(links.attachments, state), np.arange(len(led))[:, None]
     lever, p_base = np.zeros((*led.shape, 3)), np.zeros((*led.shape, 3))
     for k, (R, p) in enumerate(zip(links.R, links.p, strict=True)):
         here = frame == k
@@ -92,17 +93,40 @@ def by_frames(
     return tuple(result)
 
 
-def put_leds(J: Jacobian, observed: Observations, links: Links, E: Floats) -> None:
-    """Put the derivatives by the LEDs' positions in their frames; E (K, D, 3) is that by the position in the base."""
+def put_leds(J: Jacobian, observed: Observations, links: Links, E: Floats, lever: Floats, state: State) -> None:
+    """Put the derivatives by the LEDs' positions in their frames, and by the scale of targets' prints.
+
+    Args:
+        J: takes them.
+        observed: which points.
+        links: where the frames are.
+        E: (K, D, 3) derivative by the position in the base link.
+        lever: (N, m, 3) as of :func:`led_points`. [m]
+        state: where to differentiate.
+    """
+    _put_prints(J, observed, links, E, lever, state)
     if not J.wants(LEDS):
         return
-    led, frames = observed.index["led"], links.attachments.led
+    led = observed.index["led"]
+    frames = links.attachments.led[: len(links.attachments.led) - len(links.attachments.target_points)]
     N, m = led.shape
     parts = np.zeros((N * m, E.shape[1], len(frames), 3))
     for index, frame in enumerate(frames.tolist()):
         d_led = (E.reshape(N, -1, 3) @ links.R[frame]).reshape(E.shape)
         parts[:, :, index] = d_led * (led == index).reshape(-1, 1, 1)
     J.put(LEDS, parts.reshape(N * m, E.shape[1], -1))
+
+
+def _put_prints(J: Jacobian, observed: Observations, links: Links, E: Floats, lever: Floats, state: State) -> None:
+    """Put the derivatives by the scales of targets' prints: points shrink towards their target's origin."""
+    attachments = links.attachments
+    frame = attachments.led[observed.index["led"]]
+    for k, name in enumerate(attachments.targets, attachments.first_target):
+        key = print_key(name)
+        if J.wants(key):
+            mine = (frame == k) & observed.valid
+            along = -np.where(mine[..., None], lever, 0.0) / print_scale(name, state)
+            J.put(key, E @ along.reshape(-1, 3, 1))
 
 
 def carry(matrices: Floats, right: Floats) -> Floats:
