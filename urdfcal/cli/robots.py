@@ -108,7 +108,8 @@ def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
         fitted = zip(session.leds, keys, strict=True)
         calibrated = (replace(led, position=known[key], sigma=0.0) if key in known else led for led, key in fitted)
         session = replace(session, leds=tuple(calibrated))
-    explained = explain(arm_of(urdf, calibration, session, folder), session)
+    bends = None if calibration is None else calibration.joint_models
+    explained = explain(arm_of(urdf, calibration, session, folder), session, bends=bends)
     result: dict[str, Any] = {"a": urdf, "session": str(folder), "points": points and str(points)}
     found: dict[str, dict[str, Floats]] = {}
     for table, residual in zip(session.measurements, explained.residuals, strict=True):

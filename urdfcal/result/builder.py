@@ -23,6 +23,7 @@ from urdfcal.estimation.observations import arrange
 from urdfcal.estimation.validation import rms_interval
 from urdfcal.result import document as d
 from urdfcal.result import evidence_sections as e
+from urdfcal.result.joint_model_sections import joint_model_sections
 from urdfcal.robot.mechanism import BASE as BASE_LINK
 from urdfcal.robot.urdf.origins import origins_of
 from urdfcal.rotations import matrix_to_rpy
@@ -62,6 +63,7 @@ def build_document(of: FittedCalibration) -> d.ResultDocument:
         ),
         validation=_validation(of),
         **_evidence(of),
+        **joint_model_sections(of),
         models=[
             d.ModelEntry(
                 model=str(attempt.spec),

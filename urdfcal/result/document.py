@@ -22,6 +22,7 @@ from urdfcal.result.evidence_sections import (
     Transform,
     Triple,
 )
+from urdfcal.result.joint_model_sections import JointModelEntry, LoadSection, check_joint_models
 from urdfcal.robot.tree_dh import MOUNT
 
 if TYPE_CHECKING:
@@ -320,6 +321,8 @@ class ResultDocument(Section):
     scale: ScaleSection | None = None
     noise: dict[str, NoiseEntry] = Field(default_factory=dict)
     findings: list[FindingEntry] = Field(default_factory=list)
+    joint_models: dict[str, dict[str, JointModelEntry]] = Field(default_factory=dict)
+    load: LoadSection | None = None
     domain: DomainSection | None = None
     models: list[ModelEntry]
     identifiability: IdentifiabilitySection
@@ -333,6 +336,7 @@ class ResultDocument(Section):
         for row in self.dh:
             if row.joint.removesuffix(MOUNT) not in self.robot.joints:
                 raise ValueError(f"dh names joint {row.joint!r}, which the robot has not")
+        check_joint_models(self.joint_models, self.load, self.robot.joints)
         return self
 
     @property

@@ -33,6 +33,10 @@ class Gain(LinearJointModel):
         """Return the readings."""
         return self.read(readings.q)
 
+    def slopes(self, readings: Readings) -> Floats:
+        """Return one for the joint itself."""
+        return self.selection
+
     def sentence(self, joint: Joint, group: str, p: Floats) -> str:
         """Say by what share."""
         return f"{joint.name} moves {1e2 * p[0]:+.2g} % more than it reads: gear ratio, or screw pitch"
