@@ -88,10 +88,12 @@ def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
     from urdfcal.cli.judging import arm_of, domain_of, is_urdf
     from urdfcal.estimation.blocks.places import PLACES
     from urdfcal.estimation.evaluation import explain
+    from urdfcal.estimation.measurements import Measurement
     from urdfcal.io.folder import read_points, read_session
     from urdfcal.result.calibration import Calibration
 
-    calibration, session = None if is_urdf(urdf) else Calibration.load(urdf), read_session(folder)
+    calibration = None if is_urdf(urdf) else Calibration.load(urdf)
+    session = read_session(folder, ignore_limits=True)  # beyond them is a warning: nothing is calibrated
     for warning in session.warnings:
         click.echo(f"- {warning}", err=True)
     if points is not None:
@@ -102,7 +104,9 @@ def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
             remedy = "Coordinates are in metres; these look like millimetres."
             raise SessionError(what, where=str(points), remedy=remedy)
         session = replace(session, measurements=(measured,), leds=leds, moved={})
-    if calibration is not None:
+    # What touches places hardly tells where the ball is: it is as calibrated. Elsewhere LEDs are fitted, like the base.
+    tables = (table for table in session.measurements if isinstance(table, Measurement))
+    if calibration is not None and not any(table.defines_world(session.attachments) for table in tables):
         known = {(name, led.link): np.array(led.position) for name, led in calibration.document.leds.items()}
         keys = [(led.name, led.link or session.chain.tip_link) for led in session.leds]
         fitted = zip(session.leds, keys, strict=True)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
+import numpy as np
+
 from urdfcal.estimation.joint_models.linear import LinearJointModel, Prior
 
 if TYPE_CHECKING:
@@ -27,7 +29,7 @@ class Gain(LinearJointModel):
     groups: ClassVar[Mapping[str, tuple[int, ...]]] = {"gain": (0,)}
     revolute: ClassVar[Prior | None] = Prior("1", 2e-4)
     prismatic: ClassVar[Prior | None] = Prior("1", 2e-4)
-    certain: ClassVar[float] = 0.0  # one parameter a joint: those of a UR10, by 7, hold in another region
+    certain: ClassVar[float] = np.inf  # gear ratios are exact: evidence alone may be of something else
 
     def features(self, readings: Readings) -> Floats:
         """Return the readings."""
