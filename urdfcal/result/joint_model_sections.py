@@ -10,7 +10,7 @@ from pydantic import Field
 from urdfcal.arrays import frozen
 from urdfcal.estimation.joint_models import JOINT_MODELS
 from urdfcal.estimation.joint_models.compliance import Compliance
-from urdfcal.estimation.joint_models.found import Found, FoundJointModels
+from urdfcal.estimation.joint_models.found import FoundJointModels, FoundModel
 from urdfcal.estimation.joint_models.linear import LinearJointModel
 from urdfcal.result.evidence_sections import Section, Sigmas, Transform, Triple
 from urdfcal.robot.gravity import STANDARD_GRAVITY, Masses, masses_of, place_of
@@ -140,7 +140,7 @@ def found_joint_models(document: ResultDocument, chain: Mechanism) -> FoundJoint
         if entries:
             joints = tuple(joint for joint in chain.actuated if joint in entries)
             values = np.array([value for joint in joints for value in entries[joint].values])
-            found.append(Found(kind, joints, values, tuple(entries[joint].inputs for joint in joints)))
+            found.append(FoundModel(kind, joints, values, tuple(entries[joint].inputs for joint in joints)))
     if load is None:
         return FoundJointModels(chain, tuple(found), STANDARD_GRAVITY)
     masses = [load.masses[name] for name in chain.names if load.masses]

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from urdfcal.session.model import Session
 
 
-class Found(NamedTuple):
+class FoundModel(NamedTuple):
     """A joint model that was estimated.
 
     Attributes:
@@ -56,7 +56,7 @@ class FoundJointModels:
     """
 
     mechanism: Mechanism
-    found: tuple[Found, ...]
+    found: tuple[FoundModel, ...]
     gravity: Floats
     masses: Masses | None = None
     payload: Body | None = None
