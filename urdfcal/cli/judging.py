@@ -79,7 +79,8 @@ def verify(
         click.echo(f"- {warning}", err=True)
     with status_line() as say:
         say("fitting base, LEDs and cameras")
-        found = accept(chain, measured, limit, seed)
+        bends = None if calibration is None else calibration.joint_models
+        found = accept(chain, measured, limit, seed, bends=bends)
     new = calibration is None or not _calibrated_with(calibration, measured)
     domain = domain_of(calibration, measured.chain, measured.chain.readings(measured.q))
     if as_json:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from urdfcal.arrays import Bools, Ints
+    from urdfcal.estimation.joint_models.found import FoundJointModels
     from urdfcal.estimation.observations import Observations
     from urdfcal.estimation.solver import Progress
     from urdfcal.robot.mechanism import Mechanism
@@ -58,7 +59,12 @@ class Acceptance:
 
 
 def accept(
-    chain: Mechanism, session: Session, limit: float, seed: int = 0, progress: Progress | None = None
+    chain: Mechanism,
+    session: Session,
+    limit: float,
+    seed: int = 0,
+    progress: Progress | None = None,
+    bends: FoundJointModels | None = None,
 ) -> Acceptance:
     """Judge an arm by a session: base, LEDs and camera poses are fitted to it, the arm is not.
 
@@ -68,6 +74,7 @@ def accept(
         limit: what the rms error at the LED may be at most. [m]
         seed: of the bootstrap.
         progress: called after every solver step.
+        bends: the arm's joint models.
 
     Raises:
         RobotError: the arm has other joints than the session.
@@ -79,7 +86,7 @@ def accept(
             f"the arm's joints are {', '.join(chain.names)}, the session's {', '.join(session.chain.names)}",
             remedy="Name a calibration of the robot that was measured.",
         )
-    explained = explain(chain, session, progress)
+    explained = explain(chain, session, progress, bends)
     problem, fit = explained.problem, explained.fit
     observations = problem.observations
     distance = [problem.off(of, fit.state) for of in observations]
