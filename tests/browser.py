@@ -8,12 +8,14 @@ import json
 import os
 import shutil
 import subprocess
+import time
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 CHROMIUM = shutil.which("chromium")
+_TRIES = 50
 
 
 class Browser:
@@ -47,6 +49,16 @@ class Browser:
         os.close(self._write)
 
     def _send(self, method: str, **parameters: Any) -> dict[str, Any]:
+        """Send a command; while a page is on its way to another one it is refused, and sent again."""
+        for _ in range(_TRIES):
+            answer = self._answer(method, **parameters)
+            if "result" in answer:
+                result: dict[str, Any] = answer["result"]
+                return result
+            time.sleep(0.2)
+        raise RuntimeError(f"{method}: {answer}")
+
+    def _answer(self, method: str, **parameters: Any) -> dict[str, Any]:
         number = next(self._numbers)
         message = {"id": number, "method": method, "params": parameters}
         os.write(
@@ -56,7 +68,6 @@ class Browser:
             while b"\0" not in self._rest:
                 self._rest += os.read(self._read, 1 << 20)
             text, self._rest = self._rest.split(b"\0", 1)
-            answer = json.loads(text)
+            answer: dict[str, Any] = json.loads(text)
             if answer.get("id") == number:
-                result: dict[str, Any] = answer["result"]
-                return result
+                return answer

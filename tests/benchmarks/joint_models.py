@@ -196,9 +196,8 @@ def measured(folder: Path) -> None:
     for a, b in (("spread", "cubes"), ("cubes", "spread")):
         for words, said in (("auto", {}), ("off", OFF)):
             calibration = calibrate(replace(sessions[a], joint_models=said), force=True)
-            known = {m.key: calibration.fit.state[m.key] for m in calibration.problem.joint_models}
             chain = calibration.chain.with_placements(calibration.placements)
-            (residual,) = explain(chain, sessions[b], known=known).residuals
+            (residual,) = explain(chain, sessions[b], bends=calibration.joint_models).residuals
             elsewhere = 1e3 * calibration.evidence.regions.rms
             print(f"ur10 {a} -> {b} {words:5} {1e3 * rms(np.linalg.norm(residual, axis=1)):.3f} mm", end="")
             print(f"   left-out regions {elsewhere:.3f} mm  {', '.join(sorted(chosen(calibration)))}", flush=True)

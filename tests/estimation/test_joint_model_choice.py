@@ -180,7 +180,6 @@ def test_a_measured_ur10_holds_in_another_region(here: str, there: str, most: fl
     calibration = calibrate(read_session(shared / f"ur10_{here}"))
     assert "compliance" in chosen(calibration)
     assert "harmonics" not in chosen(calibration)
-    known = {model.key: calibration.fit.state[model.key] for model in calibration.problem.joint_models}
     chain = calibration.chain.with_placements(calibration.placements)
-    (residual,) = explain(chain, read_session(shared / f"ur10_{there}"), known=known).residuals
+    (residual,) = explain(chain, read_session(shared / f"ur10_{there}"), bends=calibration.joint_models).residuals
     assert np.sqrt(np.mean(np.sum(residual**2, axis=1))) < most

@@ -45,7 +45,8 @@ def evaluate(
 
     With a session, base pose, LED positions and what else it does not know (camera poses, places) are fitted; the arm
     is A's. Of a RESULT, a folder that calibrate has written or its calibration.json, arm and LEDs are as calibrated.
-    Known distances of places take no part: they are shown beside those that come out.
+    Poses outside its measured domain are counted. Known distances of places take no part: they are shown beside those
+    that come out.
     """
     if Path(other).is_dir() or other.endswith((".yaml", ".yml")):
         if tip or base or poses:
@@ -84,13 +85,15 @@ def compared(a: str, b: str, tip: str, base: str | None, poses: int, seed: int) 
 def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
     import numpy as np
 
-    from urdfcal.cli.judging import arm_of, is_urdf
+    from urdfcal.cli.judging import arm_of, domain_of, is_urdf
     from urdfcal.estimation.blocks.places import PLACES
     from urdfcal.estimation.evaluation import explain
+    from urdfcal.estimation.measurements import Measurement
     from urdfcal.io.folder import read_points, read_session
     from urdfcal.result.calibration import Calibration
 
-    calibration, session = None if is_urdf(urdf) else Calibration.load(urdf), read_session(folder)
+    calibration = None if is_urdf(urdf) else Calibration.load(urdf)
+    session = read_session(folder, ignore_limits=True)  # beyond them is a warning: nothing is calibrated
     for warning in session.warnings:
         click.echo(f"- {warning}", err=True)
     if points is not None:
@@ -101,13 +104,16 @@ def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
             remedy = "Coordinates are in metres; these look like millimetres."
             raise SessionError(what, where=str(points), remedy=remedy)
         session = replace(session, measurements=(measured,), leds=leds, moved={})
-    if calibration is not None:
+    # What touches places hardly tells where the ball is: it is as calibrated. Elsewhere LEDs are fitted, like the base.
+    tables = (table for table in session.measurements if isinstance(table, Measurement))
+    if calibration is not None and not any(table.defines_world(session.attachments) for table in tables):
         known = {(name, led.link): np.array(led.position) for name, led in calibration.document.leds.items()}
         keys = [(led.name, led.link or session.chain.tip_link) for led in session.leds]
         fitted = zip(session.leds, keys, strict=True)
         calibrated = (replace(led, position=known[key], sigma=0.0) if key in known else led for led, key in fitted)
         session = replace(session, leds=tuple(calibrated))
-    explained = explain(arm_of(urdf, calibration, session, folder), session)
+    bends = None if calibration is None else calibration.joint_models
+    explained = explain(arm_of(urdf, calibration, session, folder), session, bends=bends)
     result: dict[str, Any] = {"a": urdf, "session": str(folder), "points": points and str(points)}
     found: dict[str, dict[str, Floats]] = {}
     for table, residual in zip(session.measurements, explained.residuals, strict=True):
@@ -128,7 +134,10 @@ def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
             }
             for of in session.place_distances
         ]
-    return result
+    domain = domain_of(calibration, session.chain, session.chain.readings(session.q))
+    for remark in domain.remarks:
+        click.echo(f"- {remark}", err=True)
+    return result | domain.data
 
 
 def _spread(values: Floats, scale: float) -> dict[str, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from urdfcal.arrays import Floats, frozen
 from urdfcal.errors import RobotError
 from urdfcal.estimation.alignment import kabsch
 from urdfcal.estimation.blocks.arm import no_offsets
+from urdfcal.estimation.joint_models.linear import LinearJointModel
 from urdfcal.estimation.joint_models.time_offset import time_offsets
 from urdfcal.estimation.model_spec import nominal
 from urdfcal.estimation.parameters import choose_parameters
@@ -22,10 +23,8 @@ from urdfcal.robot.tree_dh import rows_of
 from urdfcal.session.moves import resolve_moves
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
+    from urdfcal.estimation.joint_models.found import FoundJointModels
     from urdfcal.estimation.solver import Progress, Solution
-    from urdfcal.estimation.state import Key
     from urdfcal.robot.mechanism import Mechanism
     from urdfcal.session.knowledge import Freedom
     from urdfcal.session.model import Session
@@ -136,7 +135,7 @@ def explain(
     chain: Mechanism,
     session: Session,
     progress: Progress | None = None,
-    known: Mapping[Key[Any], Any] | None = None,
+    bends: FoundJointModels | None = None,
 ) -> Explanation:
     """Fit base pose, LED positions and, for pixels, camera poses to a session; the arm stays as ``chain`` says.
 
@@ -144,20 +143,23 @@ def explain(
         chain: the arm.
         session: what was measured; its own chain is not used.
         progress: called after every solver step.
-        known: values of joint models that the arm has.
+        bends: the arm's joint models; they act under the session's payload, gravity and torques.
 
     Raises:
         CalibrationError: no start from these measurements.
     """
+    models = () if bends is None else bends.of_session(session)
     session = resolve_moves(replace(session, chain=chain, place_distances=()))  # they are a check of the arm
     arm = rows_of(chain)
     start = start_state(session, arm, no_offsets(arm))
     session = session.recorded(time_offsets(start))
     problem = Problem.of(session, arm)
+    rigid = (model for model in problem.joint_models if not isinstance(model, LinearJointModel))
+    problem = replace(problem, joint_models=(*rigid, *models))
     spec = nominal(session, start)
     free: Freedom = "free"
     spec = replace(spec, extrinsics=(free,) * len(spec.extrinsics))
-    start = start.replace(known or {})
+    start = start.replace({} if bends is None else bends.values)
     fit = solve(problem, start, choose_parameters(session, problem, start, spec), progress)
     residuals = [observed.by_row(problem.residual(observed, fit.state)) for observed in problem.observations]
     return Explanation(tuple(residuals), fit, problem)

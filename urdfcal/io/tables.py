@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from urdfcal.estimation.measurements import Measurement
     from urdfcal.robot.mechanism import Mechanism
 
+BEFORE = "before "
+"""Begins the labels of poses that are written because the arm came from there to the next one."""
+
 _MISSING = "Leave the row out where nothing was measured."
 # What is named elsewhere: in joints.csv, the camera file and session.yaml.
 _KNOWN = {"pose": "poses of joints.csv", "camera": "cameras", "led": "LEDs", "target": "targets"}

@@ -15,6 +15,7 @@ import numpy as np
 from urdfcal.errors import OutputError
 from urdfcal.estimation.measurements.points import SPREAD, CorrelatedPoints
 from urdfcal.files import told
+from urdfcal.io.tables import BEFORE
 from urdfcal.names import check_names
 from urdfcal.robot.gravity import STANDARD_GRAVITY
 from urdfcal.rotations import matrix_to_rpy
@@ -199,9 +200,9 @@ def _with_moves(session: Positions) -> tuple[list[str], Floats, Floats | None]:
         time = np.insert(time, from_elsewhere, came[from_elsewhere])
     q = np.insert(q, from_elsewhere, session.came_from[from_elsewhere], axis=0)
     for k in reversed(from_elsewhere.tolist()):
-        label = f"before {poses[k]}"
+        label = f"{BEFORE}{poses[k]}"
         while label in poses:
-            label = f"before {label}"
+            label = f"{BEFORE}{label}"
         poses.insert(k, label)
     return poses, session.chain.readings(q), time
 

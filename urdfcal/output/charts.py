@@ -234,7 +234,7 @@ def figures(overview: Overview) -> dict[str, str]:
     scene, workspace, table = overview.scene, overview.workspace, overview.scene.tables[0]
     corrections = parameter_charts(overview.calibration)
     cost, _, step, *_ = convergence_charts(overview.calibration)
-    maps = [_map(name, workspace.tip, 1e3 * error) for name, error in workspace.errors.items()]
+    maps = [_map(name, workspace, 1e3 * error) for name, error in workspace.errors.items()]
     found = {
         "residuals": svg([[_by_pose(table), _spread(table)]], 230),
         "workspace": svg([[*maps, workspace_chart(workspace)]], 250),
@@ -247,23 +247,27 @@ def figures(overview: Overview) -> dict[str, str]:
     return found
 
 
-def _map(name: str, tip: Floats, error: Floats) -> Chart:
-    """The median tip error over the distance from the base's axis and the height."""
-    radius, height = np.hypot(tip[:, 0], tip[:, 1]), tip[:, 2]
+def _map(name: str, workspace: Workspace, error: Floats) -> Chart:
+    """The median tip error over the distance from the base's axis and the height, grey where nothing was measured."""
+    radius, height = np.hypot(workspace.tip[:, 0], workspace.tip[:, 1]), workspace.tip[:, 2]
     size = max(np.ptp(radius), np.ptp(height)) / _CELLS
     column, row = ((values - values.min()) // size for values in (radius, height))
     cells, cell = np.unique(np.stack([column, row], axis=1), axis=0, return_inverse=True)
     order = np.argsort(cell, kind="stable")
     groups = np.split(error[order], np.cumsum(np.bincount(cell))[:-1])
     median = np.array([np.median(group) for group in groups])
-    colors = Scale.holding(median, room=0.0)
+    known = np.bincount(cell, workspace.measured) > 0
+    colors = Scale.holding(median[known], room=0.0)
     x, y = radius.min() + (cells[:, 0] + 0.5) * size, height.min() + (cells[:, 1] + 0.5) * size
     return Chart(
         name,
         f"{name} [mm]",
         Scale(float(x.min() - size), float(x.max() + size)),
         Scale(float(y.min() - size), float(y.max() + size)),
-        [Mark("cells", "error", x, y, palette.viridis(colors.share(median)), size)],
+        [
+            Mark("cells", "not measured", x[~known], y[~known], palette.UNMEASURED, size),
+            Mark("cells", "error", x[known], y[known], palette.viridis(colors.share(median[known])), size),
+        ],
         x_label="from the base's z axis [m]",
         equal=True,
         colors=colors,

@@ -168,12 +168,16 @@ def _log_leds(base: Layer, scene: CalibrationScene) -> None:
 
 
 def _log_workspace(layer: Layer, workspace: Workspace) -> None:
-    """Log the tip's places over the workspace, coloured by how far it is off, on one scale before and after."""
+    """Log the tip's places over the workspace, coloured by how far it is off, on one scale before and after.
+
+    Where the configuration was not measured, the dot is small.
+    """
     smallest, largest = workspace.range
     scale = Scale(max(smallest, _SMALLEST), max(largest, 2.0 * _SMALLEST), logarithmic=True)
+    radii = np.where(workspace.measured, _DOT, _SMALL_DOT)
     for name, error in workspace.errors.items():
         colors = palette.viridis(scale.share(np.maximum(error, _SMALLEST)))
-        layer.at(name).fixed(rr.Points3D(workspace.tip, colors=colors, radii=_SMALL_DOT))
+        layer.at(name).fixed(rr.Points3D(workspace.tip, colors=colors, radii=radii))
 
 
 def _log_residuals(base: Layer, scene: CalibrationScene) -> None:

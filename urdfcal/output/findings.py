@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from urdfcal import files
-from urdfcal.arrays import Floats, frozen
+from urdfcal.arrays import Bools, Floats, frozen
 from urdfcal.estimation.alignment import kabsch
 from urdfcal.estimation.blocks.arm import LENGTHS
 from urdfcal.output import charts
-from urdfcal.output.palette import SIGMA_LEGEND
+from urdfcal.output.palette import SIGMA_LEGEND, UNMEASURED
 from urdfcal.output.scene import CalibrationScene, build_scene
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.robot.tree_dh import MOUNT
@@ -63,11 +63,13 @@ class Workspace:
         tip: (M, 3) of the calibrated arm in the base link's frame. [m]
         before: (M,) distance of the nominal arm's tip, after the best rigid alignment at the base. [m]
         after: (M,) predicted standard deviation of the calibrated tip's place, aligned likewise. [m]
+        measured: (M,) whether the joint values lie in the measured domain.
     """
 
     tip: Floats
     before: Floats
     after: Floats
+    measured: Bools
 
     @property
     def errors(self) -> dict[str, Floats]:
@@ -89,7 +91,8 @@ def sample_workspace(calibration: FittedCalibration) -> Workspace:
     nominal = tip_poses(chain, q)[:, :3, 3]
     T = kabsch(nominal, tip)
     before = np.linalg.norm(nominal @ T[:3, :3].T + T[:3, 3] - tip, axis=1)
-    return Workspace(frozen(tip), frozen(before), frozen(calibration.tip_sigma(q)))
+    measured = calibration.in_domain(chain.readings(q))
+    return Workspace(frozen(tip), frozen(before), frozen(calibration.tip_sigma(q)), measured)
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,15 +217,16 @@ def fastening_sentences(session: Setup) -> tuple[str, ...]:
     Nothing is said where every LED is on the tip link and every camera is fixed in the world.
     """
     frames, chain = session.attachments, session.chain
-    links = [tip.link for tip in frames.tips]
     if len(chain.tips) == 1 and np.all(frames.led == 1) and not session.mounts:
         return ()
     parts = []
-    for frame in sorted(set(frames.led.tolist())):
-        names = [name for name, of in zip(session.led_names, frames.led, strict=True) if of == frame]
-        where = f"on {links[frame - 1]}" if frame else "fixed in the world"
+    carried = [(led.name, frame) for led, frame in zip(session.leds, frames.led.tolist(), strict=False)]
+    carried += [(f"target {name}", carrier) for name, carrier in frames.carried]
+    for frame in sorted({frame for _, frame in carried}):
+        names = [name for name, of in carried if of == frame]
+        where = f"on {frames.frames[frame]}" if frame else "fixed in the world"
         parts.append(f"{listed(names)} {where}")
-    sentences = [f"LEDs: {'; '.join(parts)}."]
+    sentences = [f"{'LEDs' if session.leds else 'Seen'}: {'; '.join(parts)}."]
     sentences += [
         f"Camera {mount.camera} is on {mount.link}: an error in mm is how far an LED is, across the camera's ray, from "
         "where the joints between the two put it."
@@ -293,6 +297,8 @@ def write_report(path: Path, overview: Overview, *, refused: bool = False) -> No
         misfit="of unknown size in" if chi2 is None else f"{np.sqrt(chi2):.2g} times",
         figures={name: Markup(svg) for name, svg in charts.figures(overview).items()},  # noqa: S704  # made by us, labels escaped
         sigma_legend=SIGMA_LEGEND,
+        unmeasured=f"rgb{UNMEASURED}",
+        share=f"{100.0 * overview.workspace.measured.mean():.0f} %",
         rows=list(rows.items()),
         columns=[
             f"{charts.SYMBOLS.get(c, c)} [{'mm' if c in LENGTHS else 'mrad'}]" for c in calibration.geometry.columns

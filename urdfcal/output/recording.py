@@ -260,7 +260,7 @@ def _workspace(overview: Overview) -> rrb.Container:
     tip = "tip" if len(tips) == 1 else tips[0].link
     titles = (f"Nominal: distance to the calibrated {tip}", "Calibrated: predicted standard deviation")
     smallest, largest = (1e3 * limit for limit in workspace.range)
-    scale = f"violet {smallest:.2g}, yellow {largest:.2g} mm"
+    scale = f"violet {smallest:.2g}, yellow {largest:.2g} mm; small: not measured"
     views = [
         _space(
             f"{title}, {1e3 * error.min():.2g} to {1e3 * error.max():.2g} mm ({scale})",

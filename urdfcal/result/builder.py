@@ -16,12 +16,14 @@ from urdfcal.estimation.blocks.cameras import lens_key, pose_key
 from urdfcal.estimation.blocks.leds import LEDS
 from urdfcal.estimation.blocks.places import PLACES
 from urdfcal.estimation.blocks.planes import PLANES
+from urdfcal.estimation.blocks.targets import target_key
 from urdfcal.estimation.joint_models.time_offset import TIME_OFFSETS
 from urdfcal.estimation.measurements.pixels import triangulate
 from urdfcal.estimation.model_selection import Trial
 from urdfcal.estimation.observations import arrange
 from urdfcal.estimation.validation import rms_interval
 from urdfcal.result.document import FORMAT, ResultDocument
+from urdfcal.result.joint_model_sections import joint_model_sections
 from urdfcal.robot.mechanism import BASE as BASE_LINK
 from urdfcal.robot.urdf.origins import origins_of
 from urdfcal.rotations import matrix_to_rpy
@@ -44,11 +46,13 @@ def build_document(of: FittedCalibration) -> ResultDocument:
         "T_world_base": of.estimate.T_world_base,
         "T_world_base_sigma": of.sigmas_of(BASE),
         "leds": _leds(of),
+        "targets": _targets(of),
         "cameras": {camera.name: _camera(of, c) for c, camera in enumerate(of.estimate.cameras)},
         "fit": _fit(of),
         "verdict": _of(of.assessment, "level", "sentence", "reasons"),
         "validation": _validation(of),
         **_evidence(of),
+        **joint_model_sections(of),
         "models": [
             {
                 "model": str(attempt.spec),
@@ -180,7 +184,7 @@ def _sessions(of: FittedCalibration) -> Plain:
         entries[name or BASE_PART] = {
             "T_world_base": of.fit.state[key],
             "T_world_base_sigma": of.sigmas_of(key),
-            "poses": np.count_nonzero(session.part == k),
+            "poses": np.count_nonzero(session.part[of.problem.poses] == k),
             "leds": [session.led_names[i] for i in sorted(things["led"])],
             "cameras": [session.rig.names[i] for i in sorted(things["camera"])],
             "residuals": residuals,
@@ -220,6 +224,15 @@ def _planes(of: FittedCalibration) -> Plain:
     for k, name in enumerate(of.session.named("plane")):
         plane = of.fit.state[PLANES][k]
         entries[name] = {"normal": plane[:3], "offset": plane[3], "sigma": sigmas[k]}
+    return entries
+
+
+def _targets(of: FittedCalibration) -> Plain:
+    frames, entries = of.session.attachments, {}
+    for T, (name, carrier), target in zip(of.estimate.targets, frames.carried, of.session.targets, strict=True):
+        exact = target.sigma is not None and not target.sigma.any()
+        sigma = np.zeros(6) if exact else of.sigmas_of(target_key(name))
+        entries[name] = {"link": frames.frames[carrier], "T_link_target": T, "sigma": sigma}
     return entries
 
 

@@ -10,22 +10,27 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from urdfcal import files
-from urdfcal.arrays import Floats, frozen
-from urdfcal.errors import OutputError
+from urdfcal.arrays import Bools, Floats, frozen
+from urdfcal.errors import OutputError, RobotError
 from urdfcal.robot.apply import apply_to_model, apply_to_urdf
 from urdfcal.robot.chain import Chain, Tree
 from urdfcal.robot.compensation import Compensation, compensate
 from urdfcal.robot.dh import PARAMETERS
+from urdfcal.robot.kinematics import tip_poses
 from urdfcal.robot.mechanism import BASE, Joint, Mechanism, Tip
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.robot.urdf.urdf import Mimic, Urdf
+from urdfcal.session.domain import beyond
 
 if TYPE_CHECKING:
     import pinocchio as pin
     from numpy.typing import ArrayLike
 
+    from urdfcal.arrays import Ints
     from urdfcal.estimation.assessment import Assessment
+    from urdfcal.estimation.joint_models.found import FoundJointModels
     from urdfcal.result.document import ResultDocument
+    from urdfcal.session.knowledge import Payload
 
 FILE_NAME = "calibration.json"
 
@@ -160,7 +165,8 @@ class Calibration:
             in_place: change this model instead of a copy. A data structure made of it stays valid.
 
         Returns:
-            The calibrated model.
+            The calibrated model: the rigid arm. Joint models, such as compliance, are none of it: give it the joint
+            values of :meth:`joint_values`.
 
         Raises:
             RobotError: a joint is missing, or its placement is not the nominal one that was calibrated; the model is
@@ -181,7 +187,89 @@ class Calibration:
         """
         return apply_to_urdf(urdf, self.chain, self.placements)
 
-    def compensate(self, q: ArrayLike) -> Compensation:
+    def in_domain(self, q: ArrayLike) -> Bools:
+        """Tell which configurations lie in the measured domain: every joint within the values that were measured.
+
+        Outside, the accuracy that the result claims is an extrapolation. Inside it may be, too: ranges do not say which
+        values were measured together.
+
+        Args:
+            q: (..., k) values of the actuated joints, in the order of ``chain.actuated``. [rad or m]
+
+        Returns:
+            (...).
+
+        Raises:
+            OutputError: the result's file is of a version that did not store the domain.
+        """
+        if self.document.domain is None:
+            raise OutputError("the result does not hold the measured domain", remedy="Calibrate its session again.")
+        result: Bools = np.all(beyond(self.chain, q, self.document.domain.joints) == 0.0, axis=-1)
+        return result
+
+    @cached_property
+    def joint_models(self) -> FoundJointModels:
+        """What stands between the joints' readings and their true values; nothing of a rigid arm."""
+        from urdfcal.result.joint_model_sections import found_joint_models
+
+        return found_joint_models(self.document, self.chain)
+
+    def joint_values(
+        self,
+        readings: ArrayLike,
+        torques: ArrayLike | None = None,
+        previous: ArrayLike | None = None,
+        payload: Payload | None = None,
+    ) -> Floats:
+        """Compute the joints' true values, for any program that has the calibrated placements (:meth:`apply`).
+
+        Args:
+            readings: (..., k) of the actuated joints, in the order of ``chain.actuated``. [rad or m]
+            torques: (..., k) measured joint torques; needed where compliances were found with such. [N m or N]
+            previous: (..., k) readings where the arm came from; without them it neither lags nor has play. [rad or m]
+            payload: what the arm carries; None for what it carried when it was calibrated, of several sessions in the
+                first. Measured torques hold it already.
+
+        Returns:
+            (..., n) of all joints, mimic joints included. [rad or m]
+
+        Raises:
+            RobotError: shapes do not agree, or nothing is known of the payload's link.
+            SessionError: the torques are missing.
+        """
+        return self.joint_values_with_jacobian(readings, torques, previous, payload)[0]
+
+    def joint_values_with_jacobian(
+        self,
+        readings: ArrayLike,
+        torques: ArrayLike | None = None,
+        previous: ArrayLike | None = None,
+        payload: Payload | None = None,
+    ) -> tuple[Floats, Floats]:
+        """Compute :meth:`joint_values` (..., n), and their derivative (..., n, k) by the readings."""
+        q, shape, given = self._given(readings, torques=torques, previous=previous)
+        values, J = self._carrying(payload).joint_values(q, **given)
+        return values.reshape(*shape, -1), J.reshape(*shape, *J.shape[1:])
+
+    def forward(
+        self,
+        readings: ArrayLike,
+        torques: ArrayLike | None = None,
+        previous: ArrayLike | None = None,
+        payload: Payload | None = None,
+    ) -> Floats:
+        """Compute the calibrated tip's frame T_base_tip (..., 4, 4) with all joint models; see :meth:`joint_values`."""
+        values = self.joint_values(readings, torques, previous, payload)
+        T = tip_poses(self.calibrated, values.reshape(-1, values.shape[-1]))
+        return T.reshape(*values.shape[:-1], 4, 4)
+
+    def compensate(
+        self,
+        q: ArrayLike,
+        torques: ArrayLike | None = None,
+        previous: ArrayLike | None = None,
+        payload: Payload | None = None,
+    ) -> Compensation:
         """Find joint commands for a controller that keeps its nominal kinematics.
 
         With them the real tip, the first one of joints that branch, goes where the nominal robot's would go with ``q``.
@@ -189,11 +277,39 @@ class Calibration:
 
         Args:
             q: (..., k) nominal values of the actuated joints, in the order of ``chain.actuated``. [rad or m]
+            torques: (..., k), see :meth:`joint_values`.
+            previous: (..., k) where the arm comes from.
+            payload: what it carries.
 
         Raises:
             RobotError: a value is not finite, or beyond its joint's limits.
+            SessionError: the torques are missing.
         """
-        return compensate(self.chain, self.calibrated, q)
+        bends = self._carrying(payload)
+        if not bends.found:
+            return compensate(self.chain, self.calibrated, q)
+        *_, given = self._given(q, torques=torques, previous=previous)
+
+        def true(commands: Floats, some: Ints) -> tuple[Floats, Floats]:
+            return bends.joint_values(commands, **{name: values[some] for name, values in given.items()})
+
+        return compensate(self.chain, self.calibrated, q, true)
+
+    def _carrying(self, payload: Payload | None) -> FoundJointModels:
+        return self.joint_models if payload is None else self.joint_models.carrying(payload)
+
+    def _given(self, readings: ArrayLike, **others: ArrayLike | None) -> tuple[Floats, tuple[int, ...], dict[str, Any]]:
+        """Readings as (N, k), the shape (...) that they came in, and what was given beside, alike."""
+        q, k = np.asarray(readings, dtype=float), len(self.chain.actuated)
+        given = {name: np.asarray(values, dtype=float) for name, values in others.items() if values is not None}
+        for name, values in {"readings": q, **given}.items():
+            if values.shape != q.shape or q.shape[-1:] != (k,):
+                raise RobotError(
+                    f"{name} of shape {values.shape} are not one of each of {k} joints for each pose",
+                    where=self.chain.name,
+                    remedy=f"Give them in this order: {', '.join(self.chain.actuated)}.",
+                )
+        return q.reshape(-1, k), q.shape[:-1], {name: values.reshape(-1, k) for name, values in given.items()}
 
 
 def corrected_name(urdf_reference: str) -> str:

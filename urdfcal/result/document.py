@@ -22,6 +22,7 @@ from urdfcal.result.evidence_sections import (
     Transform,
     Triple,
 )
+from urdfcal.result.joint_model_sections import JointModelEntry, LoadSection, check_joint_models
 from urdfcal.robot.tree_dh import MOUNT
 
 FORMAT, FORMAT_1 = "urdfcal/2", "urdfcal/1"
@@ -125,6 +126,14 @@ class PlaneEntry(Section):
 
     normal: Triple
     offset: float
+    sigma: Sigmas
+
+
+class TargetEntry(Section):
+    """The pose of a target on its link, or in the world; sigma of a small motion x, y, z, rx, ry, rz of the target."""
+
+    link: str
+    T_link_target: Transform
     sigma: Sigmas
 
 
@@ -297,6 +306,7 @@ class ResultDocument(Section):
     T_world_base_sigma: Sigmas
     sessions: dict[str, SessionEntry] = Field(default_factory=dict)
     leds: dict[str, LedEntry]
+    targets: dict[str, TargetEntry] = Field(default_factory=dict)
     cameras: dict[str, CameraEntry]
     places: dict[str, PlaceEntry] = Field(default_factory=dict)
     planes: dict[str, PlaneEntry] = Field(default_factory=dict)
@@ -309,6 +319,8 @@ class ResultDocument(Section):
     scale: ScaleSection | None = None
     noise: dict[str, NoiseEntry] = Field(default_factory=dict)
     findings: list[FindingEntry] = Field(default_factory=list)
+    joint_models: dict[str, dict[str, JointModelEntry]] = Field(default_factory=dict)
+    load: LoadSection | None = None
     domain: DomainSection | None = None
     models: list[ModelEntry]
     identifiability: IdentifiabilitySection
@@ -322,6 +334,7 @@ class ResultDocument(Section):
         for row in self.dh:
             if row.joint.removesuffix(MOUNT) not in self.robot.joints:
                 raise ValueError(f"dh names joint {row.joint!r}, which the robot has not")
+        check_joint_models(self.joint_models, self.load, self.robot.joints)
         return self
 
     def to_dict(self) -> dict[str, Any]:

@@ -13,9 +13,14 @@ from urdfcal.robot.kinematics import joint_axes, tip_motion, tip_poses
 from urdfcal.rotations import matrix_to_rotation_vector
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import ArrayLike
 
+    from urdfcal.arrays import Ints
     from urdfcal.robot.mechanism import Mechanism
+
+    TrueValues = Callable[[Floats, Ints], tuple[Floats, Floats]]
 
 # Away from singularities three steps arrive from centimetres off; beside one, or at a limit, steps shrink slowly and
 # what is left is reported.
@@ -56,7 +61,7 @@ class Compensation:
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
 
-def compensate(nominal: Mechanism, calibrated: Mechanism, q: ArrayLike) -> Compensation:
+def compensate(nominal: Mechanism, calibrated: Mechanism, q: ArrayLike, true: TrueValues | None = None) -> Compensation:
     """Find joint commands that bring the calibrated arm's tip to the nominal arm's poses.
 
     Damped Gauss-Newton on the calibrated arm from the nominal commands, position first: the orientation is corrected
@@ -67,6 +72,8 @@ def compensate(nominal: Mechanism, calibrated: Mechanism, q: ArrayLike) -> Compe
         nominal: the arm as the controller believes it is.
         calibrated: the same arm with calibrated placements.
         q: (..., k) commands of the actuated joints, made for the nominal arm. [rad or m]
+        true: gives for commands (M, k) of some poses (M,) of the N all joints' true values (M, n), and their
+            derivatives (M, n, k); left out: they are where they are told.
 
     Raises:
         RobotError: a command is not finite, or beyond the joint's limits.
@@ -86,23 +93,34 @@ def compensate(nominal: Mechanism, calibrated: Mechanism, q: ArrayLike) -> Compe
         poses = slice(first, first + _BLOCK)
         T = tip_poses(nominal, nominal.joint_values(commands[poses]))
         least, most = np.maximum(lower, commands[poses] - _FURTHEST), np.minimum(upper, commands[poses] + _FURTHEST)
-        found[poses], error = _approach(calibrated, T, commands[poses], least, most)
+        each = np.arange(len(commands))[poses]
+        found[poses], error = _approach(calibrated, T, commands[poses], least, most, _true(calibrated, true, each))
         position[poses], angle[poses] = np.linalg.norm(error.reshape(-1, 2, 3), axis=2).T
     shape = given.shape[:-1]
     return Compensation(found.reshape(given.shape), position.reshape(shape), angle.reshape(shape))
 
 
-def _approach(chain: Mechanism, T: Floats, start: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
+def _true(chain: Mechanism, true: TrueValues | None, poses: Ints) -> TrueValues:
+    """The joints' true values in poses of a block; as commanded where there are no joint models."""
+    if true is not None:
+        return lambda q, some: true(q, poses[some])
+    return lambda q, _: (chain.joint_values(q), chain.reading_jacobian[None])
+
+
+def _approach(
+    chain: Mechanism, T: Floats, start: Floats, lower: Floats, upper: Floats, true: TrueValues
+) -> tuple[Floats, Floats]:
     """Find commands (N, k) that bring the tip to poses T (N, 4, 4), and the errors left (N, 6).
 
     ``start``, ``lower`` and ``upper`` are (N, k).
     """
-    model, axes = chain.build_model(), joint_axes(chain) @ chain.reading_jacobian
+    model, axes = chain.build_model(), joint_axes(chain)
     q = np.clip(start, lower, upper)
     best, error_left = q.copy(), np.full((len(q), 6), np.inf)
     going = np.arange(len(q))
     for _ in range(_STEPS):
-        motion = tip_motion(chain, model, chain.joint_values(q[going]))
+        values, slopes = true(q[going], going)
+        motion = tip_motion(chain, model, values)
         turn = matrix_to_rotation_vector(T[going, :3, :3] @ np.swapaxes(motion.R, 1, 2))
         error = np.concatenate([T[going, :3, 3] - motion.p, turn], axis=1)
         nearer = _error_size(error, chain) < _error_size(error_left[going], chain)
@@ -111,6 +129,7 @@ def _approach(chain: Mechanism, T: Floats, start: Floats, lower: Floats, upper: 
         if not far.any():
             break
         J = (motion.regressor[far].reshape(-1, len(axes)) @ axes).reshape(-1, 6, axes.shape[1])
+        J = J @ (slopes[far] if len(slopes) == len(far) else slopes)
         going, error = going[far], error[far]
         step = _step(J, error, np.ones(q[going].shape, dtype=bool), chain.reach)
         least, most = lower[going], upper[going]

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import pinocchio as pin
 
-from urdfcal.arrays import Floats, Ints, frozen
+from urdfcal.arrays import Floats, frozen
+from urdfcal.robot.mechanism import BASE, Tip
 
 if TYPE_CHECKING:
     from urdfcal.robot.mechanism import Mechanism
@@ -39,17 +40,30 @@ class Body(Protocol):
 class Masses:
     """The masses that the joints of a mechanism carry.
 
-    Joints of the URDF that are none of the mechanism's stay at their neutral position.
-
     Attributes:
-        model: of these joints alone, with all masses.
-        joint: (n,) index of each of the mechanism's joints in the model.
-        R_root_base: (3, 3) the base link's rotation in the model's root frame.
+        mechanism: the joints, as drawn.
+        mass: (n,) of each joint's links. [kg]
+        center: (n, 3) their centre of mass in the joint's frame. [m]
     """
 
-    model: pin.Model
-    joint: Ints
-    R_root_base: Floats
+    mechanism: Mechanism
+    mass: Floats
+    center: Floats
+
+    def __post_init__(self) -> None:
+        for name in ("mass", "center"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+
+    def carrying(self, body: Body, at: Tip) -> Masses:
+        """Return the same with a body on a link of a joint; what is on the base link is carried by none."""
+        if at.joint == BASE:
+            return self
+        mass, center = np.array(self.mass), np.array(self.center)
+        total = mass[at.joint] + body.mass
+        place = at.T_joint_link[:3, :3] @ body.center + at.T_joint_link[:3, 3]
+        center[at.joint] = (mass[at.joint] * center[at.joint] + body.mass * place) / total if total else 0.0
+        mass[at.joint] = total
+        return Masses(self.mechanism, mass, center)
 
     def torques(self, q: Floats, gravity: Floats = STANDARD_GRAVITY) -> Floats:
         """Compute the torques or forces that hold the joints against gravity.
@@ -61,47 +75,73 @@ class Masses:
         Returns:
             (N, n) along each joint's axis. [N m or N]
         """
-        model = self.model.copy()
-        model.gravity.linear = self.R_root_base @ gravity
-        joints = [model.joints[int(k)] for k in self.joint]
-        configurations = np.zeros((len(q), model.nq))
-        for values, joint in zip(q.T, joints, strict=True):
-            if joint.nq == 2:  # continuous
-                configurations[:, joint.idx_q], configurations[:, joint.idx_q + 1] = np.cos(values), np.sin(values)
-            else:
-                configurations[:, joint.idx_q] = values
-        data, tau = model.createData(), np.zeros((len(q), model.nv))
-        for k, configuration in enumerate(configurations):
-            tau[k] = pin.computeGeneralizedGravity(model, data, configuration)
-        return tau[:, [joint.idx_v for joint in joints]]
+        model, tau = self._model(gravity), np.empty(q.shape)
+        data = model.createData()
+        for k, values in enumerate(q):
+            tau[k] = pin.computeGeneralizedGravity(model, data, values)
+        return tau
+
+    def slopes(self, q: Floats, gravity: Floats = STANDARD_GRAVITY) -> Floats:
+        """Compute the derivatives (N, n, n) of :meth:`torques` by the joint values. [N m/rad, N/m]."""
+        model, found = self._model(gravity), np.empty((*q.shape, q.shape[1]))
+        data = model.createData()
+        for k, values in enumerate(q):
+            found[k] = pin.computeGeneralizedGravityDerivatives(model, data, values)
+        return found
+
+    def _model(self, gravity: Floats) -> pin.Model:
+        model = self._built.copy()
+        model.gravity.linear = np.array(gravity)
+        return model
+
+    @cached_property
+    def _built(self) -> pin.Model:
+        model = self.mechanism.build_model()
+        for k, (mass, center) in enumerate(zip(self.mass, self.center, strict=True), start=1):
+            model.inertias[k] = pin.Inertia(float(mass), np.array(center), np.zeros((3, 3)))
+        return model
 
 
-@lru_cache(maxsize=8)
 def masses_of(urdf: Urdf, mechanism: Mechanism, payload: Body | None = None) -> Masses | None:
     """Read the masses that a mechanism's joints carry; None where the URDF and the payload have none.
+
+    Joints of the URDF that are none of the mechanism's stay at their neutral position.
 
     Args:
         urdf: the robot.
         mechanism: some of its joints.
         payload: what the robot carries beside its own links.
     """
+    model = _reduced(urdf, mechanism)
+    if model is None:
+        return None
+    inertias = [model.inertias[model.getJointId(name)] for name in mechanism.names]
+    mass = np.array([inertia.mass for inertia in inertias])
+    center = np.array([inertia.lever if inertia.mass > 0.0 else np.zeros(3) for inertia in inertias])
+    found = Masses(mechanism, mass, center)
+    if payload is not None:
+        found = found.carrying(payload, place_of(urdf, mechanism, payload.link))
+    return found if np.any(found.mass > 0.0) else None
+
+
+def place_of(urdf: Urdf, mechanism: Mechanism, link: str) -> Tip:
+    """Find the joint of a mechanism that carries a link of the URDF, and the link's frame in that joint's."""
+    model = _reduced(urdf, mechanism)
+    if model is None or not model.existFrame(link):
+        return mechanism.tip(link)
+    frame = model.frames[model.getFrameId(link)]
+    joint = mechanism.names.index(model.names[frame.parentJoint]) if frame.parentJoint else BASE
+    return Tip(link, joint, frame.placement.homogeneous)
+
+
+@lru_cache(maxsize=8)
+def _reduced(urdf: Urdf, mechanism: Mechanism) -> pin.Model | None:
+    """The URDF's model with the mechanism's joints alone; None where it has not got them all."""
     model = pin.buildModelFromXML(urdf.text)
     if not all(model.existJointName(name) for name in mechanism.names) or not model.existFrame(mechanism.base_link):
         return None
-    if payload is not None:
-        frame = model.frames[model.getFrameId(payload.link)]
-        inertia = pin.Inertia(payload.mass, np.array(payload.center), np.zeros((3, 3)))
-        model.appendBodyToJoint(frame.parentJoint, inertia, frame.placement)
     others = [k for k, name in enumerate(model.names) if k and name not in mechanism.names]
-    neutral = pin.neutral(model)
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, neutral)
-    R_root_base = data.oMf[model.getFrameId(mechanism.base_link)].rotation.copy()
-    model = pin.buildReducedModel(model, others, neutral)
-    if not any(inertia.mass > 0.0 for inertia in list(model.inertias)[1:]):
-        return None
-    joint = np.array([model.getJointId(name) for name in mechanism.names])
-    return Masses(model, frozen(joint, np.intp), frozen(R_root_base))
+    return pin.buildReducedModel(model, others, pin.neutral(model))
 
 
 def torque_regressor(mechanism: Mechanism, q: Floats, gravity: Floats = STANDARD_GRAVITY) -> Floats:

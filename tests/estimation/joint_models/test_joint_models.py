@@ -152,6 +152,18 @@ def test_its_jacobian_agrees_with_finite_differences(model: JointModel, readings
         assert np.abs(J[..., k] - numeric).max() < 1e-5 * max(np.abs(numeric).max(), 1e-3), model.names[k]
 
 
+def test_its_derivative_by_the_readings_agrees_with_finite_differences(model: JointModel, readings: Readings) -> None:
+    if not isinstance(model, LinearJointModel):
+        return
+    p, n = some_value(model), readings.q.shape[1]
+    readings = readings.at(slice(1, None))  # the first pose came from nowhere: there play has a step
+    found = np.broadcast_to(model.derivative(readings, p), (*readings.q.shape, n))
+    for j in range(n):
+        step = 1e-5 * np.eye(n)[j]
+        before, after = (model.values(replace(readings, q=readings.q + sign * step), p) for sign in (-1, 1))
+        np.testing.assert_allclose(found[..., j], (after - before) / 2e-5, atol=1e-6 * max(np.abs(found).max(), 1e-3))
+
+
 def test_poses_do_not_depend_on_each_other(model: JointModel, readings: Readings) -> None:
     # Poses are evaluated part by part.
     p, some = some_value(model), np.arange(len(readings.q))[1::2]

@@ -39,8 +39,8 @@ class PlanesBlock(Block["Floats"]):
     def retract(self, value: Floats, step: Floats) -> Floats:
         """Tilt the normals and move the planes along them."""
         steps = step.reshape(-1, 3)
-        normal = value[:, :3] + np.einsum("pij,pj->pi", tangents(value[:, :3]), steps[:, :2])
-        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        tilt = np.einsum("pij,pj->pi", tangents(value[:, :3]), steps[:, :2])
+        normal = (value[:, :3] + tilt) / np.sqrt(1.0 + np.sum(tilt**2, axis=1, keepdims=True))
         return np.column_stack([normal, value[:, 3] + steps[:, 2]])
 
     def local(self, value: Floats) -> tuple[Floats, Floats]:

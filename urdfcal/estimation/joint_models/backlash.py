@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from urdfcal.estimation.joint_models.linear import LinearJointModel, Prior
-from urdfcal.session.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -16,7 +15,6 @@ if TYPE_CHECKING:
     from urdfcal.arrays import Floats
     from urdfcal.estimation.joint_models.base import Readings
     from urdfcal.robot.mechanism import Joint
-    from urdfcal.session.model import Positions
 
 # A joint that moved by less since the pose before did not move. [rad or m]
 _STILL = 1e-6
@@ -35,11 +33,7 @@ class Backlash(LinearJointModel):
     revolute: ClassVar[Prior | None] = Prior("rad", 1e-4)
     prismatic: ClassVar[Prior | None] = Prior("m", 1e-5)
     certain: ClassVar[float] = 10.0  # the side a joint came from tells nothing of regions; measured rigid arms: up to 7
-
-    @classmethod
-    def depends_on(cls, session: Positions) -> dict[str, Any] | None:
-        """Apply to an arm that stood still in every pose."""
-        return None if isinstance(session.motion, Trajectory) else {}
+    at_rest: ClassVar[bool] = True
 
     def features(self, readings: Readings) -> Floats:
         """Return the direction that the joint came in."""
@@ -47,6 +41,10 @@ class Backlash(LinearJointModel):
             return np.zeros((len(readings.q), len(self)))
         came = self.read(readings.q - readings.previous)
         return np.sign(np.where(np.abs(came) > _STILL, came, 0.0))
+
+    def slopes(self, readings: Readings) -> Floats:
+        """Return zeros: a direction does not depend on how far."""
+        return np.zeros(self.selection.shape)
 
     def sentence(self, joint: Joint, group: str, p: Floats) -> str:
         """Say how far the two sides are apart."""

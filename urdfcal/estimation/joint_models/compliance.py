@@ -12,10 +12,11 @@ from urdfcal.estimation.joint_models.linear import LinearJointModel, Prior
 from urdfcal.robot.gravity import Masses, masses_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from urdfcal.arrays import Floats
     from urdfcal.estimation.joint_models.base import Readings
+    from urdfcal.estimation.joint_models.linear import Setting
     from urdfcal.robot.mechanism import Joint
     from urdfcal.session.model import Positions
 
@@ -55,6 +56,11 @@ class Compliance(LinearJointModel):
         masses = () if urdf is None else tuple(masses_of(urdf, chain, payload) for payload in payloads)
         return {"masses": masses, "gravity": session.gravity} if masses and None not in masses else None
 
+    @classmethod
+    def again(cls, setting: Setting, inputs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+        """Take the masses."""
+        return {"masses": setting.masses, "gravity": setting.gravity}
+
     def features(self, readings: Readings) -> Floats:
         """Return the torques, against which a joint gives way.
 
@@ -75,6 +81,15 @@ class Compliance(LinearJointModel):
             )
         carried: Floats = -(tau @ self.mechanism.reading_jacobian)[:, self.joints]
         return carried
+
+    def slopes(self, readings: Readings) -> Floats:
+        """Return those of the torques; measured ones do not follow the readings."""
+        found = np.zeros((*readings.q.shape, readings.q.shape[1]))
+        for part in np.unique(readings.part) if self.masses else ():
+            here = readings.part == part
+            found[here] = self.masses[part].slopes(readings.q[here], self.gravity)
+        result: Floats = -(self.mechanism.reading_jacobian.T @ found)[:, self.joints]
+        return result
 
     def sentence(self, joint: Joint, group: str, p: Floats) -> str:
         """Say how much it yields."""

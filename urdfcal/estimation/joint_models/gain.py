@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
+import numpy as np
+
 from urdfcal.estimation.joint_models.linear import LinearJointModel, Prior
 
 if TYPE_CHECKING:
@@ -27,11 +29,15 @@ class Gain(LinearJointModel):
     groups: ClassVar[Mapping[str, tuple[int, ...]]] = {"gain": (0,)}
     revolute: ClassVar[Prior | None] = Prior("1", 2e-4)
     prismatic: ClassVar[Prior | None] = Prior("1", 2e-4)
-    certain: ClassVar[float] = 0.0  # one parameter a joint: those of a UR10, by 7, hold in another region
+    certain: ClassVar[float] = np.inf  # gear ratios are exact: evidence alone may be of something else
 
     def features(self, readings: Readings) -> Floats:
         """Return the readings."""
         return self.read(readings.q)
+
+    def slopes(self, readings: Readings) -> Floats:
+        """Return one for the joint itself."""
+        return self.selection
 
     def sentence(self, joint: Joint, group: str, p: Floats) -> str:
         """Say by what share."""

@@ -39,6 +39,18 @@ class Harmonics(LinearJointModel):
         features = np.stack([np.sin(q), np.cos(q), np.sin(2.0 * q), np.cos(2.0 * q)], axis=2)
         return features.reshape(len(q), len(self))
 
+    def slopes(self, readings: Readings) -> Floats:
+        """Return the derivatives of sine and cosine."""
+        q = self.turns(readings)[:, :: len(self.words)]
+        slopes = np.stack([np.cos(q), -np.sin(q), 2.0 * np.cos(2.0 * q), -2.0 * np.sin(2.0 * q)], axis=2)
+        result: Floats = (slopes.reshape(len(q), len(self)) * self.rate)[:, :, None] * self.selection
+        return result
+
+    @property
+    def rate(self) -> Floats:
+        """(k,) of the angle that errors repeat with, for one of the joint."""
+        return np.ones(len(self))
+
     def turns(self, readings: Readings) -> Floats:
         """Return the angle (N, k) that errors repeat with. [rad]."""
         return self.read(readings.q)

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from urdfcal.estimation.joint_models.linear import LinearJointModel, Prior
-from urdfcal.session.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -16,7 +15,6 @@ if TYPE_CHECKING:
     from urdfcal.arrays import Floats
     from urdfcal.estimation.joint_models.base import Readings
     from urdfcal.robot.mechanism import Joint
-    from urdfcal.session.model import Positions
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,17 +31,17 @@ class Lag(LinearJointModel):
     prismatic: ClassVar[Prior | None] = Prior("1", 1e-4)
     together: ClassVar[bool] = True
     certain: ClassVar[float] = 10.0  # of a rigid Motoman arm it gains up to 9, and a tracker does not confirm it
-
-    @classmethod
-    def depends_on(cls, session: Positions) -> dict[str, Any] | None:
-        """Apply to an arm that stood still in every pose: of a moving one the cameras' clocks say the same."""
-        return None if isinstance(session.motion, Trajectory) else {}
+    at_rest: ClassVar[bool] = True  # of a moving one the cameras\' clocks say the same
 
     def features(self, readings: Readings) -> Floats:
         """Return the way that the joint came."""
         if readings.previous is None:
             return np.zeros((len(readings.q), len(self)))
         return self.read(readings.q - readings.previous)
+
+    def slopes(self, readings: Readings) -> Floats:
+        """Return one for the joint itself, where it is known where it came from."""
+        return self.selection * (readings.previous is not None)
 
     def sentence(self, joint: Joint, group: str, p: Floats) -> str:
         """Say how much."""

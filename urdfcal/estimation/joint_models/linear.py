@@ -12,6 +12,7 @@ import numpy as np
 
 from urdfcal.estimation.joint_models.base import JointModel
 from urdfcal.estimation.state import Key
+from urdfcal.session.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,8 +21,22 @@ if TYPE_CHECKING:
 
     from urdfcal.arrays import Bools, Floats
     from urdfcal.estimation.joint_models.base import Readings, Term
+    from urdfcal.robot.gravity import Masses
     from urdfcal.robot.mechanism import Joint, Mechanism
     from urdfcal.session.model import Positions
+
+
+class Setting(NamedTuple):
+    """What an arm whose joint models are known is under.
+
+    Attributes:
+        gravity: (3,) in the base link's frame. [m/s^2]
+        masses: that the joints carry in each part of a session; none where torques are measured, or nobody knows.
+    """
+
+    gravity: Floats
+    masses: tuple[Masses, ...]
+
 
 # More joints than these are called the joints.
 _NAMED = 2
@@ -55,6 +70,7 @@ class LinearJointModel(JointModel):
         together: whether the joints have it or have it not together, and not each on its own.
         certain: what the logarithm of the evidence must gain that it is chosen although left-out regions do not bear it
             out.
+        at_rest: whether it concerns an arm that stands still in every pose alone.
     """
 
     mechanism: Mechanism = field(kw_only=True)
@@ -67,6 +83,7 @@ class LinearJointModel(JointModel):
     together: ClassVar[bool] = False
     certain: ClassVar[float] = np.inf
     order: ClassVar[int] = -1
+    at_rest: ClassVar[bool] = False
 
     @classmethod
     def key_of(cls) -> Key[Floats]:
@@ -76,16 +93,20 @@ class LinearJointModel(JointModel):
     @classmethod
     def of(cls, session: Positions) -> Self | None:
         """Take every joint that has a reading and that the model concerns."""
-        more = cls.depends_on(session)
-        joints = session.chain.actuated_joints
+        more = None if cls.at_rest and isinstance(session.motion, Trajectory) else cls.depends_on(session)
+        concerned = [j.name for j in session.chain.actuated_joints if cls.prior(j) and cls.concerns(session, j)]
+        return None if more is None or not concerned else cls.build(session.chain, concerned, more)
+
+    @classmethod
+    def build(cls, mechanism: Mechanism, concerned: Sequence[str], more: Mapping[str, Any]) -> Self:
+        """Return the model of some joints, with its further fields."""
+        joints = mechanism.actuated_joints
         each = [
             (j, word, prior)
             for j, joint in enumerate(joints)
-            if (prior := cls.prior(joint)) is not None and cls.concerns(session, joint)
+            if joint.name in concerned and (prior := cls.prior(joint)) is not None
             for word in cls.words
         ]
-        if more is None or not each:
-            return None
         return cls(
             key=cls.key_of(),
             names=tuple(".".join(filter(None, (joints[j].name, cls.name, word))) for j, word, _ in each),
@@ -93,7 +114,7 @@ class LinearJointModel(JointModel):
             nominal=np.zeros(len(each)),
             sigma=np.array([prior.sigma for _, _, prior in each]),
             phrase="",
-            mechanism=session.chain,
+            mechanism=mechanism,
             joints=tuple(j for j, _, _ in each),
             **more,
         )
@@ -115,9 +136,29 @@ class LinearJointModel(JointModel):
         del session
         return {}
 
+    @classmethod
+    def again(cls, setting: Setting, inputs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+        """Return further fields of a model that was found: what :meth:`depends_on` gave when it was.
+
+        Args:
+            setting: what the arm carries, and gravity.
+            inputs: of each of its joints, from :meth:`inputs`.
+        """
+        del setting, inputs
+        return {}
+
+    def inputs(self, columns: Bools) -> dict[str, Any]:
+        """Return what is to be kept, as JSON, of the further fields of a joint's parameters (k,)."""
+        del columns
+        return {}
+
     @abstractmethod
     def features(self, readings: Readings) -> Floats:
         """Return what the parameters are multiplied with, (N, k)."""
+
+    @abstractmethod
+    def slopes(self, readings: Readings) -> Floats:
+        """Return the derivative (N, k, n) of :meth:`features` by all joints' readings; it may be broadcast over N."""
 
     @abstractmethod
     def sentence(self, joint: Joint, group: str, p: Floats) -> str:
@@ -155,6 +196,11 @@ class LinearJointModel(JointModel):
         result: Floats = self._carry * self.known_features(readings)[:, None, :]
         return result
 
+    def derivative(self, readings: Readings, p: Floats) -> Floats:
+        """Return the derivative (N, n, n) of :meth:`values` by all joints' readings; it may be broadcast over N."""
+        result: Floats = self._carry @ (p[:, None] * self.slopes(readings))
+        return result
+
     def known_features(self, readings: Readings) -> Floats:
         """Return :meth:`features`, computed once."""
         return readings.once(self.name, self.features)
@@ -163,6 +209,12 @@ class LinearJointModel(JointModel):
     def _carry(self) -> Floats:
         """(n, k) derivative of all joints' values by the readings that the parameters add to."""
         return self.mechanism.reading_jacobian[:, self.joints]
+
+    @cached_property
+    def selection(self) -> Floats:
+        """(k, n) derivative of :meth:`read`."""
+        selected: Floats = self.read(np.eye(len(self.mechanism.joints))).T
+        return selected
 
     @cached_property
     def names_of_joints(self) -> tuple[str, ...]:

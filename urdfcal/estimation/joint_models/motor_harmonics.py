@@ -10,10 +10,11 @@ import numpy as np
 from urdfcal.estimation.joint_models.harmonics import Harmonics
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
-    from urdfcal.arrays import Floats
+    from urdfcal.arrays import Bools, Floats
     from urdfcal.estimation.joint_models.base import Readings
+    from urdfcal.estimation.joint_models.linear import Setting
     from urdfcal.robot.mechanism import Joint
     from urdfcal.session.model import Positions
 
@@ -45,9 +46,23 @@ class MotorHarmonics(Harmonics):
         ratios = [session.gear_ratio[joint.name] for joint in joints if cls.concerns(session, joint)]
         return {"ratio": np.repeat(ratios, len(cls.words))}
 
+    @classmethod
+    def again(cls, setting: Setting, inputs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+        """Take the gear ratios that were kept."""
+        return {"ratio": np.repeat([of["gear_ratio"] for of in inputs], len(cls.words))}
+
+    def inputs(self, columns: Bools) -> dict[str, Any]:
+        """Keep the gear ratio."""
+        return {"gear_ratio": float(self.ratio[columns][0])}
+
     def turns(self, readings: Readings) -> Floats:
         """Return the motor's angle."""
         return self.read(readings.q) * self.ratio
+
+    @property
+    def rate(self) -> Floats:
+        """(k,) the gear ratio."""
+        return self.ratio
 
     def sentence(self, joint: Joint, group: str, p: Floats) -> str:
         """Say how much."""

@@ -9,13 +9,14 @@ import numpy as np
 
 from urdfcal.estimation.joint_models.compliance import Compliance
 from urdfcal.estimation.joint_models.linear import LinearJointModel, Prior
-from urdfcal.robot.gravity import torque_regressor
+from urdfcal.robot.gravity import Masses, torque_regressor
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
-    from urdfcal.arrays import Floats
+    from urdfcal.arrays import Bools, Floats
     from urdfcal.estimation.joint_models.base import Readings
+    from urdfcal.estimation.joint_models.linear import Setting
     from urdfcal.robot.mechanism import Joint
     from urdfcal.session.model import Positions
 
@@ -67,11 +68,34 @@ class TorqueBasis(LinearJointModel):
             mixtures.append(parts)
         return {"gravity": session.gravity, "mixture": np.hstack(mixtures) if mixtures else np.zeros((len(usual), 0))}
 
+    @classmethod
+    def again(cls, setting: Setting, inputs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+        """Take gravity, and the mixtures that were kept: on another machine they may come out with other signs."""
+        return {"gravity": setting.gravity, "mixture": np.hstack([of["mixture"] for of in inputs])}
+
+    def inputs(self, columns: Bools) -> dict[str, Any]:
+        """Keep the mixtures."""
+        return {"mixture": self.mixture[:, columns].tolist()}
+
     def features(self, readings: Readings) -> Floats:
         """Return the principal torques, against which a joint gives way."""
         regressor = torque_regressor(self.mechanism, readings.q, self.gravity)[:, self.joints]
         torques: Floats = np.einsum("nkp,pk->nk", regressor, self.mixture)
         return -torques
+
+    def slopes(self, readings: Readings) -> Floats:
+        """Return those of the principal torques."""
+        found = np.zeros((len(readings.q), len(self), len(self.mechanism.joints)))
+        for k, (joint, column) in enumerate(zip(self.joints, self.mixture.T, strict=True)):
+            mass, moment = np.split(column.reshape(-1, 4), [1], axis=1)
+            # Torques are linear in masses and moments: what is negative is a difference of bodies with positive masses,
+            # since Pinocchio cannot add up others.
+            heavy = np.full(len(mass), 1.0 + np.abs(mass).max())
+            bodies = (heavy, moment / heavy[:, None]), (heavy - mass[:, 0], np.zeros(moment.shape))
+            more, less = (Masses(self.mechanism, *body).slopes(readings.q, self.gravity) for body in bodies)
+            slopes = more - less
+            found[:, k] = -self.mechanism.reading_jacobian[:, joint] @ slopes
+        return found
 
     def sentence(self, joint: Joint, group: str, p: Floats) -> str:
         """Say that it yields."""
