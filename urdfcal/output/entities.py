@@ -76,10 +76,11 @@ def _log_cameras(base: Layer, calibration: FittedCalibration, scene: Calibration
             image.each(rr.EncodedImage, {"blob": blobs}, pose, media_type="image/jpeg")
         for name, uv, radius in lines:
             pieces = [(pose, piece + CORNER) for pose, line in enumerate(uv[index]) for piece in finite_pieces(line)]
+            arm, color = image.at("arm", name), palette.OF_ARM[name]
+            arm.fixed(rr.LineStrips2D.from_fields(colors=color, radii=radius, draw_order=10.0 + radius))
             if pieces:
                 strips = {"strips": [piece.astype(np.float32) for _, piece in pieces]}
-                same = {"colors": palette.OF_ARM[name], "radii": radius, "draw_order": 10.0 + radius}
-                image.at("arm", name).each(rr.LineStrips2D, strips, np.array([pose for pose, _ in pieces]), **same)
+                arm.each(rr.LineStrips2D, strips, np.array([pose for pose, _ in pieces]))
 
 
 def _log_camera(base: Layer, index: int, camera: Camera, link: str | None, scene: CalibrationScene) -> None:
