@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 import urdfcal
-from urdfcal.errors import OutputError
+from urdfcal.errors import CalibrationError, OutputError
 from urdfcal.estimation.blocks.base import VectorBlock
+from urdfcal.estimation.multistart import Minimum
 from urdfcal.estimation.state import Key
 from urdfcal.result import builder
 from urdfcal.result.document import FORMAT, ResultDocument, read_document
@@ -78,6 +79,22 @@ def test_unknowns_without_a_section_of_their_own_are_listed(
         "offset": 0.5,
         "sigma": 0.1,
     }
+
+
+def test_a_start_that_led_nowhere_has_no_cost(refused: urdfcal.FittedCalibration) -> None:
+    kept, nowhere = Minimum(refused.fit, True, "the best"), Minimum(None, False, "no start")
+    first, second = replace(refused, solutions=(kept, nowhere)).document.solutions
+    assert (first.cost, first.kept) == (refused.fit.cost, True)
+    assert (second.cost, second.reason) == (None, "no start")
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_figures_that_are_no_numbers_are_refused_even_where_they_may_be_absent(
+    value: float, refused: urdfcal.FittedCalibration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(builder, "_rms", lambda _residual: value)
+    with pytest.raises(CalibrationError, match=r"fit\.rms_nominal_px is no finite number"):
+        _ = replace(refused).document
 
 
 def test_files_of_the_first_format_are_read() -> None:

@@ -68,7 +68,7 @@ def build_document(of: FittedCalibration) -> ResultDocument:
             **{f"O{k}": value for k, value in enumerate(of.identifiability.observability, start=1)},
             "lost": of.identifiability.unidentifiable,
         },
-        "solutions": [_of(solution, "cost", "kept", "reason") for solution in of.solutions],
+        "solutions": [{"cost": _known(each.cost), **_of(each, "kept", "reason")} for each in of.solutions],
         "outliers": _outliers(of),
         "warnings": of.assessment.warnings,
         "provenance": {

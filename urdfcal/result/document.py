@@ -11,7 +11,7 @@ from urdfcal.errors import OutputError
 from urdfcal.result.evidence_sections import (
     DomainSection,
     FindingEntry,
-    Interval,
+    IdentifiabilitySection,
     NoiseEntry,
     RegionsSection,
     Row,
@@ -21,6 +21,7 @@ from urdfcal.result.evidence_sections import (
     TipSection,
     Transform,
     Triple,
+    ValidationSection,
 )
 from urdfcal.result.joint_model_sections import JointModelEntry, LoadSection, check_joint_models
 from urdfcal.robot.tree_dh import MOUNT
@@ -227,19 +228,6 @@ class VerdictSection(Section):
     reasons: list[str]
 
 
-class ValidationSection(Section):
-    """Prediction errors on held-out poses, nominal and calibrated arm with the same cameras. [mm, px]."""
-
-    folds: int
-    rms_nominal_mm: float
-    rms_mm: float
-    interval_mm: Interval
-    max_mm: float
-    p95_mm: float
-    rms_nominal_px: float | None = None
-    rms_px: float | None = None
-
-
 class ModelEntry(Section):
     """One of the models that were compared; without a held-out loss where it could not be the best."""
 
@@ -248,18 +236,6 @@ class ModelEntry(Section):
     seen_loss: float
     held_out_loss: float | None
     chosen: bool
-
-
-class IdentifiabilitySection(Section):
-    """What the measurements identify: condition number, observability indices, unidentifiable directions."""
-
-    condition_number: float
-    O1: float
-    O2: float
-    O3: float
-    O4: float
-    O5: float
-    lost: list[str]
 
 
 class SolutionEntry(Section):

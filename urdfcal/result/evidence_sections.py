@@ -36,6 +36,31 @@ class Section(BaseModel):
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
 
 
+class ValidationSection(Section):
+    """Prediction errors on held-out poses, nominal and calibrated arm with the same cameras. [mm, px]."""
+
+    folds: int
+    rms_nominal_mm: float
+    rms_mm: float
+    interval_mm: Interval
+    max_mm: float
+    p95_mm: float
+    rms_nominal_px: float | None = None
+    rms_px: float | None = None
+
+
+class IdentifiabilitySection(Section):
+    """What the measurements identify: condition number, observability indices, unidentifiable directions."""
+
+    condition_number: float
+    O1: float
+    O2: float
+    O3: float
+    O4: float
+    O5: float
+    lost: list[str]
+
+
 class TipSection(Section):
     """The error of the calibrated tip that is to be expected over the workspace, the bases aligned. [mm]."""
 
