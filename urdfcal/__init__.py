@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from urdfcal.estimation.measurements import Points as Points
     from urdfcal.io.folder import read_rig as read_rig
     from urdfcal.io.folder import read_session as read_session
+    from urdfcal.io.folder import read_sessions as read_sessions
     from urdfcal.io.recorder import Recorder as Recorder
     from urdfcal.io.writing import write_session as write_session
     from urdfcal.output import recording
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from urdfcal.robot.chain import Chain as Chain
     from urdfcal.robot.dh import DHTable as DHTable
     from urdfcal.robot.urdf.urdf import Urdf as Urdf
+    from urdfcal.session.combine import combine as combine
     from urdfcal.session.knowledge import Estimate as Estimate
     from urdfcal.session.knowledge import Led as Led
     from urdfcal.session.knowledge import LedDistance as LedDistance
@@ -48,9 +50,10 @@ _HOMES = {
     "urdfcal.robot.chain": ("Chain",),
     "urdfcal.robot.dh": ("DHTable",),
     "urdfcal.robot.urdf.urdf": ("Urdf",),
-    "urdfcal.io.folder": ("read_rig", "read_session"),
+    "urdfcal.io.folder": ("read_rig", "read_session", "read_sessions"),
     "urdfcal.io.writing": ("write_session",),
     "urdfcal.estimation.measurements": ("Detections", "Points"),
+    "urdfcal.session.combine": ("combine",),
     "urdfcal.session.knowledge": ("Estimate", "Led", "LedDistance", "Noise", "Tolerances"),
     "urdfcal.session.model": ("Session", "Setup"),
     "urdfcal.io.recorder": ("Recorder",),

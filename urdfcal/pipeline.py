@@ -22,6 +22,7 @@ from urdfcal.estimation.time_offset_start import start_state
 from urdfcal.result.fitted import FittedCalibration
 from urdfcal.robot.placements import PlacementTable
 from urdfcal.robot.tree_dh import rows_of
+from urdfcal.session.moves import resolve_moves
 from urdfcal.session.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -75,6 +76,7 @@ def calibrate(
         from urdfcal.io.folder import read_session
 
         session = read_session(session)
+    session = resolve_moves(session)
     with placed(session.folder or "session"):
         return _calibrate(
             session, method=method, priors=priors, starts=starts, seed=seed, force=force, progress=progress
@@ -87,8 +89,11 @@ def _calibrate(
     table = rows_of(session.chain)
     arm: ArmParameterization = PlacementTable(session.chain) if session.estimate.geometry == "full" else table
     problem = Problem.of(session, arm)
-    in_world = [of.table.kind for of in problem.observations if of.table.defines_world(session.attachments)]
-    if len(in_world) > 1:
+    by_part = [of.table.by_part(session.part) for of in problem.observations]
+    for k in range(len(session.parts)):
+        in_world = [of[k].kind for of in by_part if k in of and of[k].defines_world(session.attachments)]
+        if len(in_world) < 2:
+            continue
         raise SessionError(
             f"{' and '.join(in_world)} are both named: the tracker's frame is not the first camera's",
             remedy="Name one of them; evaluate --points checks a result against the other.",

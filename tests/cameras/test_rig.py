@@ -297,3 +297,17 @@ def test_what_is_no_rig_is_refused(cameras: tuple, transforms: tuple, message: s
 def test_sightings_that_do_not_fit_are_refused(uv: np.ndarray, sigma: object, message: str) -> None:
     with pytest.raises(CameraError, match=message):
         STEREO.triangulate(uv, sigma)
+
+
+def test_some_cameras_of_several_groups_keep_their_groups_and_lenses() -> None:
+    T = np.eye(4)
+    T[0, 3] = 0.5
+    cameras = tuple(Camera(name, (1280, 960), [900.0, 900.0, 640.0, 480.0]) for name in "abcd")
+    rig = Rig(cameras, (np.eye(4), T, np.eye(4), T), group=(0, 0, 2, 2), lens=(0, 1, 2, 1))
+    some = rig.at(np.array([1, 2, 3]))
+    assert some.group == (0, 1, 1)
+    assert some.lens == (0, 1, 0)
+    places = [np.eye(4), np.eye(4), T]
+    assert all(np.array_equal(place, expected) for place, expected in zip(some.T_cam_world, places, strict=True))
+    with pytest.raises(CameraError, match="camera 'c': T_cam_world of the first camera is not the identity"):
+        Rig(cameras, (np.eye(4), T, T, T), group=(0, 0, 2, 2))

@@ -100,7 +100,7 @@ def test_what_is_refused_says_which_poses_to_leave_out(
     write_session(tmp_path / "session", slipped(simulated("ur5", poses=50), 2e-3))
     call = ["calibrate", str(tmp_path / "session"), "-o", str(tmp_path / "out")]
     assert run(call) == 1
-    said = re.search(r"it slipped; leave out these poses \(exclude: \{poses: \[(.*)\]\}\)", capsys.readouterr().err)
+    said = re.search(r", or leave out these poses \(exclude: \{poses: \[(.*)\]\}\)", capsys.readouterr().err)
     assert said
     assert said[0] in (tmp_path / "out" / "refused" / "report.html").read_text()
     assert run([*call, "-q", "--exclude-poses", said[1]]) == 0

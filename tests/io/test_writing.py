@@ -202,15 +202,17 @@ def test_every_key_that_is_read_is_written(tmp_path: Path, session: Session) -> 
         estimate=Estimate("dh", "fixed"),
         joint_models={"zero_offset": True},
         scale_sigma=0.002,
+        moved={"base": session.poses[2:4], session.led_names[0]: (session.poses[1],)},
         payload=Payload("tip", 1.2, np.array([0.0, 0.0, 0.05])),
         gravity=np.array([9.81, 0.0, 0.0]),
         gear_ratio={"roll": 121.0},
         torques=np.zeros(session.q.shape),
+        previous=session.q[::-1],
     )
     write_session(tmp_path / "out", full)
     written = yaml.safe_load((tmp_path / "out" / "session.yaml").read_text())
     other_tables = {kind.kind for kind in MEASUREMENTS} - {table.kind for table in session.measurements}
     assert set(SessionFile.model_fields) - set(written) == other_tables | {"frames", "exclude"}
     found = read_session(tmp_path / "out")
-    for field in ("led_distances", "estimate", "joint_models", "scale_sigma", "gear_ratio"):
+    for field in ("led_distances", "estimate", "joint_models", "scale_sigma", "gear_ratio", "moved"):
         assert getattr(found, field) == getattr(full, field), field

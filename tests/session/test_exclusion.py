@@ -59,9 +59,10 @@ def test_what_is_no_label_is_refused() -> None:
 
 
 def test_what_to_write_is_what_is_read() -> None:
-    assert in_words(["30", "31", "49"]) == "exclude: {poses: [30-49]}"
-    assert in_words(["30"]) == "exclude: {poses: [30]}"
-    assert in_words(["a: b", "#7"]) == 'exclude: {poses: ["a: b-#7"]}'
+    assert in_words("exclude", "poses", ["30", "31", "49"]) == "exclude: {poses: [30-49]}"
+    assert in_words("exclude", "poses", ["30"]) == "exclude: {poses: [30]}"
+    assert in_words("exclude", "poses", ["a: b", "#7"]) == 'exclude: {poses: ["a: b-#7"]}'
+    assert in_words("moved", "LED: a", ["7"]) == 'moved: {"LED: a": [7]}'
 
 
 def test_a_summary_counts_poses_and_names_the_rest() -> None:

@@ -112,12 +112,16 @@ class CameraSigma:
 class Rig:
     """Cameras and where they stand; the world frame is the first camera's.
 
+    Cameras put up several times are several groups: the world of each is its first camera's.
+
     Attributes:
         cameras: with different names; none where something else measures.
-        T_cam_world: for every camera (4, 4), or None where its place is not known; the first is the identity.
+        T_cam_world: for every camera (4, 4), or None where its place is not known; a group's first is the identity.
         sigmas: for every camera how well it is known, or None; left out: all None.
         scale_sigma: standard deviation of the share that the lengths between them may be too long by, as the board's
             that calibrated them; None if nothing is known.
+        group: for every camera the first one of its group; left out: all are one.
+        lens: for every camera the one whose lens it has, as before it was moved; left out: each its own.
 
     Raises:
         CameraError: a name twice, a transform that is not rigid, or standard deviations of something else.
@@ -127,10 +131,14 @@ class Rig:
     T_cam_world: tuple[Floats | None, ...] = ()
     sigmas: tuple[CameraSigma | None, ...] = ()
     scale_sigma: float | None = None
+    group: tuple[int, ...] = ()
+    lens: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "cameras", tuple(self.cameras))
         object.__setattr__(self, "sigmas", tuple(self.sigmas) or (None,) * len(self.cameras))
+        object.__setattr__(self, "group", tuple(self.group) or (0,) * len(self.cameras))
+        object.__setattr__(self, "lens", tuple(self.lens) or tuple(range(len(self.cameras))))
         twice = sorted({name for name in self.names if self.names.count(name) > 1})
         if twice:
             raise CameraError(f"two cameras are named '{twice[0]}'", remedy="Give every camera its own name.")
@@ -140,9 +148,11 @@ class Rig:
         for name, T in zip(self.names, placed, strict=True):
             if T is not None and not _is_rigid(T):
                 raise CameraError("T_cam_world is not a rigid 4 x 4 transform", where=f"camera '{name}'")
-        if placed and (placed[0] is None or not np.array_equal(placed[0], np.eye(4))):
-            what = "T_cam_world of the first camera is not the identity"
-            raise CameraError(what, where=f"camera '{self.names[0]}'", remedy="The world frame is the first camera's.")
+        for first in sorted(set(self.group)):
+            T = placed[first]
+            if T is None or not np.array_equal(T, np.eye(4)):
+                what, where = "T_cam_world of the first camera is not the identity", f"camera '{self.names[first]}'"
+                raise CameraError(what, where=where, remedy="The world frame is the first camera's.")
         object.__setattr__(self, "T_cam_world", placed)
         self._check_sigmas()
 
@@ -166,8 +176,13 @@ class Rig:
 
         The first one stays, or none of the others' places is known: they are counted from it.
         """
-        first = len(cameras) and cameras[0] == 0
-        places = [self.T_cam_world[c] if first or k else np.eye(4) for k, c in enumerate(cameras)]
+        kept = ([of[c] for c in cameras] for of in (self.group, self.lens))
+        group, lens = (tuple(some.index(of) for of in some) for some in kept)
+        firsts = [self.group[c] == c for c in cameras]
+        places = [
+            np.eye(4) if first == k and not firsts[k] else self.T_cam_world[c]
+            for k, (c, first) in enumerate(zip(cameras, group, strict=True))
+        ]
         counts = [0 if sigma is None else len(sigma.values) for sigma in self.sigmas]
         ends, sigmas = np.cumsum([0, *counts]), []
         for k, c in enumerate(cameras):
@@ -177,7 +192,8 @@ class Rig:
                 correlations = None if sigma.correlations is None else sigma.correlations[:, before]
                 sigma = replace(sigma, correlations=correlations)
             sigmas.append(sigma)
-        return Rig(tuple(self.cameras[c] for c in cameras), tuple(places), tuple(sigmas), self.scale_sigma)
+        chosen = tuple(self.cameras[c] for c in cameras)
+        return Rig(chosen, tuple(places), tuple(sigmas), self.scale_sigma, group, lens)
 
     @property
     def correlation(self) -> Floats:
@@ -219,6 +235,7 @@ class Rig:
         if self.scale_sigma is not None and not 0.0 <= self.scale_sigma < 1.0:
             raise CameraError(f"a standard deviation of {self.scale_sigma:g} of all lengths makes no sense")
         before = 0
+        firsts = {self.cameras[c] for c in self.group}
         for camera, T, sigma in zip(self.cameras, self.T_cam_world, self.sigmas, strict=True):
             if sigma is None:
                 continue
@@ -226,8 +243,8 @@ class Rig:
             if sigma.parameters.shape != camera.parameters.shape:
                 expected, given = len(camera.parameters), len(sigma.parameters)
                 raise CameraError(f"{expected} parameters have {given} standard deviations", where=where)
-            if sigma.pose is not None and (T is None or camera is self.cameras[0]):
-                place = "the world" if camera is self.cameras[0] else "not known"
+            if sigma.pose is not None and (T is None or camera in firsts):
+                place = "the world" if camera in firsts else "not known"
                 raise CameraError(f"its place is {place}, and has no standard deviations", where=where)
             before += len(sigma.values)
             table, count = sigma.correlations, len(sigma.values)

@@ -69,7 +69,7 @@ def find_leds(session: Path, colour: Colour = "any", debug_images: Path | None =
 
 
 @click.command("calibrate")
-@click.argument("session", type=PATH)
+@click.argument("sessions", type=PATH, nargs=-1, required=True, metavar="SESSION...")
 @click.option("-o", "--output", type=PATH, required=True, help="Folder of the results.")
 @seed_option
 @click.option(
@@ -83,7 +83,7 @@ def find_leds(session: Path, colour: Colour = "any", debug_images: Path | None =
 )  # fmt: skip
 @click.option(
     "--exclude-poses", metavar="POSES",
-    help="Leave these poses out: labels and ranges, such as 26-31,40.",
+    help="Leave these poses out: labels and ranges, such as 26-31,40; of several sessions SESSION/26-31.",
 )  # fmt: skip
 @click.option("--ignore-limits", is_flag=True, help="Take joint readings beyond the URDF's limits as they are.")
 @click.option("--force", is_flag=True, help="Write the result even if its assessment has failures.")
@@ -91,22 +91,26 @@ def find_leds(session: Path, colour: Colour = "any", debug_images: Path | None =
 @click.option("--json", "as_json", is_flag=True, help="Print calibration.json and the files instead of a summary.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def command(
-    session: Path, output: Path, no_priors: bool, exclude_poses: str | None, ignore_limits: bool, live: bool,
-    as_json: bool, quiet: bool, **how: Any,
+    sessions: tuple[Path, ...], output: Path, no_priors: bool, exclude_poses: str | None, ignore_limits: bool,
+    live: bool, as_json: bool, quiet: bool, **how: Any,
 ) -> None:  # fmt: skip
-    """Calibrate the robot of SESSION and write URDF, calibration.json, report and recording."""
-    from urdfcal.io.folder import read_session
+    """Calibrate the robot of SESSION and write URDF, calibration.json, report and recording.
+
+    Several sessions of one arm are calibrated together: in each it may stand elsewhere, before other cameras, with
+    other LEDs.
+    """
+    from urdfcal.io.folder import read_sessions
 
     report: Report = "nothing" if quiet else "json" if as_json else "text"
 
-    def look() -> None:
+    def look(session: Path) -> None:
         with redirect_stdout({"text": sys.stdout, "json": sys.stderr, "nothing": io.StringIO()}[report]):
             click.echo(f"{session}: images and no detections: looking for the LEDs first (urdfcal detect)")
             find_leds(session)
 
     poses = exclude_poses.split(",") if exclude_poses else []
     labels = [label.strip() for label in poses if label.strip()]
-    measured = read_session(session, look, exclude_poses=labels, ignore_limits=ignore_limits)
+    measured = read_sessions(sessions, look, exclude_poses=labels, ignore_limits=ignore_limits)
     run(measured, output, live=live, report=report, priors=not no_priors, **how)
 
 
@@ -216,12 +220,18 @@ def _print(overview: Overview, paths: Sequence[Path], remarks: Sequence[str]) ->
         f"{fit['poses']} poses{excluded}, {fit['observations']} measured numbers, {fit['parameters']} parameters "
         f"({calibration.comparison.chosen.spec}), {outliers} outlier{'s' if outliers != 1 else ''}"
     )
+    sessions = []
+    for name, session in document.get("sessions", {}).items():
+        found = ", ".join(f"{each['rms']:.3f} {each['unit']}" for each in session["residuals"])
+        sessions.append(f"{name}: {session['poses']} poses, {found} rms")
+    if sessions:
+        line("; ".join(sessions))
     cameras = document["cameras"].items()
     clocks = [f"{name} {_clock(**camera['time_offset'])}" for name, camera in cameras if "time_offset" in camera]
     if clocks:
         line(f"time offsets, robot less camera: {', '.join(clocks)}")
     rows = len(calibration.geometry.labels)
-    printed = 6 + bool(clocks) + 3  # the files below
+    printed = 6 + bool(sessions) + bool(clocks) + 3  # the files below
     if rows <= _MOST_ROWS:
         console.print(_corrections(calibration))
         printed += rows + 5  # title, head, rule, and a blank line above and below

@@ -97,7 +97,7 @@ def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
             what = f"the points are spread over {extent:.0f} m, the arm reaches {session.chain.reach:.1f} m"
             remedy = "Coordinates are in metres; these look like millimetres."
             raise SessionError(what, where=str(points), remedy=remedy)
-        session = replace(session, measurements=(measured,), leds=leds)
+        session = replace(session, measurements=(measured,), leds=leds, moved={})
     links = [tip.link for tip in session.chain.tips]
     chain = read_mechanism(Urdf.read(urdf), links, session.chain.base_link)
     explained = explain(chain, session)

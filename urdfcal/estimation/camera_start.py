@@ -28,6 +28,8 @@ _MEETING = 1e6
 class Views:
     """What the cameras saw, and where the links that carry LEDs and cameras were.
 
+    Where methods take ``T_world_base``, it is (N, 4, 4), of every pose of the session.
+
     Attributes:
         session: the cameras, and what is attached where.
         links: (F, N, 4, 4) T_base_link of the session's frames 1, 2, ... at every pose. [m]
@@ -38,12 +40,17 @@ class Views:
     links: Floats
     detections: Detections
 
+    @property
+    def _at_base(self) -> Floats:
+        """T_world_base (N, 4, 4) of a world that is the base link."""
+        return np.broadcast_to(np.eye(4), (len(self.session.poses), 4, 4))
+
     def base(self, T_cam_frame: Sequence[Floats | None], leds: Floats) -> Floats:
         """T_world_base by PnP of the eye-to-hand camera of known pose that sees most; the first one's is known."""
         seen = np.bincount(self.detections.camera, minlength=len(T_cam_frame))
         places = {c: T for c in self.session.attachments.eye_to_hand if (T := T_cam_frame[c]) is not None}
         c = max(places, key=lambda c: int(seen[c]))
-        return inverse(places[c]) @ self.resect(int(c), np.eye(4), leds)
+        return inverse(places[c]) @ self.resect(int(c), self._at_base, leds)
 
     def place(self, c: int, T_world_base: Floats, leds: Floats, by_reference: Floats | None) -> Floats:
         """T_cam_frame of a camera of unknown pose: by its reference camera, else by PnP."""
@@ -85,8 +92,8 @@ class Views:
         Raises:
             CalibrationError: there is no such place.
         """
-        T_cam = self.resect(c, np.eye(4), leds)
-        rows, T = self._placed(c, np.eye(4))
+        T_cam = self.resect(c, self._at_base, leds)
+        rows, T = self._placed(c, self._at_base)
         p_cam = (T_cam @ T @ np.insert(leds[self.detections.led[rows]], 3, 1.0, axis=1)[..., None])[:, :3, 0]
         uv = self.session.rig.cameras[c].project(p_cam)
         distance = np.linalg.norm(uv - self.detections.uv[rows], axis=1)
@@ -111,7 +118,7 @@ class Views:
 
     def _frame(self, pose: Ints, frame: int, T_world_base: Floats) -> Floats:
         if frame == 0:
-            return np.broadcast_to(inverse(T_world_base), (len(pose), 4, 4))
+            return inverse(T_world_base[pose])
         result: Floats = self.links[frame - 1, pose]
         return result
 

@@ -19,6 +19,7 @@ from urdfcal.estimation.solver import solve
 from urdfcal.estimation.time_offset_start import start_state
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.robot.tree_dh import rows_of
+from urdfcal.session.moves import resolve_moves
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -120,7 +121,7 @@ class Explanation:
     """A session under an arm that is not corrected.
 
     Attributes:
-        residuals: for each kind of measurement (S, D) predicted minus measured, in the order of the session's
+        residuals: for each kind of measurement (S, D) predicted minus measured, in the order of the problem's
             table, without frames that have no joint readings. [unit of the kind]
         fit: base pose, LED positions and camera poses.
         problem: of those measurements.
@@ -148,7 +149,7 @@ def explain(
     Raises:
         CalibrationError: no start from these measurements.
     """
-    session = replace(session, chain=chain)
+    session = resolve_moves(replace(session, chain=chain))
     arm = rows_of(chain)
     start = start_state(session, arm, no_offsets(arm))
     session = session.recorded(time_offsets(start))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from urdfcal.estimation.blocks.arm import ARM
-from urdfcal.estimation.blocks.base_pose import BASE
+from urdfcal.estimation.blocks.base_pose import base_keys
 from urdfcal.estimation.links import Links
 from urdfcal.estimation.measurements.point_geometry import carry
 from urdfcal.robot.kinematics import joint_axes, link_motions
@@ -114,13 +114,17 @@ class Tangent:
         observed = self.observed if poses == _EVERY else self.observed.at(poses)
         N, m, D = observed.value.shape
         motions = link_motions(problem.arm.chain, self.model, self.q[poses], problem.attachments.tips)
-        links = Links.of(problem.attachments, state[BASE], [of.R for of in motions], [of.p for of in motions])
+        part = observed.readings.part
+        links = Links.of(problem.attachments, state, part, [of.R for of in motions], [of.p for of in motions])
         J = Jacobian(parameters, N * m, D)
         at = observed.table.linearise(observed, links, state, J)
         residual = np.where(observed.valid[..., None], at.predicted - observed.value, 0.0)
         world = at.by_frame[0]
         if world is not None:  # the base moves in the world as the world does against it
-            J.put(BASE, -world.reshape(N * m, D, 6))
+            by_base, keys = -world.reshape(N * m, D, 6), base_keys(problem.attachments.parts)
+            for k, key in enumerate(keys):
+                rows = _EVERY if len(keys) == 1 else np.flatnonzero(np.repeat(part == k, m))
+                J.put(key, by_base[rows], rows)
         if self.G.shape[1]:
             by_arm = _by_placements(at.by_frame, motions, self.G, (N, m * D, self.G.shape[1]))
             J.values[:, :, parameters.active_columns(ARM)[0]] = by_arm.reshape(N * m, D, -1)

@@ -8,17 +8,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.arrays import inverse
+from urdfcal.estimation.blocks.base_pose import base_keys
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from urdfcal.arrays import Floats
+    from urdfcal.arrays import Floats, Ints
+    from urdfcal.estimation.state import State
     from urdfcal.session.attachments import Attachments
 
 
 @dataclass(frozen=True, eq=False)
 class Links:
-    """Poses of the frames that LEDs and cameras are fixed in: 0 is the world, the others are links.
+    """Poses of the frames that LEDs and cameras are fixed in: 0 is the world of the pose's part, others are links.
 
     Attributes:
         attachments: what is fixed in which frame.
@@ -31,11 +33,16 @@ class Links:
     p: tuple[Floats, ...]
 
     @classmethod
-    def of(cls, attachments: Attachments, T_world_base: Floats, R: Sequence[Floats], p: Sequence[Floats]) -> Links:
-        """Take the world beside the links' rotations (N, 3, 3) and origins (N, 3)."""
-        T, N = inverse(T_world_base), len(R[0]) if R else 1
-        world = np.broadcast_to(T[:3, :3], (N, 3, 3)), np.broadcast_to(T[:3, 3], (N, 3))
-        return cls(attachments, (world[0], *R), (world[1], *p))
+    def of(cls, attachments: Attachments, state: State, part: Ints, R: Sequence[Floats], p: Sequence[Floats]) -> Links:
+        """Take the world of each pose's part (N,) beside the links' rotations (N, 3, 3) and origins (N, 3)."""
+        T = inverse(np.array([state[key] for key in base_keys(attachments.parts)]))
+        T = np.broadcast_to(T[0], (len(part), 4, 4)) if len(T) == 1 else T[part]
+        return cls(attachments, (T[:, :3, :3], *R), (T[:, :3, 3], *p))
+
+    @property
+    def one_world(self) -> bool:
+        """Whether the world is at the same place of the base link at all poses."""
+        return len(self.attachments.parts) == 1
 
     def __len__(self) -> int:
         """Return the number of poses."""

@@ -30,7 +30,7 @@ class ModelSpec:
 
     Attributes:
         geometry: of the arm.
-        intrinsics: of each camera.
+        intrinsics: of each camera; of a lens that several have, at the first.
         extrinsics: of each camera in the frame it is fixed in; the first eye-to-hand one is the world and fixed.
         priors: whether tolerances hold the arm near nominal and the LEDs near their given positions.
         terms: joint models of some joints, beside those that the session switches on.
@@ -94,11 +94,14 @@ def candidates(session: Session, state: State, *, priors: bool = True) -> tuple[
     base, estimate = nominal(session, state, priors=priors), session.estimate
     count = len(base.intrinsics)
     names, sigmas = session.rig.names[:count], session.rig.sigmas[:count]
-    said = tuple(estimate.of("intrinsics", name) for name in names)
+    said = tuple(
+        estimate.of("intrinsics", name) if of == c else _FIXED
+        for c, (name, of) in enumerate(zip(names, session.rig.lens, strict=False))
+    )
     lenses: tuple[Freedom, ...] = tuple("fixed" if known is None else "refine" for known in sigmas)
     extrinsics: list[Freedom] = []
     for c, (name, known, usual) in enumerate(zip(names, sigmas, base.extrinsics, strict=True)):
-        word = None if c in session.attachments.eye_to_hand[:1] else estimate.of("extrinsics", name)
+        word = None if c in session.attachments.worlds else estimate.of("extrinsics", name)
         if session.attachments.T_cam_frame[c] is None and word not in (None, "free"):
             raise SessionError(
                 f"the extrinsics of {name!r} are {word}, but where it stands is not given",
@@ -111,7 +114,7 @@ def candidates(session: Session, state: State, *, priors: bool = True) -> tuple[
     intrinsics = (
         tuple(word or given for word, given in zip(said, lenses, strict=True)),
         tuple(word or _FREE for word in said),
-        (_FREE,) * len(said),
+        tuple(_FREE if of == c else _FIXED for c, of in enumerate(session.rig.lens[:count])),
     )
     return tuple(
         ModelSpec(geometry, words, tuple(extrinsics), priors)
@@ -124,4 +127,8 @@ def allowed(session: Session, spec: ModelSpec) -> bool:
     """Whether a model is what the session asks for, as far as it asks for something."""
     names = session.rig.names[: len(spec.intrinsics)]
     said = (session.estimate.of("intrinsics", name) for name in names)
-    return all(word is None or word == freedom for word, freedom in zip(said, spec.intrinsics, strict=True))
+    own = (of == c for c, of in enumerate(session.rig.lens))
+    return all(
+        word is None or word == freedom or not mine
+        for word, freedom, mine in zip(said, spec.intrinsics, own, strict=False)
+    )

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from urdfcal.arrays import numbered
 from urdfcal.errors import CalibrationError
 from urdfcal.estimation.alignment import kabsch
 from urdfcal.estimation.assessment import IMPLAUSIBLE, corrections
@@ -137,15 +138,17 @@ def _same_arm(problem: Problem, a: Solution, b: Solution) -> bool:
     for observed in problem.observations:
         q = chain.random_values(len(observed.pose), np.random.default_rng(0))
         # Where an arm that moved happened to go must not decide.
-        elsewhere = replace(observed, readings=Readings(q, observed.pose, AT_REST, observed.readings.torques))
+        same = observed.readings
+        elsewhere = replace(observed, readings=Readings(q, same.pose, AT_REST, same.part, same.torques))
         of_a, of_b = (
             elsewhere.table.points(elsewhere, problem.links(elsewhere.readings, of.state), of.state) for of in (a, b)
         )
         if of_a is None or of_b is None:
             continue
         (frames, p), (_, r) = of_a, of_b
-        for frame in np.unique(frames[observed.valid]):
-            here = observed.valid & (frames == frame)
+        places = numbered([frames, observed.readings.part[:, None]])
+        for place in np.unique(places[observed.valid]):
+            here = observed.valid & (places == place)
             T = kabsch(p[here], r[here])
             apart = np.linalg.norm(p[here] @ T[:3, :3].T + T[:3, 3] - r[here], axis=1)
             if np.sqrt(np.mean(apart**2)) > _SAME * chain.reach:

@@ -10,7 +10,7 @@ import numpy as np
 
 from urdfcal.arrays import Bools, Floats, frozen
 from urdfcal.estimation.blocks.arm import ArmBlock
-from urdfcal.estimation.blocks.base_pose import BaseBlock
+from urdfcal.estimation.blocks.base_pose import BaseBlock, base_keys
 from urdfcal.estimation.blocks.leds import LEDS, LedDistances, LedsBlock
 from urdfcal.estimation.blocks.scale import ScaleBlock
 from urdfcal.names import check_names
@@ -232,8 +232,11 @@ def choose_parameters(session: Session, problem: Problem, state: State, spec: Mo
     if session.scale_sigma is not None:
         blocks.append(ScaleBlock.of(session.scale_sigma))
     tables = [observed.table for observed in problem.observations]
-    in_world = any(table.defines_world(session.attachments) for table in tables)
-    blocks.append(BaseBlock.of(fixed=None if in_world else "nothing is measured in the world: the base link is it"))
+    by_part = [table.by_part(session.part) for table in tables]
+    for k, key in enumerate(base_keys(session.attachments.parts)):
+        in_world = any(k in of and of[k].defines_world(session.attachments) for of in by_part)
+        why = None if in_world else "nothing is measured in the world: the base link is it"
+        blocks.append(BaseBlock.of(fixed=why, key=key))
     blocks.append(LedsBlock.of(session.leds, state[LEDS], priors=spec.priors))
     sets = [table.blocks(session, spec, state) for table in tables]
     first = sum(len(block) for block in blocks)

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.estimation.blocks.arm import ARM
-from urdfcal.estimation.blocks.base_pose import BASE
 from urdfcal.estimation.joint_models import Readings, joint_models_of
 from urdfcal.estimation.links import Links
 from urdfcal.estimation.measurements import Measurement
@@ -91,7 +90,8 @@ class Problem:
         """Return where the frames of LEDs and cameras are."""
         q, tips = self.joint_values(readings, state), self.attachments.tips
         T = link_poses(self.arm.chain, q, tips, self.arm.placements(state[ARM]))
-        return Links.of(self.attachments, state[BASE], [of[:, :3, :3] for of in T], [of[:, :3, 3] for of in T])
+        R, p = [of[:, :3, :3] for of in T], [of[:, :3, 3] for of in T]
+        return Links.of(self.attachments, state, readings.part, R, p)
 
     def predict(self, observed: Observations, state: State) -> Floats:
         """Return what should be measured (N, m, D); NaN where it is impossible, as behind a camera."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from urdfcal.arrays import frozen
-from urdfcal.estimation.blocks.base_pose import BASE
+from urdfcal.estimation.blocks.base_pose import base_keys
 from urdfcal.estimation.blocks.cameras import camera_poses, camera_values
 from urdfcal.estimation.blocks.leds import LEDS
 from urdfcal.estimation.joint_models.time_offset import time_offsets
@@ -24,7 +24,7 @@ class Snapshot:
 
     Attributes:
         offsets: (rows, columns) of the arm's parameterization, with what it can hold of the joint models. [rad, m]
-        T_world_base: (4, 4) the base link in the world. [m]
+        T_world_bases: (W, 4, 4) the base link in the world, in each part of the session. [m]
         leds: (L, 3) LED positions, each in the frame that it is attached to. [m]
         cameras: lenses, in the rig's order; none where cameras have no part.
         T_cam_frame: (C, 4, 4) in each camera the frame that it is fixed in: the world, or a link. [m]
@@ -32,18 +32,24 @@ class Snapshot:
     """
 
     offsets: Floats
-    T_world_base: Floats
+    T_world_bases: Floats
     leds: Floats
     cameras: tuple[Camera, ...]
     T_cam_frame: Floats
     time_offsets: Floats
+
+    @property
+    def T_world_base(self) -> Floats:
+        """(4, 4) the base link in the world, where it stood first. [m]."""
+        first: Floats = self.T_world_bases[0]
+        return first
 
     @classmethod
     def of(cls, problem: Problem, state: State) -> Snapshot:
         """Look the values up."""
         return cls(
             offsets=frozen(problem.offsets(state)),
-            T_world_base=state[BASE],
+            T_world_bases=frozen([state[key] for key in base_keys(problem.attachments.parts)]),
             leds=state[LEDS],
             cameras=camera_values(problem.attachments, state),
             T_cam_frame=frozen(camera_poses(problem.attachments, state)),

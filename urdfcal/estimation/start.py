@@ -10,7 +10,7 @@ import numpy as np
 from urdfcal.arrays import evenly, numbered
 from urdfcal.estimation.alignment import place_base
 from urdfcal.estimation.blocks.arm import ARM
-from urdfcal.estimation.blocks.base_pose import BASE
+from urdfcal.estimation.blocks.base_pose import base_keys
 from urdfcal.estimation.blocks.leds import LEDS, led_positions
 from urdfcal.estimation.blocks.scale import SCALE
 from urdfcal.estimation.joint_models import joint_models_of
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
     from urdfcal.arrays import Bools, Floats, Ints
     from urdfcal.estimation.blocks.arm import ArmParameterization
+    from urdfcal.estimation.measurements.base import WorldPoints
     from urdfcal.session.model import Session
 
 # A few points in space, as where cameras' views overlap, are worth less than one camera's many detections.
@@ -79,33 +80,32 @@ def first_state(
     state = State({ARM: offsets, LEDS: led_positions(session.leds), **joints, **scale})
     at = Start.of(session, arm, offsets + sum(model.offsets(arm, joints[model.key]) for model in models))
     tables = [table for table in session.measurements if isinstance(table, Measurement)]
+    bases = base_keys(session.attachments.parts)
     for table in tables:
-        placed = _by_points(table, at, state)
-        if placed is not None:
-            at, state = placed
-            break
+        points = table.world_points(session)
+        if points is not None:
+            for k, key in enumerate(bases):
+                at, state = _by_points(points, at, state, k, key)
     for table in tables:
         state = table.start(at, state)
-    return state if BASE in state else state.replace({BASE: np.eye(4)})
+    return state.replace({key: np.eye(4) for key in bases if key not in state})
 
 
-def _by_points(table: Measurement, at: Start, state: State) -> tuple[Start, State] | None:
-    """Place base and LEDs by points in space, if there are enough of them."""
+def _by_points(points: WorldPoints, at: Start, state: State, part: int, base: Key[Floats]) -> tuple[Start, State]:
+    """Place the base of a part, and LEDs, by points in space, if there are enough of them and it is not placed."""
     session, frames = at.session, at.session.attachments.led
-    points = table.world_points(session)
-    if points is None:
-        return None
-    moving = frames[points.led] != 0
+    here = session.part[points.pose] == part
+    moving = here & (frames[points.led] != 0)
     pose, led, xyz = points.pose[moving], points.led[moving], points.xyz[moving]
-    if not points.complete and len(xyz) < _ENOUGH:
-        return None
+    if base in state or not here.any() or (not points.complete and len(xyz) < _ENOUGH):
+        return at, state
     exact = np.array([led.sigma == 0.0 for led in session.leds])
     T_base_led = at.links[frames[led] - 1, pose]
     T_world_base, leds = place_base(T_base_led, led, xyz, state[LEDS], at.unknown_leds, exact)
     unknown = at.unknown_leds.copy()
-    if len(points.xyz) >= _ENOUGH:
-        unknown[np.unique(points.led)] &= frames[np.unique(points.led)] == 0
-    return Start(session, at.links, unknown), state.replace({BASE: T_world_base, LEDS: leds})
+    if len(xyz) >= _ENOUGH:
+        unknown[np.unique(led)] = False
+    return Start(session, at.links, unknown), state.replace({base: T_world_base, LEDS: leds})
 
 
 def _selection(session: Session) -> Ints:
@@ -115,6 +115,6 @@ def _selection(session: Session) -> Ints:
         return every
     chosen = [evenly(every, _POSES)]
     for table in session.measurements:
-        views = numbered(column for key, column in table.index.items() if key != "pose")
+        views = numbered([session.part[table.pose], *(of for key, of in table.index.items() if key != "pose")])
         chosen += [evenly(table.pose[views == view], _POSES) for view in np.unique(views)]
     return np.unique(np.concatenate(chosen))

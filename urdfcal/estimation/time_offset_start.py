@@ -54,6 +54,8 @@ def start_state(session: Session, arm: ArmParameterization, offsets: Floats) -> 
 def _search(session: Session, detections: Detections, arm: ArmParameterization, offsets: Floats, camera: int) -> float:
     """The time offset with which one camera's detections fit the arm best; 0 if none is much better. [s]."""
     mine = np.unique(detections.pose[detections.camera == camera])
+    part = session.part[mine]
+    mine = mine[part == np.argmax(np.bincount(part, minlength=1))]  # between parts it moved, seen from the base
     if len(mine) < 3:
         return 0.0
     session = session.at(evenly(mine, _FRAMES))

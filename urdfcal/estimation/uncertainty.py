@@ -125,7 +125,8 @@ def _motion(problem: Problem, fit: Solution, q: Floats) -> tuple[Floats, Floats]
     torques = problem.readings.torques
     if torques is not None:
         torques = torques[np.arange(len(q)) % len(torques)]
-    readings = Readings(q, np.arange(len(q)), AT_REST, torques, np.roll(q, 1, axis=0))
+    part = np.zeros(len(q), dtype=np.intp)
+    readings = Readings(q, np.arange(len(q)), AT_REST, part, torques, np.roll(q, 1, axis=0))
     for model in problem.joint_models:
         where, active = parameters.active_columns(model.key)
         if where.stop > where.start:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,18 +16,21 @@ from urdfcal.estimation.measurements import MEASUREMENTS, Detections, Points
 from urdfcal.files import Source
 from urdfcal.io.checks.content import unseen
 from urdfcal.io.checks.plausibility import Inputs, check, check_positions
-from urdfcal.io.tables import read_frames, read_joints, read_log, read_measurements, read_torques
+from urdfcal.io.tables import read_by_pose, read_frames, read_joints, read_log, read_measurements
 from urdfcal.names import check_known, suggest
 from urdfcal.robot.chain import read_mechanism
 from urdfcal.robot.urdf.urdf import Urdf, find_urdf
 from urdfcal.session.attachments import WORLD
+from urdfcal.session.combine import combine
 from urdfcal.session.exclusion import labels, leave_out
-from urdfcal.session.knowledge import Excluded, Led
-from urdfcal.session.model import Positions, RigDescription, Session, Stand
+from urdfcal.session.knowledge import Excluded, Led, Stand
+from urdfcal.session.model import Positions, RigDescription, Session
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from urdfcal.arrays import Floats, Ints
+    from urdfcal.io.csv_table import Table
     from urdfcal.io.schema import SessionFile, SetupFile
     from urdfcal.io.tables import JointTable
     from urdfcal.io.yaml_document import Document
@@ -96,11 +100,57 @@ def read_session(
         wrong = np.setdiff1d(counting[kind].rows, table.rows)
         tables[kind] = tables[kind].only(~np.isin(tables[kind].rows, wrong))
     measurements = tuple(table.measurements for table in tables.values())
-    session = positions.measured(measurements, sha256=hashes, warnings=warnings)
-    if keys.torques is not None:
-        session = _with_torques(session, _file(document, "torques"), keys.torques, inputs.joints)
+    moved = {what: tuple(document.texts("moved", what)) for what in keys.moved}
     with document.placing():
+        session = positions.measured(measurements, sha256=hashes, warnings=warnings, moved=moved)
+        session = _with_torques(_with_previous(session, document, keys), document, keys, inputs.joints)
         return leave_out(session, excluded) if excluded else session
+
+
+def read_sessions(
+    paths: Sequence[str | Path],
+    look: Callable[[Path], object] | None = None,
+    *,
+    exclude_poses: Sequence[str] = (),
+    ignore_limits: bool = False,
+) -> Session:
+    """Read a session, or several of one arm as one (:func:`~urdfcal.session.combine.combine`).
+
+    Several go by the names of their folders, with as many of the folders above as tell them apart.
+
+    Args:
+        paths: the sessions' folders, or the YAML files in them.
+        look: called with the path where a session has images but nobody has looked for LEDs in them yet; it writes the
+            detections.
+        exclude_poses: labels of poses that do not count, or ranges; of several sessions ``monday/26-31``.
+        ignore_limits: readings beyond a joint's limits are a warning, however far.
+
+    Raises:
+        SessionError: as for :func:`read_session`; they are not of one arm, or contradict each other.
+        RobotError: the URDF is not one, or has no such chain.
+        CameraError: the camera file is not one.
+    """
+    folders = [path if path.is_dir() else path.parent for path in (Path(path).resolve() for path in paths)]
+    names = [folder.name for folder in folders]
+    for depth in range(1, max(len(folder.parts) for folder in folders)):
+        names = ["/".join(folder.parts[-depth:]) for folder in folders]
+        if len(set(names)) == len(names):
+            break
+    else:
+        twice = next(path for path, name in zip(paths, names, strict=True) if names.count(name) > 1)
+        raise SessionError("this session is named twice", where=str(twice), remedy="Measurements count once.")
+    excluded: dict[str, list[str]] = {name: [] for name in names}
+    for label in exclude_poses:
+        whose = names[0] if len(names) == 1 else next((name for name in names if label.startswith(f"{name}/")), None)
+        if whose is None:
+            remedy = f"Write {names[0]}/{label}."
+            raise SessionError(f"{label!r} says not of which session it is", where="--exclude-poses", remedy=remedy)
+        excluded[whose].append(label if len(names) == 1 else label.removeprefix(f"{whose}/"))
+    sessions = {}
+    for path, name in zip(map(Path, paths), names, strict=True):
+        each = None if look is None else partial(look, path)
+        sessions[name] = read_session(path, each, exclude_poses=excluded[name], ignore_limits=ignore_limits)
+    return combine(sessions)
 
 
 def read_positions(path: str | Path) -> Positions:
@@ -175,22 +225,37 @@ def read_points(path: str | Path, session: Session) -> tuple[Points, tuple[Led, 
     return table.measurements, tuple(Led(name) for name in table.names["led"])  # type: ignore[return-value]
 
 
-def _with_torques(session: Session, path: Path, name: str, joints: JointTable) -> Session:
-    """Return a session with torques; poses without are none of it, and those after them came from there.
+def _with_previous(session: Session, document: Document, keys: SessionFile) -> Session:
+    """Return a session with where the arm came from to some of the poses, as far as a file says it."""
+    if keys.previous is None:
+        return session
+    table, rows, readings = _read_by_pose(session, document, "previous")
+    previous = np.array(session.came_from)
+    previous[rows] = session.chain.joint_values(readings)
+    return replace(session, previous=previous, sha256={**session.sha256, keys.previous: table.source.sha256})
+
+
+def _with_torques(session: Session, document: Document, keys: SessionFile, joints: JointTable) -> Session:
+    """Return a session with torques, if a file has them; poses without are none of it, only where the arm came from.
 
     Raises:
         SessionError: something was measured in one of them.
     """
-    urdf_joints = () if session.urdf is None else session.urdf.joints
-    table, rows, torques = read_torques(path, session.chain, urdf_joints, session.poses)
+    if keys.torques is None:
+        return session
+    table, rows, torques = _read_by_pose(session, document, "torques")
     measured = np.unique(np.concatenate([of.pose for of in session.measurements]))
     for pose in np.setdiff1d(measured, rows)[:1].tolist():
         what = f"pose {session.poses[pose]!r} has no torques, and something was measured in it"
-        remedy = f"Add its row to {path}, or take out what was measured in it."
+        remedy = f"Add its row to {table.path}, or take out what was measured in it."
         raise joints.table.wrong(what, pose, "pose", remedy)
-    order = np.argsort(rows)
-    hashes = {**session.sha256, name: table.source.sha256}
-    return replace(session.at(rows[order]), torques=torques[order], sha256=hashes)
+    order, hashes = np.argsort(rows), {**session.sha256, keys.torques: table.source.sha256}
+    return replace(session.at(rows[order]), torques=session.chain.torques(torques[order]), sha256=hashes)
+
+
+def _read_by_pose(session: Session, document: Document, key: str) -> tuple[Table, Ints, Floats]:
+    robot_joints = () if session.urdf is None else session.urdf.joints
+    return read_by_pose(_file(document, key), session.chain, robot_joints, session.poses)
 
 
 def _excluded(document: Document, positions: Positions, poses: Sequence[str]) -> Excluded:

@@ -314,7 +314,9 @@ class SessionFile(_Tables):
     joints: Name
     frames: Name | None = None
     torques: Name | None = None
+    previous: Name | None = None
     exclude: ExcludeKeys = ExcludeKeys()
+    moved: dict[Name, _Names] = Field(default_factory=dict)
 
     @property
     def tables(self) -> dict[type[Measurement], str]:
@@ -330,8 +332,9 @@ class SessionFile(_Tables):
             if self.frames is not None and "camera" not in kind.keys:
                 both = f"frames and {kind.kind} are both named"
                 raise ValueError(f"{both}: {kind.kind} belong to an arm that stands still")
-        if self.frames is not None and self.torques is not None:
-            raise ValueError("frames and torques are both named: torques belong to an arm that stands still")
+        for name in ("torques", "previous"):
+            if self.frames is not None and getattr(self, name) is not None:
+                raise ValueError(f"frames and {name} are both named: {name} belongs to an arm that stands still")
         if self.frames is not None and self.cameras is None:
             raise ValueError("frames are named, but no cameras")
         if self.frames is None and self.estimate.time_offset is not None:

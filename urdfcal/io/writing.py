@@ -23,14 +23,13 @@ from urdfcal.session.trajectory import Trajectory
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    from urdfcal.arrays import Floats
     from urdfcal.robot.urdf.urdf import Urdf
     from urdfcal.session.attachments import CameraMount
     from urdfcal.session.measurements import Measurements
     from urdfcal.session.model import Positions
 
 _SESSION = "session.yaml"
-_CAMERAS, _JOINTS, _FRAMES, _TORQUES = "cameras.yaml", "joints.csv", "frames.csv", "torques.csv"
+_CAMERAS, _JOINTS, _FRAMES = "cameras.yaml", "joints.csv", "frames.csv"
 
 
 def write_session(folder: str | Path, session: Positions) -> None:
@@ -46,13 +45,15 @@ def write_session(folder: str | Path, session: Positions) -> None:
         session: what to write.
 
     Raises:
-        OutputError: one of the files is already there, the folder cannot be written, or the session has no URDF, or
-            a camera's pose is known differently well in different directions.
+        OutputError: one of the files is already there, the folder cannot be written, or the session has no URDF, is
+            several in one, or a camera's pose is known differently well in different directions.
     """
     folder = Path(folder)
     urdf = session.urdf
     if urdf is None:
         raise OutputError("the session has no URDF to write", where=str(folder), remedy="Build its chain from a URDF.")
+    if len(session.parts) > 1:
+        raise OutputError("it is several sessions in one", where=str(folder), remedy="Write each of them.")
     if (folder / _SESSION).exists():
         raise _already_there(folder / _SESSION)
     check_names("cameras", session.rig.names)
@@ -146,18 +147,25 @@ def _write_files(folder: Path, session: Positions, urdf: Urdf) -> None:
         columns = [[session.rig.names[c] for c in motion.camera], labels, motion.time.tolist()]
         write_table(folder / _FRAMES, ["camera", "frame", "time"], columns)
     else:
-        poses, readings, time = _with_moves(session)
-        own = {} if time is None else {"time": time.tolist()}
-        write_table(folder / _JOINTS, ["pose", *chain.actuated, *own], [poses, *readings.T.tolist(), *own.values()])
-    if session.torques is not None:
-        content["torques"] = _TORQUES
-        columns = [session.poses, *chain.readings(session.torques).T.tolist()]
-        write_table(folder / _TORQUES, ["pose", *chain.actuated], columns)
+        time = {} if session.time is None else {"time": session.time.tolist()}
+        columns = [session.poses, *session.readings.T.tolist(), *time.values()]
+        write_table(folder / _JOINTS, ["pose", *chain.actuated, *time], columns)
+        elsewhere = np.flatnonzero((session.came_from != before(session.q, session.time)).any(axis=1))
+        all_poses = np.arange(len(session.poses))
+        for name, values, of in (
+            ("torques", session.torques, all_poses),
+            ("previous", session.came_from if len(elsewhere) else None, elsewhere),
+        ):
+            if values is not None:
+                content[name] = f"{name}.csv"
+                columns = [[session.poses[k] for k in of], *chain.readings(values[of]).T.tolist()]
+                write_table(folder / content[name], ["pose", *chain.actuated], columns)
     if isinstance(session, Session):
         for table in session.measurements:
             content[table.kind] = f"{table.kind}.csv"
             write_measurements(folder / f"{table.kind}.csv", session, table)
         content["exclude"] = session.excluded.named
+        content["moved"] = {what: list(labels) for what, labels in session.moved.items()}
     estimate = _said(**vars(session.estimate))
     content |= {
         "noise": _said(**{**vars(session.noise), "other": None}, **session.noise.other),
@@ -175,23 +183,6 @@ def _write_files(folder: Path, session: Positions, urdf: Urdf) -> None:
     content = {key: value for key, value in content.items() if value}
     text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None, width=110)
     (folder / _SESSION).write_text(text, encoding="utf-8")
-
-
-def _with_moves(session: Positions) -> tuple[list[str], Floats, Floats | None]:
-    """Return labels, readings and times of joints.csv's rows: poses, and where the arm came from if from no pose."""
-    poses, q, time = list(session.poses), session.q, session.time
-    from_elsewhere = np.flatnonzero((session.came_from != before(q, time)).any(axis=1))
-    if time is not None:
-        last = before(time, time)
-        came = np.where(last < time, (last + time) / 2.0, time - 1.0)
-        time = np.insert(time, from_elsewhere, came[from_elsewhere])
-    q = np.insert(q, from_elsewhere, session.came_from[from_elsewhere], axis=0)
-    for k in reversed(from_elsewhere.tolist()):
-        label = f"before {poses[k]}"
-        while label in poses:
-            label = f"before {label}"
-        poses.insert(k, label)
-    return poses, session.chain.readings(q), time
 
 
 def _said(**keys: Any) -> dict[str, Any]:

@@ -64,7 +64,7 @@ def _log_camera(base: Layer, index: int, camera: Camera, scene: CalibrationScene
     link, views = scene.links[index], scene.views[index]
     distance = float(np.median(np.linalg.norm(scene.leds.measured - views[scene.leds.pose, :3, 3], axis=1)))
     body = base.at("cameras", camera.name)
-    if link is None:
+    if link is None and np.ptp(views[:, :3], axis=0).max() == 0.0:
         body.fixed(placed(views[0]))
     else:
         body.moving(views)

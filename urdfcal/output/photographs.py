@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.errors import SessionError
+from urdfcal.session.moves import poses_of_camera, unmoved
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -32,16 +33,19 @@ def find_photographs(session: Session) -> tuple[dict[int, Path], ...]:
     from urdfcal.images.files import Video
 
     try:
-        index = read_index(folder, session)
+        index = read_index(folder, unmoved(session))
     except SessionError:  # a folder of other images: nothing that a calibration from tables should fail for
         return none
     # Videos stay where they are: every frame as an image of its own would be a hundred times their size.
-    return tuple(
+    found: list[dict[int, Path]] = [
         {}
         if isinstance(images, Video)
         else {shot.pose: image.path for shot, image in reversed(list(zip(shots, images, strict=True)))}
         for shots, images in zip(index.shots, index.images, strict=True)
-    )
+    ]
+    lens = session.rig.lens
+    seen = [set(poses_of_camera(session, c).tolist() if lens.count(of) > 1 else found[of]) for c, of in enumerate(lens)]
+    return tuple({pose: found[of][pose] for pose in found[of] if pose in seen[c]} for c, of in enumerate(lens))
 
 
 def compressed(paths: Iterable[Path]) -> list[bytes]:

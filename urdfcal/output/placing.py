@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import Floats, inverse
+from urdfcal.arrays import Floats, Ints, inverse
 from urdfcal.robot.dh import row_transform
 from urdfcal.robot.kinematics import link_poses
 from urdfcal.robot.mechanism import BASE, Tip
-from urdfcal.session.attachments import WORLD
+from urdfcal.session.moves import poses_of_camera
 
 if TYPE_CHECKING:
     from urdfcal.output.fitted import ArmEstimate
     from urdfcal.robot.dh import DHTable
     from urdfcal.robot.mechanism import Mechanism
-    from urdfcal.session.model import Setup
+    from urdfcal.session.model import Session
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,17 +37,27 @@ class RobotPoses:
     T_base_cam: Floats
 
     @classmethod
-    def of(cls, setup: Setup, arm: ArmEstimate, q: Floats) -> RobotPoses:
-        """Run an arm's forward kinematics at joint values (N, n), in rad or m."""
-        fastened = setup.attachments
-        frames = joint_frames(setup.chain, arm.placements, q)
-        # The world is a link of the base here: it moves with no joint.
-        tips = (Tip(WORLD, BASE, inverse(arm.T_world_base)), *fastened.tips)
-        T_base_frame = np.array([link_frames(frames, tip) for tip in tips])
+    def of(cls, session: Session, arm: ArmEstimate, q: Floats) -> RobotPoses:
+        """Run an arm's forward kinematics at joint values (N, n), in rad or m: those of the session, or others."""
+        fastened, T_base_world = session.attachments, inverse(arm.T_world_bases)
+        frames = joint_frames(session.chain, arm.placements, q)
+        part = session.part if len(q) == len(session.part) else np.zeros(len(q), np.intp)
+        T_base_frame = np.array([T_base_world[part], *(link_frames(frames, tip) for tip in fastened.tips)])
         T_base_carrier = np.swapaxes(T_base_frame[fastened.led], 0, 1)
         leds = (T_base_carrier[..., :3, :3] @ arm.leds[..., None])[..., 0] + T_base_carrier[..., :3, 3]
-        seats = T_base_frame[fastened.camera[: len(arm.cameras)]]
+        seats = np.array(
+            [
+                T_base_frame[frame] if frame else T_base_world[_parts_of(session, c, part)]
+                for c, frame in enumerate(fastened.camera[: len(arm.cameras)])
+            ]
+        ).reshape(-1, len(q), 4, 4)
         return cls(frames, T_base_frame, leds, seats @ inverse(arm.T_cam_frame)[:, None])
+
+
+def _parts_of(session: Session, camera: int, part: Ints) -> Ints:
+    """In whose world (N,) a standing camera is at each pose: of a part in which it saw nothing, in another's."""
+    used = np.unique(session.part[poses_of_camera(session, camera)])
+    return np.where(np.isin(part, used), part, used[0]) if len(used) else part
 
 
 def joint_frames(mechanism: Mechanism, placements: Floats, q: Floats) -> Floats:

@@ -225,7 +225,8 @@ def _triangulated(
         T_cam_first = (np.eye(4), *(arm.T_cam_frame[c] @ inverse(arm.T_cam_frame[first]) for c in cameras[1:]))
         rig = Rig(tuple(arm.cameras[c] for c in cameras), T_cam_first)
         found = rig.triangulate(uv[mine][:, cameras], sigma[mine][:, cameras])
-        points[mine], covariances[mine] = _moved(poses.T_base_cam[first, pose[mine]], found.points, found.covariances)
+        T_base_first = poses.T_base_frame[frame, pose[mine]] @ inverse(arm.T_cam_frame[first])
+        points[mine], covariances[mine] = _moved(T_base_first, found.points, found.covariances)
     return points, covariances
 
 

@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from urdfcal.arrays import inverse
 from urdfcal.estimation.blocks.arm import LENGTHS
-from urdfcal.estimation.blocks.base_pose import BASE
+from urdfcal.estimation.blocks.base_pose import BASE, base_keys
 from urdfcal.estimation.blocks.cameras import lens_key, pose_key
 from urdfcal.estimation.blocks.leds import LEDS
 from urdfcal.estimation.joint_models.time_offset import TIME_OFFSETS
@@ -23,9 +23,11 @@ from urdfcal.result import evidence_sections as e
 from urdfcal.robot.mechanism import BASE as BASE_LINK
 from urdfcal.robot.urdf.origins import origins_of
 from urdfcal.rotations import matrix_to_rpy
+from urdfcal.session.moves import BASE_LINK as BASE_PART
 
 if TYPE_CHECKING:
-    from urdfcal.arrays import Floats
+    from urdfcal.arrays import Bools, Floats
+    from urdfcal.estimation.observations import Observations
     from urdfcal.result.fitted import FittedCalibration
     from urdfcal.robot.mechanism import Mechanism
 
@@ -43,6 +45,7 @@ def build_document(of: FittedCalibration) -> d.ResultDocument:
         placements=_placements(of),
         T_world_base=of.estimate.T_world_base.tolist(),
         T_world_base_sigma=_known(of.sigmas_of(BASE)),
+        **_sessions(of),
         leds=_leds(of),
         cameras={camera.name: _camera(of, c) for c, camera in enumerate(of.estimate.cameras)},
         **listed,
@@ -163,6 +166,37 @@ def _parameters(of: FittedCalibration) -> list[d.ParameterEntry]:
     ]
 
 
+def _sessions(of: FittedCalibration) -> dict[str, Any]:
+    """Where each of several sessions has its base, and how well it fits; absent of one alone."""
+    session, entries = of.session, {}
+    for k, (name, key) in enumerate(zip(session.parts, base_keys(session.parts), strict=True)):
+        residuals, things = [], {"led": set[int](), "camera": set[int]()}
+        for block, kept in zip(of.observations, of.fit.kept, strict=True):
+            used = kept & (block.readings.part == k)[:, None]
+            for kind in things.keys() & block.index.keys():
+                things[kind].update(np.unique(block.index[kind][used]).tolist())
+            if used.any():
+                residuals.append(_residual(of, block, used))
+        entries[name or BASE_PART] = d.SessionEntry(
+            T_world_base=of.fit.state[key].tolist(),
+            T_world_base_sigma=_known(of.sigmas_of(key)),
+            poses=int(np.count_nonzero(session.part == k)),
+            leds=[session.led_names[i] for i in sorted(things["led"])],
+            cameras=[session.rig.names[i] for i in sorted(things["camera"])],
+            residuals=residuals,
+        )
+    return {"sessions": entries} if len(entries) > 1 else {}
+
+
+def _residual(of: FittedCalibration, block: Observations, used: Bools) -> d.ResidualEntry:
+    """The rms of some residuals of one kind of measurement, nominal and calibrated."""
+    unit, scale = block.table.report
+    nominal, calibrated = (
+        scale * _rms(of.problem.residual(block, state)[used]) for state in (of.nominal_fit.state, of.fit.state)
+    )
+    return d.ResidualEntry(kind=block.table.kind, unit=unit, rms_nominal=nominal, rms=calibrated)
+
+
 def _leds(of: FittedCalibration) -> dict[str, d.LedEntry]:
     result, attachments, sigmas = {}, of.session.attachments, of.sigmas_of(LEDS).reshape(-1, 3)
     for i, led in enumerate(of.session.leds):
@@ -202,18 +236,17 @@ def _camera(of: FittedCalibration, c: int) -> d.CameraEntry:
 def _fit(of: FittedCalibration) -> d.FitSection:
     fit, rms = of.fit, {}
     states = {"nominal_": of.nominal_fit.state, "": fit.state}
-    found = triangulate(of.session) if of.estimate.cameras else None
-    if found is not None:
-        points = arrange(of.session, found)
+    triangulated = triangulate(of.session) if of.estimate.cameras else None
+    if triangulated is not None:
+        points = arrange(of.session, triangulated)
         used = points.valid & ~of.problem.suspect(points, fit.outlier)
         rms = {f"rms_{p}mm": 1e3 * _rms(of.problem.residual(points, state)[used]) for p, state in states.items()}
     residuals = []
     for block, kept in zip(of.observations, fit.kept, strict=True):
-        unit, scale = block.table.report
-        each = {p: scale * _rms(of.problem.residual(block, state)[kept]) for p, state in states.items()}
-        residuals.append(d.ResidualEntry(kind=block.table.kind, unit=unit, rms_nominal=each["nominal_"], rms=each[""]))
-        if unit in ("px", "mm"):
-            rms = {f"rms_{p}{unit}": value for p, value in each.items()} | rms
+        found = _residual(of, block, kept)
+        residuals.append(found)
+        if found.unit in ("px", "mm"):
+            rms = {f"rms_nominal_{found.unit}": found.rms_nominal, f"rms_{found.unit}": found.rms} | rms
     return d.FitSection(
         poses=len(of.session.poses),
         observations=fit.observations,

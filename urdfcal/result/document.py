@@ -186,6 +186,17 @@ class FitSection(Section):
     residuals: list[ResidualEntry] = Field(default_factory=list)
 
 
+class SessionEntry(Section):
+    """One of several sessions, or what was measured between two moves of the base: its base, and what it rests on."""
+
+    T_world_base: Transform
+    T_world_base_sigma: Sigmas
+    poses: int
+    leds: list[str]
+    cameras: list[str]
+    residuals: list[ResidualEntry]
+
+
 class VerdictSection(Section):
     """Whether to trust the calibration, and what speaks against it, the gravest first."""
 
@@ -261,7 +272,8 @@ class ResultDocument(Section):
     """Everything a calibration says: the contract of ``calibration.json``.
 
     Lengths in m, angles in rad. ``T_world_base_sigma`` are standard deviations of a small motion x, y, z, rx, ry, rz
-    after ``T_world_base``; ``warnings`` are those of the verdict's reasons that are no failures.
+    after ``T_world_base``. Of several ``sessions`` it is the first one's; ``T_cam_world`` is in the camera's own world.
+    ``warnings`` are those of the verdict's reasons that are no failures.
     """
 
     format: Literal["urdfcal/2"]
@@ -270,6 +282,7 @@ class ResultDocument(Section):
     placements: dict[str, OriginEntry]
     T_world_base: Transform
     T_world_base_sigma: Sigmas
+    sessions: dict[str, SessionEntry] = Field(default_factory=dict)
     leds: dict[str, LedEntry]
     cameras: dict[str, CameraEntry]
     parameters: list[ParameterEntry] = Field(default_factory=list)

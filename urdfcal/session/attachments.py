@@ -63,7 +63,7 @@ class Attachments:
     """The frames that LEDs and cameras are fixed in: 0 is the world, the others are links.
 
     The world is the frame of the first eye-to-hand camera, or of the tracker; where all cameras are eye-in-hand it is
-    the base link's.
+    the base link's. Of a session of parts each has its world, and frame 0 is that of the pose's part.
 
     Attributes:
         tips: the links of frames 1, 2, ...
@@ -73,6 +73,8 @@ class Attachments:
         reference: (C,) for each camera the first one in the same frame: its pose is known relative to that one's.
         T_cam_reference: for each camera (4, 4) its reference camera, None where that is not known. [m]
         T_reference_frame: for each camera (4, 4) the frame in its reference camera, None where not known. [m]
+        lens: (C,) for each camera the one whose lens it has.
+        parts: the names of the session's parts.
     """
 
     tips: tuple[Tip, ...]
@@ -82,6 +84,8 @@ class Attachments:
     reference: Ints
     T_cam_reference: tuple[Floats | None, ...]
     T_reference_frame: tuple[Floats | None, ...]
+    lens: Ints
+    parts: tuple[str, ...]
 
     @property
     def frames(self) -> tuple[str, ...]:
@@ -94,6 +98,11 @@ class Attachments:
         return np.flatnonzero(self.camera == 0)
 
     @property
+    def worlds(self) -> Ints:
+        """Indices of the cameras that define a world: the first ones that are fixed in it."""
+        return np.flatnonzero((self.camera == 0) & (self.reference == np.arange(len(self.camera))))
+
+    @property
     def T_cam_frame(self) -> tuple[Floats | None, ...]:
         """For each camera (4, 4) the frame it is fixed in, as far as it is known beforehand. [m]."""
         return tuple(
@@ -103,7 +112,11 @@ class Attachments:
 
 
 def attach(
-    mechanism: Mechanism, led_links: Sequence[str | None], rig: Rig, mounts: Mapping[str, CameraMount]
+    mechanism: Mechanism,
+    led_links: Sequence[str | None],
+    rig: Rig,
+    mounts: Mapping[str, CameraMount],
+    parts: Sequence[str] = ("",),
 ) -> Attachments:
     """Sort LEDs and cameras by what they are attached to.
 
@@ -112,6 +125,7 @@ def attach(
         led_links: a link for each LED, or "world"; None for the tip link.
         rig: the cameras.
         mounts: of the eye-in-hand ones, by name.
+        parts: the names of the session's parts.
 
     Raises:
         RobotError: a link is none of the mechanism's tips.
@@ -122,14 +136,15 @@ def attach(
     camera_at = [mounts[name].link if name in mounts else WORLD for name in rig.names]
     names = list(dict.fromkeys([WORLD, *led_at, *camera_at]))
     led, camera = ([names.index(link) for link in links] for links in (led_at, camera_at))
-    reference = [camera.index(of) for of in camera]
+    together = list(zip(camera, rig.group, strict=True))
+    reference = [together.index(of) for of in together]
     if len(names) == 1:
         raise SessionError("neither an LED nor a camera is on the robot", remedy="Name the link that carries one.")
     T_cam_reference: list[Floats | None] = []
     T_reference_frame: list[Floats | None] = []
     for c, (name, first) in enumerate(zip(rig.names, reference, strict=True)):
         T, T_first = rig.T_cam_world[c], rig.T_cam_world[first]
-        if c and c == first and T is not None:
+        if c != rig.group[c] and c == first and T is not None:
             what = "T_cn_cnm1 places it by a camera that is fastened to something else"
             remedy = "Leave T_cn_cnm1 out: where it is comes from its link, or is estimated."
             raise SessionError(what, where=f"camera {name!r}", remedy=remedy)
@@ -150,4 +165,6 @@ def attach(
         frozen(reference, np.intp),
         tuple(T_cam_reference),
         tuple(T_reference_frame),
+        frozen(rig.lens, np.intp),
+        tuple(parts),
     )

@@ -13,6 +13,7 @@ from urdfcal.errors import SessionError
 from urdfcal.names import check_known
 from urdfcal.session.knowledge import Estimate, Excluded
 from urdfcal.session.model import MIN_POSES
+from urdfcal.session.moves import BASE_LINK
 from urdfcal.session.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -65,11 +66,12 @@ def labels(said: str, known: Sequence[str], where: str) -> tuple[str, ...]:
     return (said,)
 
 
-def in_words(poses: Sequence[str]) -> str:
-    """Write what excludes consecutive poses, as it stands in session.yaml."""
+def in_words(key: str, of: str, poses: Sequence[str]) -> str:
+    """Write what a key of session.yaml says of consecutive poses, as in ``exclude: {poses: [26-31]}``."""
     ends = [poses[0]] if len(poses) == 1 else [poses[0], poses[-1]]
     text = "-".join(ends)
-    return f"exclude: {{poses: [{text if all(_PLAIN.fullmatch(end) for end in ends) else json.dumps(text)}]}}"
+    name = of if _PLAIN.fullmatch(of) else json.dumps(of)
+    return f"{key}: {{{name}: [{text if all(_PLAIN.fullmatch(end) for end in ends) else json.dumps(text)}]}}"
 
 
 def leave_out(session: Session, excluded: Excluded) -> Session:
@@ -123,9 +125,9 @@ def restored(session: Session) -> Session:
     again = leave_out(excluded.whole, excluded)
     known = ("noise", "tolerances", "estimate", "joint_models", "led_distances", "scale_sigma")
     settings = (*known, "payload", "gravity", "gear_ratio", "folder", "sha256", "warnings")
-    if not _same(session, again, {*settings, "excluded"}):
+    if not same(session, again, {*settings, "excluded"}):
         return replace(session, excluded=Excluded())
-    own = {name: getattr(session, name) for name in settings if not _same(getattr(session, name), getattr(again, name))}
+    own = {name: getattr(session, name) for name in settings if not same(getattr(session, name), getattr(again, name))}
     return replace(excluded.whole, **own, excluded=Excluded(excluded.poses, excluded.cameras, excluded.leds))
 
 
@@ -148,10 +150,11 @@ def _of(session: Session, cameras: Ints, leds: Ints, excluded: Excluded) -> Sess
             if key in table.index
         }
         tables.append(replace(table, **renumbered))
-    estimate = session.estimate
+    estimate, things = session.estimate, {BASE_LINK, *rig.names, *(session.leds[i].name for i in leds)}
     return replace(
         session,
         rig=rig,
+        moved={what: labels for what, labels in session.moved.items() if what in things},
         mounts=tuple(mount for mount in session.mounts if mount.camera in rig.names),
         leds=tuple(session.leds[i] for i in leds),
         estimate=Estimate(
@@ -171,16 +174,16 @@ def _only(said: Any, names: Collection[str]) -> Any:
     return said if said is None or isinstance(said, str) else {name: of for name, of in said.items() if name in names}
 
 
-def _same(a: Any, b: Any, but: Collection[str] = ()) -> bool:
-    """Whether two values say the same, to the last bit."""
+def same(a: Any, b: Any, but: Collection[str] = ()) -> bool:
+    """Return whether two values say the same, to the last bit, but for some fields."""
     if a is b:
         return True
     if type(a) is not type(b):
         return False
     if is_dataclass(a):
-        return all(_same(getattr(a, of.name), getattr(b, of.name)) for of in fields(a) if of.name not in but)
+        return all(same(getattr(a, of.name), getattr(b, of.name)) for of in fields(a) if of.name not in but)
     if isinstance(a, np.ndarray):
         return np.array_equal(a, b)
     if isinstance(a, tuple):
-        return len(a) == len(b) and all(_same(*pair) for pair in zip(a, b, strict=True))
+        return len(a) == len(b) and all(same(*pair) for pair in zip(a, b, strict=True))
     return bool(a == b)

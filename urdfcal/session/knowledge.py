@@ -172,6 +172,25 @@ class Tolerances:
 
 
 @dataclass(frozen=True, eq=False)
+class Stand:
+    """Where a camera stands and looks.
+
+    Attributes:
+        position: (3,) in the base link's frame. [m]
+        look_at: (3,) point on its optical axis, in the base link's frame. [m]
+    """
+
+    position: Floats
+    look_at: Floats
+
+    def __post_init__(self) -> None:
+        places = {name: finite_array(getattr(self, name), (3,), name, "stand") for name in ("position", "look_at")}
+        keep(self, **places)
+        if np.array_equal(self.position, self.look_at):
+            raise SessionError("the camera looks at its own place", where="stand")
+
+
+@dataclass(frozen=True, eq=False)
 class Payload:
     """What the arm carries beside its own links.
 

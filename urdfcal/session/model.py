@@ -9,15 +9,26 @@ from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
 import numpy as np
 
-from urdfcal.arrays import Floats, Ints, ReadOnly, Rebuilt, finite_array, finite_number, keep
+from urdfcal.arrays import Floats, Ints, ReadOnly, Rebuilt, finite_array, finite_number, frozen, keep
 from urdfcal.cameras.rig import Rig
 from urdfcal.errors import SessionError
 from urdfcal.names import check_known, check_names
 from urdfcal.robot.gravity import STANDARD_GRAVITY
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.session.attachments import Attachments, CameraMount, attach
-from urdfcal.session.knowledge import Estimate, Excluded, JointError, Led, LedDistance, Noise, Payload, Tolerances
+from urdfcal.session.knowledge import (
+    Estimate,
+    Excluded,
+    JointError,
+    Led,
+    LedDistance,
+    Noise,
+    Payload,
+    Stand,
+    Tolerances,
+)
 from urdfcal.session.measurements import Measurements
+from urdfcal.session.moves import check_moves, moves_at
 from urdfcal.session.trajectory import AT_REST, Motion, Trajectory
 
 if TYPE_CHECKING:
@@ -68,14 +79,14 @@ class Setup(Rebuilt):
         joint_models: by name, which are estimated (True) or not (False), of all joints or of each by name; of the
             others the measurements decide.
         payload: what the arm carries.
+        payloads: what it carries in each part, where that differs.
         gravity: (3,) in the base link's frame. [m/s^2]
         gear_ratio: turns of the motor for one of the joint, by the joint's name.
-        scale_sigma: of the share that the instrument's lengths may be too long by; None where nothing is said.
-        joint_models: by name, which are estimated (True) or not (False); of the others each decides itself.
         scale_sigma: of the share that the instrument's lengths may be too long by; where nothing is said the rig's,
             or None.
         sha256: hash of every input file, by the name that the session gives it.
         folder: where it was read from.
+        parts: names of what it was measured in: between parts the base, or what the cameras are on, was moved.
     """
 
     chain: Mechanism
@@ -90,11 +101,13 @@ class Setup(Rebuilt):
     tolerances: Tolerances = field(default_factory=Tolerances)
     joint_models: Mapping[str, bool | Mapping[str, bool]] = field(default_factory=dict)
     payload: Payload | None = None
+    payloads: tuple[Payload | None, ...] = ()
     gravity: Floats = field(default_factory=lambda: STANDARD_GRAVITY)
     gear_ratio: Mapping[str, float] = field(default_factory=dict)
     scale_sigma: float | None = None
     sha256: Mapping[str, str] = field(default_factory=dict)
     folder: Path | None = None
+    parts: tuple[str, ...] = ("",)
 
     def __post_init__(self) -> None:
         keep(self, leds=tuple(self.leds), led_distances=tuple(self.led_distances), mounts=tuple(self.mounts))
@@ -141,31 +154,13 @@ class Setup(Rebuilt):
     @cached_property
     def attachments(self) -> Attachments:
         """What LEDs and cameras are attached to."""
-        return attach(self.chain, [led.link for led in self.leds], self.rig, {m.camera: m for m in self.mounts})
+        mounts = {mount.camera: mount for mount in self.mounts}
+        return attach(self.chain, [led.link for led in self.leds], self.rig, mounts, self.parts)
 
     @property
     def led_names(self) -> tuple[str, ...]:
         """The LEDs' names, in order."""
         return tuple(led.name for led in self.leds)
-
-
-@dataclass(frozen=True, eq=False)
-class Stand:
-    """Where a camera stands and looks.
-
-    Attributes:
-        position: (3,) in the base link's frame. [m]
-        look_at: (3,) point on its optical axis, in the base link's frame. [m]
-    """
-
-    position: Floats
-    look_at: Floats
-
-    def __post_init__(self) -> None:
-        places = {name: finite_array(getattr(self, name), (3,), name, "stand") for name in ("position", "look_at")}
-        keep(self, **places)
-        if np.array_equal(self.position, self.look_at):
-            raise SessionError("the camera looks at its own place", where="stand")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -207,6 +202,7 @@ class Positions(Setup):
         previous: (N, n) values of the joints where the arm came from, perhaps in a pose in which nothing was measured;
             None for the poses in order, of time if there is one. [rad or m]
         motion: at rest in every pose, or a trajectory: each pose is then a frame of one camera, q what its log says.
+        part: (N,) of each pose; left out: the first.
         warnings: what looked odd when it was read.
     """
 
@@ -216,6 +212,7 @@ class Positions(Setup):
     torques: Floats | None = None
     previous: Floats | None = None
     motion: Motion = AT_REST
+    part: Ints = field(default_factory=lambda: np.zeros(0, np.intp))
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -230,6 +227,9 @@ class Positions(Setup):
             raise SessionError("a mimic joint's value in q is not what it follows from", where="session")
         if self.time is not None:
             keep(self, time=finite_array(self.time, (count,), "time", "session"))
+        keep(self, part=frozen(self.part if len(self.parts) > 1 else np.zeros(count), np.intp))
+        if self.part.shape != (count,) or not np.isin(self.part, range(len(self.parts))).all():
+            raise SessionError(f"part is not the index of one of {len(self.parts)} in each pose", where="session")
         for name in ("torques", "previous"):
             if getattr(self, name) is not None:
                 keep(self, **{name: finite_array(getattr(self, name), self.q.shape, name, "session")})
@@ -261,14 +261,16 @@ class Session(Positions):
     Attributes:
         measurements: one table for each kind of measurement, such as detections in images or points of a tracker.
         excluded: what was left out of it.
+        moved: by name of an LED or a camera, or "base", the poses before which it moved.
     """
 
     measurements: tuple[Measurements, ...]
     excluded: Excluded = field(default_factory=Excluded)
+    moved: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        keep(self, measurements=tuple(self.measurements))
+        keep(self, measurements=tuple(self.measurements), moved=ReadOnly(self.moved))
         if not self.measurements:
             raise SessionError("there are no measurements", remedy="There is nothing to calibrate from.")
         counts = {"pose": len(self.poses), "led": len(self.leds), "camera": len(self.rig.cameras)}
@@ -282,6 +284,7 @@ class Session(Positions):
                     raise SessionError("a moving arm is measured by cameras alone", where="session")
                 if np.any(table.index["camera"] != self.motion.camera[table.pose]):
                     raise SessionError("a detection is by another camera than its frame", where=table.kind)
+        check_moves(self)
 
     def find(self, kind: type[Kind]) -> Kind | None:
         """Return the measurements of a kind; None if there are none."""
@@ -298,6 +301,8 @@ class Session(Positions):
             torques=None if self.torques is None else self.torques[poses],
             previous=self.came_from[poses],
             motion=self.motion.at(poses),
+            part=self.part[poses],
+            moved=moves_at(self, poses),
             measurements=tuple(table for table in tables if table is not None),
         )
 

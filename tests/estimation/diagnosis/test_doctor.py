@@ -98,7 +98,7 @@ def test_an_event_is_named_with_its_pose(what: str, simulated: Callable) -> None
 def test_an_event_says_how_to_do_without_the_shorter_side(first: int, which: str, simulated: Callable) -> None:
     session = slipped(simulated("panda", poses=50), 1e-3).at(np.arange(first, 50))
     finding, *_ = findings(session)
-    said = re.search(rf"it slipped; leave out {which} \(exclude: {{poses: \[(.*)\]}}\)$", finding.sentence)
+    said = re.search(rf", or leave out {which} \(exclude: {{poses: \[(.*)\]}}\)$", finding.sentence)
     assert said, finding.sentence
     poses = labels(said[1], session.poses, "")
     assert poses == (session.poses[finding.pose :] if first == 0 else session.poses[: finding.pose])
@@ -165,3 +165,15 @@ def test_the_estimate_itself_explains_nothing_more(simulated: Callable) -> None:
     _, left = unexplained(simulated("elbow3r", poses=20).session)
     assert left.explained(left.Q[:, :3])[0] == pytest.approx(0.0, abs=1e-9 * left.total)
     np.testing.assert_allclose(left.Q.T @ left.r, 0.0, atol=1e-8)
+
+
+@pytest.mark.parametrize("make", [bumped, partial(jumped, share=0.0)])
+def test_what_cannot_be_told_from_a_bump_is_mended_by_saying_so(make: Callable, simulated: Callable) -> None:
+    session = make(simulated("panda", poses=50), 2e-3)
+    first, *_ = findings(session)
+    assert f"; say that it moved (moved: {{base: [{session.poses[first.pose]}]}}), or leave out" in first.sentence
+
+
+def test_a_joint_that_jumped_is_no_other_thing(simulated: Callable) -> None:
+    first, *_ = findings(jumped(simulated("panda", poses=50), 2e-3, share=0.5))
+    assert "the encoder jumped; leave out these poses (exclude: " in first.sentence

@@ -1,8 +1,8 @@
-"""Where the robot stands as an unknown: the base link in the world."""
+"""Where the robot stands as an unknown: the base link in the world, anew after every move."""
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 import pinocchio as pin
@@ -11,8 +11,16 @@ from urdfcal.arrays import Floats, inverse
 from urdfcal.estimation.blocks.base import POSE_AXES, POSE_UNITS, Block
 from urdfcal.estimation.state import Key
 
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
 BASE: Key[Floats] = Key("T_world_base")
-"""(4, 4) the base link in the world. [m]"""
+"""(4, 4) the base link in the world, where it stood first. [m]"""
+
+
+def base_keys(parts: Sequence[str]) -> tuple[Key[Floats], ...]:
+    """Keys of the base link in the world (4, 4) in each part of a session, by the parts' names. [m]."""
+    return (BASE, *(Key(f"{name}/{BASE.name}") for name in parts[1:]))
 
 
 class BaseBlock(Block[Floats]):
@@ -22,16 +30,16 @@ class BaseBlock(Block[Floats]):
     own_section: ClassVar[bool] = True
 
     @classmethod
-    def of(cls, *, fixed: str | None) -> BaseBlock:
+    def of(cls, *, fixed: str | None, key: Key[Floats] = BASE) -> BaseBlock:
         """Take all six coordinates, or fix them for a reason."""
         return cls(
-            key=BASE,
-            names=tuple(f"T_world_base.{axis}" for axis in POSE_AXES),
+            key=key,
+            names=tuple(f"{key.name}.{axis}" for axis in POSE_AXES),
             units=POSE_UNITS,
             nominal=np.eye(4),
             sigma=np.full(6, np.inf),
             fixed={} if fixed is None else dict.fromkeys(range(6), fixed),
-            phrase="where the robot stands (T_world_base)",
+            phrase=f"where the robot stands ({key.name})",
         )
 
     def retract(self, value: Floats, step: Floats) -> Floats:

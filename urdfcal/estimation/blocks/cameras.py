@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -78,9 +79,16 @@ class LensBlock(Block[Camera]):
         return np.concatenate([[fx, fy, fx, fy], np.ones(len(self) - 4)])
 
 
+def lens_key_of(attachments: Attachments, c: int) -> Key[Camera]:
+    """Key of the lens that a camera has, perhaps with others: it is the same one before and after a move."""
+    return lens_key(attachments.cameras[int(attachments.lens[c])])
+
+
 def camera_values(attachments: Attachments, state: State) -> tuple[Camera, ...]:
-    """Lenses of all cameras, in the rig's order; none where the state holds none."""
-    return tuple(state[lens_key(name)] for name in attachments.cameras if lens_key(name) in state)
+    """Lenses of all cameras, in the rig's order and by their names; none where the state holds none."""
+    lenses = [state[key] for c in range(len(attachments.cameras)) if (key := lens_key_of(attachments, c)) in state]
+    named = zip(lenses, attachments.cameras, strict=False)
+    return tuple(lens if lens.name == name else replace(lens, name=name) for lens, name in named)
 
 
 def camera_poses(attachments: Attachments, state: State) -> Floats:

@@ -11,10 +11,11 @@ import numpy as np
 from urdfcal.estimation.diagnosis.effects import drifts, effects, subjects
 from urdfcal.estimation.diagnosis.residuals import Unexplained, column_scale, solve_score
 from urdfcal.session.exclusion import in_words
+from urdfcal.session.moves import BASE_LINK, session_name
 from urdfcal.session.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
     from urdfcal.arrays import Floats
     from urdfcal.estimation.diagnosis.effects import Effect, Subject
@@ -61,14 +62,18 @@ _CHANGES = {
 
 @dataclass(frozen=True, eq=False)
 class _Test:
-    """What an effect of ``count`` sizes explains; its words and its columns (R + P, k) are made where it is named."""
+    """What an effect of ``count`` sizes explains; its words and its columns (R + P, k) are made where it is named.
+
+    Of a jump it is known what jumped, and before which pose.
+    """
 
     name: str
     gain: float
     count: int
-    pose: int | None
     sentence: Callable[[], str]
     columns: Callable[[], Floats]
+    pose: int | None = None
+    subject: Subject | None = None
 
 
 def diagnose(session: Session, unexplained: Unexplained) -> tuple[Finding, ...]:
@@ -95,9 +100,10 @@ def diagnose(session: Session, unexplained: Unexplained) -> tuple[Finding, ...]:
         if chance > _CHANCE:
             break
         what = best.name.partition(":")[0]
-        near = (test.name for test in tests if test.gain > _ALIKE * best.gain)
-        alike = tuple(dict.fromkeys(name for name in near if name.partition(":")[0] != what))
-        findings.append(Finding(best.name, best.sentence(), best.gain / total, chance, best.pose, alike))
+        near = [test for test in tests if test.gain > _ALIKE * best.gain]
+        alike = tuple(dict.fromkeys(test.name for test in near if test.name.partition(":")[0] != what))
+        sentence = best.sentence() + _advice(session, best, near)
+        findings.append(Finding(best.name, sentence, best.gain / total, chance, best.pose, alike))
         left = left.less(best.columns())
     return tuple(findings)
 
@@ -105,7 +111,7 @@ def diagnose(session: Session, unexplained: Unexplained) -> tuple[Finding, ...]:
 def _explained(left: Unexplained, effect: Effect, columns: Floats) -> _Test:
     """Test an effect in all poses."""
     gain, size, _ = left.explained(columns)
-    return _Test(effect.name, gain, columns.shape[1], None, partial(effect.sentence, size), lambda: columns)
+    return _Test(effect.name, gain, columns.shape[1], partial(effect.sentence, size), lambda: columns)
 
 
 def _changes(left: Unexplained, session: Session, subject: Subject, columns: Floats) -> Iterator[_Test]:
@@ -123,7 +129,7 @@ def _changes(left: Unexplained, session: Session, subject: Subject, columns: Flo
 
     def sentence(size: Floats, pose: int) -> str:
         moved = f"{subject.called} is {subject.size(size)} from where it was before"
-        return f"from pose {session.label(pose)} on {moved}: {_CHANGES[subject.kind]}; {_without(session, pose)}"
+        return f"from pose {_pose(session, pose)} on {moved}: {_CHANGES[subject.kind]}"
 
     def changed(pose: int) -> Floats:
         later = np.array(columns)
@@ -139,14 +145,37 @@ def _changes(left: Unexplained, session: Session, subject: Subject, columns: Flo
             gram = grams[first] - inside[first].T @ inside[first]
             gain, size, _ = solve_score(gram, scores[first], scale)
             name, count = f"{subject.called}: change", columns.shape[1]
-            yield _Test(name, gain, count, pose, partial(sentence, size, pose), partial(changed, pose))
+            yield _Test(name, gain, count, partial(sentence, size, pose), partial(changed, pose), pose, subject)
 
 
-def _without(session: Session, pose: int) -> str:
-    """Say how to do without the change from a pose on: by the poses on its shorter side."""
-    before, later = session.poses[:pose], session.poses[pose:]
-    which, shorter = ("the poses before", before) if len(before) < len(later) else ("these poses", later)
-    return f"leave out {which} ({in_words(shorter)})"
+def _pose(session: Session, pose: int) -> str:
+    """What a sentence calls a pose: of several sessions it says which one's."""
+    return session.poses[pose] if len(session.parts) > 1 else session.label(pose)
+
+
+def _advice(session: Session, best: _Test, near: Sequence[_Test]) -> str:
+    """Say how to do without a jump: by what is another thing from then on, or without the poses on its shorter side.
+
+    Of what cannot be told apart, something that may be another thing is as good an explanation as a joint.
+    """
+    if best.pose is None or best.subject is None:
+        return ""
+    name = session_name(session.parts[session.part[best.pose]])
+    mine = [k for k, part in enumerate(session.part) if session_name(session.parts[part]) == name]
+    labels = [session.poses[k].removeprefix(f"{name}/") for k in mine]
+    split = mine.index(best.pose)
+    if not split:
+        return f"; it was before {name!r}: calibrate this session alone"
+    which, shorter = ("these poses", labels[split:])
+    if split < len(labels) - split:
+        which, shorter = ("the poses before", labels[:split])
+    parting = f"leave out {which} ({in_words('exclude', 'poses', shorter)})"
+    here = (test.subject for test in (best, *near) if test.pose == best.pose and test.subject is not None)
+    movable = next((subject for subject in here if subject.kind != "joint"), None)
+    if movable is not None:
+        thing = BASE_LINK if movable.kind == "base" else movable.name.removeprefix(f"{name}/").partition("@")[0]
+        parting = f"say that it moved ({in_words('moved', thing, labels[split : split + 1])}), or {parting}"
+    return f"; {parting}{f' in {name!r}' if name else ''}"
 
 
 def _evidence(test: _Test, left: Unexplained) -> float:

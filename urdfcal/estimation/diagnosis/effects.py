@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from urdfcal.estimation.blocks.base_pose import BASE
+from urdfcal.estimation.blocks.base_pose import base_keys
 from urdfcal.estimation.blocks.cameras import has_cameras, lens_key, pose_key
 from urdfcal.estimation.blocks.leds import LEDS
 from urdfcal.estimation.diagnosis.residuals import Part
@@ -32,7 +32,7 @@ class Subject:
 
     Attributes:
         kind: of it.
-        name: of it; empty for the base.
+        name: of it; of the base that of the part of the session.
         columns: derivative (N, m D, k) of a kind of measurement by its motion.
     """
 
@@ -43,9 +43,8 @@ class Subject:
     @property
     def called(self) -> str:
         """What a sentence calls it."""
-        return {"joint": self.name, "led": f"LED {self.name!r}", "camera": f"camera {self.name!r}"}.get(
-            self.kind, "the robot's base"
-        )
+        base = f"the robot's base in {self.name!r}" if self.name else "the robot's base"
+        return {"joint": self.name, "led": f"LED {self.name!r}", "camera": f"camera {self.name!r}"}.get(self.kind, base)
 
     def size(self, motion: Floats) -> str:
         """Say how far it moved; motion (1,) for a joint, (3,) for an LED, (6,) else. [rad or m]."""
@@ -81,7 +80,8 @@ def subjects(session: Session, problem: Problem, state: State) -> Iterator[Subje
     if has_cameras(state) and len(session.rig.names) > 1:
         for c, name in enumerate(session.rig.names):
             yield Subject("camera", name, partial(Part.by, key=pose_key(name), camera=c))
-    yield Subject("base", "", partial(Part.by, key=BASE))
+    for key, name in zip(base_keys(session.parts), session.parts, strict=True):
+        yield Subject("base", name, partial(Part.by, key=key))
 
 
 def effects(session: Session, problem: Problem, state: State) -> Iterator[Effect]:
@@ -90,17 +90,19 @@ def effects(session: Session, problem: Problem, state: State) -> Iterator[Effect
         if isinstance(model, LinearJointModel):
             yield from _joint_effects(model, problem.readings, state[model.key])
     for c, name in enumerate(session.rig.names if has_cameras(state) else ()):
+        if session.rig.lens[c] != c:
+            continue  # another's, which is tested
         what = f"the detections of camera {name!r} err with their place in the image: its intrinsics are not as given"
-        yield Effect(f"{name}: lens", partial(Part.by, key=lens_key(name), camera=c), partial(_say, what))
-        yield from _focal_effects(c, name, state)
+        yield Effect(f"{name}: lens", partial(Part.by, key=lens_key(name)), partial(_say, what))
+        yield from _focal_effects(name, state)
 
 
-def _focal_effects(c: int, name: str, state: State) -> Iterator[Effect]:
+def _focal_effects(name: str, state: State) -> Iterator[Effect]:
     """A focal length alone is found where all of a lens would need more evidence."""
     focal = state[lens_key(name)].intrinsics[:2, None]
 
     def longer(part: Part) -> Floats:
-        columns: Floats = part.by(lens_key(name), slice(0, 2), c) @ focal
+        columns: Floats = part.by(lens_key(name), slice(0, 2)) @ focal
         return columns
 
     def sentence(p: Floats) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from urdfcal.arrays import one_blas_thread
-from urdfcal.estimation.blocks.base_pose import BaseBlock
+from urdfcal.estimation.blocks.base_pose import BaseBlock, base_keys
 from urdfcal.estimation.blocks.cameras import CameraPoseBlock, LensBlock, camera_poses, camera_values
 from urdfcal.estimation.blocks.leds import LEDS, LedDistances, LedsBlock
 from urdfcal.estimation.blocks.scale import ScaleBlock
@@ -229,12 +229,14 @@ def solve_score(gram: Floats, score: Floats, scale: Floats) -> tuple[float, Floa
 def _everything(session: Session, state: State) -> Parameters:
     """Base, LEDs, scale, and the pose and the lens of every camera, all of them free."""
     led_names = [Led(name) for name in session.led_names]
-    blocks: list[Block[Any]] = [BaseBlock.of(fixed=None), LedsBlock.of(led_names, state[LEDS], priors=False)]
+    blocks: list[Block[Any]] = [BaseBlock.of(fixed=None, key=key) for key in base_keys(session.parts)]
+    blocks.append(LedsBlock.of(led_names, state[LEDS], priors=False))
     blocks.append(ScaleBlock.of(np.inf))
     attachments, free = session.attachments, np.full(6, np.inf)
     lenses, poses = camera_values(attachments, state), camera_poses(attachments, state)
     blocks += [CameraPoseBlock.of(lens.name, T, free) for lens, T in zip(lenses, poses, strict=True)]
-    blocks += [LensBlock.of(lens, np.full(len(lens.parameters), np.inf)) for lens in lenses]
+    own = (lens for c, lens in enumerate(lenses) if attachments.lens[c] == c)
+    blocks += [LensBlock.of(lens, np.full(len(lens.parameters), np.inf)) for lens in own]
     size = sum(len(block) for block in blocks)
     nothing: Sequence[Any] = ()
     return Parameters(

@@ -31,6 +31,7 @@ class Readings:
         q: (N, n) readings of all joints of the mechanism, mimic joints included. [rad or m]
         pose: (N,) index of each pose in the session.
         motion: of the arm at these poses: at rest, or moving while it is filmed.
+        part: (N,) of the session that each pose belongs to.
         torques: (N, n) measured joint torques, None where there are none. [N m or N]
         previous: (N, n) readings where the arm came from, None where that is not known. [rad or m]
     """
@@ -38,6 +39,7 @@ class Readings:
     q: Floats
     pose: Ints
     motion: Motion
+    part: Ints
     torques: Floats | None = None
     previous: Floats | None = None
     _known: dict[str, Floats] = field(default_factory=dict, init=False, repr=False)
@@ -46,7 +48,7 @@ class Readings:
     def of(cls, session: Positions) -> Readings:
         """Take all poses of a session."""
         poses = np.arange(len(session.poses))
-        return cls(session.q, poses, session.motion, session.torques, session.came_from)
+        return cls(session.q, poses, session.motion, session.part, session.torques, session.came_from)
 
     @cached_property
     def unit(self) -> Ints:
@@ -57,7 +59,7 @@ class Readings:
         """Return the readings of some of the poses."""
         torques, previous = (None if of is None else of[poses] for of in (self.torques, self.previous))
         motion = self.motion.at(np.arange(len(self.q))[poses])
-        some = Readings(self.q[poses], self.pose[poses], motion, torques, previous)
+        some = Readings(self.q[poses], self.pose[poses], motion, self.part[poses], torques, previous)
         some._known.update({key: values[poses] for key, values in self._known.items()})
         return some
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
+import numpy as np
+
 from urdfcal.errors import SessionError
 from urdfcal.estimation.joint_models.linear import LinearJointModel, Prior
 from urdfcal.robot.gravity import Masses, masses_of
@@ -29,7 +31,7 @@ class Compliance(LinearJointModel):
     tracker has 1.7e-5, an arm of seven axes with measured torques 6.5e-5. Ball screws: 1e7 to 1e9 N/m; belts 1e6.
 
     Attributes:
-        masses: that the joints carry; None where torques are measured.
+        masses: that the joints carry in each part of the session; none where torques are measured.
         gravity: (3,) in the base link's frame. [m/s^2]
     """
 
@@ -40,16 +42,18 @@ class Compliance(LinearJointModel):
     together: ClassVar[bool] = True
     certain: ClassVar[float] = 0.0
 
-    masses: Masses | None = field(kw_only=True)
+    masses: tuple[Masses, ...] = field(kw_only=True)
     gravity: Floats = field(kw_only=True)
 
     @classmethod
     def depends_on(cls, session: Positions) -> dict[str, Any] | None:
         """Take measured torques, else the masses of URDF and payload."""
         if session.torques is not None:
-            return {"masses": None, "gravity": session.gravity}
-        masses = None if session.urdf is None else masses_of(session.urdf, session.chain, session.payload)
-        return None if masses is None else {"masses": masses, "gravity": session.gravity}
+            return {"masses": (), "gravity": session.gravity}
+        payloads = session.payloads or (session.payload,) * len(session.parts)
+        urdf, chain = session.urdf, session.chain
+        masses = () if urdf is None else tuple(masses_of(urdf, chain, payload) for payload in payloads)
+        return {"masses": masses, "gravity": session.gravity} if masses and None not in masses else None
 
     def features(self, readings: Readings) -> Floats:
         """Return the torques, against which a joint gives way.
@@ -57,7 +61,12 @@ class Compliance(LinearJointModel):
         Raises:
             SessionError: they were measured where the compliance was found, and are not known here.
         """
-        tau = readings.torques if self.masses is None else self.masses.torques(readings.q, self.gravity)
+        tau = readings.torques
+        if self.masses:
+            tau = np.empty_like(readings.q)
+            for part in np.unique(readings.part):
+                here = readings.part == part
+                tau[here] = self.masses[part].torques(readings.q[here], self.gravity)
         if tau is None:
             raise SessionError(
                 "the compliance is that under measured torques, and these readings have none",

@@ -11,6 +11,8 @@ import numpy as np
 from urdfcal.session.measurements import Measurements
 
 if TYPE_CHECKING:
+    from typing_extensions import Self
+
     from urdfcal.arrays import Bools, Floats, Ints
     from urdfcal.estimation.blocks.base import Block
     from urdfcal.estimation.linearize import Jacobian
@@ -96,11 +98,16 @@ class Measurement(Measurements):
         del observed, links, state
         return None
 
-    @classmethod
-    def defines_world(cls, attachments: Attachments) -> bool:
+    def defines_world(self, attachments: Attachments) -> bool:
         """Return whether the values are given in the world, so that the base's place in it can be estimated."""
         del attachments
         return False
+
+    def by_part(self, part: Ints) -> dict[int, Self]:
+        """Return the rows of each part of a session that has any; part (N,) is that of each pose."""
+        of = part[self.pose]
+        parts = np.unique(of).tolist()
+        return {k: self if len(parts) == 1 else self.rows(of == k) for k in parts}
 
     def blocks(self, session: Session, spec: ModelSpec, state: State) -> BlockSet:
         """Return the blocks of the measurement's own unknowns, with their priors.

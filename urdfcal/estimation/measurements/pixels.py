@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from urdfcal.arrays import Floats, Ints, inverse
 from urdfcal.cameras.rig import Rig
-from urdfcal.estimation.blocks.base_pose import BASE
+from urdfcal.estimation.blocks.base_pose import base_keys
 from urdfcal.estimation.blocks.cameras import (
     CameraPoseBlock,
     LensBlock,
     camera_poses,
     camera_values,
     has_scale,
-    lens_key,
+    lens_key_of,
     own_pose,
     pose_key,
 )
@@ -94,17 +94,18 @@ class Detections(Measurement):
         for c, (lens, T_cam_view) in enumerate(_cameras(attachments, state)):
             seen, frame = np.flatnonzero(camera == c), int(attachments.camera[c])
             R, p = links.R[frame], links.p[frame]
-            if frame == 0:  # the same at every pose
+            still = frame == 0 and links.one_world  # the same at every pose
+            if still:
                 p_view = (p_seen[seen] - p[0]) @ R[0]
             else:
                 p_view = ((p_seen[seen] - p[seen // m])[:, None] @ R[seen // m])[:, 0]
             p_cam = p_view @ T_cam_view[:3, :3].T + T_cam_view[:3, 3]
-            if J.wants(lens_key(lens.name)):
+            if J.wants(key := lens_key_of(attachments, c)):
                 predicted[seen], d_point, d_lens = lens.project_with_derivatives(p_cam)
-                J.put(lens_key(lens.name), d_lens, seen)
+                J.put(key, d_lens, seen)
             else:
                 predicted[seen], d_point = lens.project_with_jacobian(p_cam)
-            if frame == 0:
+            if still:
                 E[seen] = carry(d_point, T_cam_view[:3, :3] @ R[0].T)
             else:
                 E[seen] = d_point @ (T_cam_view[:3, :3] @ np.swapaxes(R[seen // m], 1, 2))
@@ -149,17 +150,16 @@ class Detections(Measurement):
         frame = _view_frame(observed, links.attachments)
         return frame, seen_from(links, p_base, frame)
 
-    @classmethod
-    def defines_world(cls, attachments: Attachments) -> bool:
-        """Return whether a camera is fixed in the world."""
-        return len(attachments.eye_to_hand) > 0
+    def defines_world(self, attachments: Attachments) -> bool:
+        """Return whether a camera that is fixed in the world saw something."""
+        return bool(np.isin(self.camera, attachments.eye_to_hand).any())
 
     def blocks(self, session: Session, spec: ModelSpec, state: State) -> BlockSet:
         """Return the poses, then the lenses, of the cameras that are to be estimated."""
         attachments = session.attachments
-        world = attachments.eye_to_hand[:1]  # where the first eye-to-hand camera is, is what the world is
-        moving = [c for c, freedom in enumerate(spec.extrinsics) if c not in world and freedom != "fixed"]
-        lenses = [c for c, freedom in enumerate(spec.intrinsics) if freedom != "fixed"]
+        worlds = attachments.worlds  # where the first eye-to-hand camera is, is what the world is
+        moving = [c for c, freedom in enumerate(spec.extrinsics) if c not in worlds and freedom != "fixed"]
+        lenses = [c for c, freedom in enumerate(spec.intrinsics) if freedom != "fixed" and attachments.lens[c] == c]
         known = CameraPrior.of(session, spec, moving, lenses)
         nominal = nominal_cameras(session, state)
         blocks: list[CameraPoseBlock | LensBlock] = []
@@ -183,11 +183,11 @@ class Detections(Measurement):
         """Place the base if need be, then the cameras, by PnP, and unknown LEDs where the cameras' rays meet."""
         attachments, views = at.session.attachments, Views(at.session, at.links, self)
         T_cam_frame = list(attachments.T_cam_frame)
-        leds = state[LEDS]
-        if BASE in state:
-            T_world_base = state[BASE]
-        else:
-            T_world_base = views.base(T_cam_frame, leds) if len(attachments.eye_to_hand) else np.eye(4)
+        leds, bases = state[LEDS], base_keys(attachments.parts)
+        for k, here in self.by_part(at.session.part).items():
+            if bases[k] not in state and here.defines_world(attachments):
+                state = state.replace({bases[k]: replace(views, detections=here).base(T_cam_frame, leds)})
+        T_world_base = np.array([state[key] if key in state else np.eye(4) for key in bases])[at.session.part]
         for c, T in enumerate(T_cam_frame):
             if T is None:
                 reference = T_cam_frame[int(attachments.reference[c])]
@@ -195,8 +195,7 @@ class Detections(Measurement):
                 by_reference = None if known is None or reference is None else known @ reference
                 T_cam_frame[c] = views.place(c, T_world_base, leds, by_reference)
         leds = views.meet(T_world_base, T_cam_frame, leds, at.unknown_leds)
-        values: dict[Key[Floats], Floats] = {BASE: T_world_base, LEDS: leds}
-        return state.replace({**values, **camera_state(at.session, np.array(T_cam_frame))})
+        return state.replace({LEDS: leds, **camera_state(at.session, np.array(T_cam_frame))})
 
 
 def camera_state(session: Session, T_cam_frame: Floats) -> dict[Key[Any], object]:
@@ -205,7 +204,8 @@ def camera_state(session: Session, T_cam_frame: Floats) -> dict[Key[Any], object
     for c, lens in enumerate(session.rig.cameras):
         reference = int(session.attachments.reference[c])
         T = T_cam_frame[c] if reference == c else T_cam_frame[c] @ inverse(T_cam_frame[reference])
-        values |= {lens_key(lens.name): lens, pose_key(lens.name): T}
+        values |= {lens_key_of(session.attachments, c): session.rig.cameras[session.rig.lens[c]]}
+        values |= {pose_key(lens.name): T}
     return values
 
 

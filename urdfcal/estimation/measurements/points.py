@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from urdfcal.estimation.blocks.base_pose import BASE
 from urdfcal.estimation.blocks.scale import SCALE, scale_of
 from urdfcal.estimation.measurements.base import ByFrame, Measurement, WorldPoints
 from urdfcal.estimation.measurements.point_geometry import by_frames, led_points, put_leds, seen_from
@@ -55,7 +54,7 @@ class Points(Measurement):
         """Differentiate the LEDs' positions in the world."""
         lever, p_base = led_points(observed, links, state)
         world = np.zeros_like(observed.row)
-        E = np.broadcast_to(scale_of(state) * state[BASE][:3, :3], (world.size, 3, 3)).copy()
+        E = np.repeat(scale_of(state) * np.swapaxes(links.R[0], 1, 2), world.shape[1], axis=0)
         E[~observed.valid.ravel()] = 0.0
         put_leds(J, observed, links, E)
         led_frame = links.attachments.led[observed.index["led"]]
@@ -70,8 +69,7 @@ class Points(Measurement):
         world = np.zeros_like(observed.row)
         return world, seen_from(links, p_base, world)
 
-    @classmethod
-    def defines_world(cls, attachments: Attachments) -> bool:
+    def defines_world(self, attachments: Attachments) -> bool:
         """Return True: the tracker's frame is the world."""
         del attachments
         return True

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 # What tf2, URDF and a launch file's arguments all take.
 _NAME = re.compile(r"\w[\w.-]*", re.ASCII)
+# Stand in names of things of several sessions, and of things that moved.
+_PLAIN = str.maketrans("/@", "__")
 # What angles round to.
 _READ_BACK = 1e-12
 LAUNCH = "static_transforms.launch.xml"
@@ -48,19 +50,23 @@ class FixedFrame:
 def found_frames(calibration: Calibration) -> tuple[FixedFrame, ...]:
     """The cameras' optical frames (z forward, x right, y down) and the LEDs', each in that of the link it is fixed to.
 
-    What is fixed in the world becomes fixed to the base link. A camera's is named as ROS drivers do,
-    ``<camera>_optical_frame``, an LED's as the LED; LEDs have no orientation: theirs is their link's.
+    What is fixed in the world becomes fixed to the base link, as in the last session that has it. A camera's is named
+    as ROS drivers do, ``<camera>_optical_frame``, an LED's as the LED, with _ for / and @; LEDs have no orientation:
+    theirs is their link's.
 
     Raises:
         OutputError: a name is none for a frame, that of a link, or two frames have one name.
     """
     document, chain = calibration.to_dict(), calibration.chain
-    T_base_world = inverse(np.array(document["T_world_base"]))
+    bases = {thing: document["T_world_base"] for kind in ("leds", "cameras") for thing in document[kind]}
+    for session in document.get("sessions", {}).values():
+        bases |= dict.fromkeys([*session["leds"], *session["cameras"]], session["T_world_base"])
 
-    def fixed(name: str, link: str, T: Floats) -> FixedFrame:
+    def fixed(frame: str, link: str, T: Floats) -> FixedFrame:
+        own = frame.translate(_PLAIN)
         if link == WORLD:
-            return FixedFrame(name, chain.base_link, frozen(T_base_world @ T))
-        return FixedFrame(name, link, frozen(T))
+            return FixedFrame(own, chain.base_link, frozen(inverse(np.array(bases[name])) @ T))
+        return FixedFrame(own, link, frozen(T))
 
     frames = []
     for name, camera in document["cameras"].items():
