@@ -11,7 +11,7 @@ import pytest
 from urdfcal.errors import CalibrationError, OutputError, SessionError
 from urdfcal.estimation.evaluation import compare, explain
 from urdfcal.estimation.measurements import Detections, Points
-from urdfcal.estimation.measurements.points import TriangulatedPoints
+from urdfcal.estimation.measurements.points import CorrelatedPoints
 from urdfcal.estimation.multistart import Minimum
 from urdfcal.io.folder import read_points, read_session
 from urdfcal.pipeline import calibrate
@@ -239,7 +239,7 @@ def test_triangulated_points_replace_the_detections_and_nothing_else(
     monkeypatch.setattr("urdfcal.pipeline.compare_models", stop)
     with pytest.raises(CalibrationError, match="stopped"):
         calibrate(replace(session, measurements=(*session.measurements, extra)), method="points")
-    assert [type(observed.table) for observed in seen[0].observations] == [TriangulatedPoints, Extra]
+    assert [type(observed.table) for observed in seen[0].observations] == [CorrelatedPoints, Extra]
 
 
 def test_a_good_calibration_has_nothing_said_against_it(simulated: Callable) -> None:

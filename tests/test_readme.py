@@ -50,6 +50,10 @@ def test_what_people_do_and_the_library_example_work_as_written(
     assert [line[1] for line in lines] == ["apply", "compensate", "export", "verify", "compare", "batch"]
     for line in lines:
         assert run(line[1:]) == 0, line
+    lines = [line.split("#")[0].split() for line in blocks("sh")[4].splitlines()]
+    assert [line[1] for line in lines] == ["simulate", "calibrate", "evaluate"]
+    for line in lines:
+        assert run(line[1:]) == 0, line
     (example,) = blocks("python")
     ended = subprocess.run([sys.executable, "-c", example], cwd=tmp_path, capture_output=True, text=True)
     assert ended.returncode == 0, ended.stderr

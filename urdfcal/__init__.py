@@ -17,8 +17,12 @@ if TYPE_CHECKING:
     from urdfcal.cameras.camera import Camera as Camera
     from urdfcal.cameras.rig import Rig as Rig
     from urdfcal.errors import UrdfcalError as UrdfcalError
+    from urdfcal.estimation.measurements import Contacts as Contacts
     from urdfcal.estimation.measurements import Detections as Detections
+    from urdfcal.estimation.measurements import Distances as Distances
+    from urdfcal.estimation.measurements import Planes as Planes
     from urdfcal.estimation.measurements import Points as Points
+    from urdfcal.estimation.measurements import Poses as Poses
     from urdfcal.io.folder import read_rig as read_rig
     from urdfcal.io.folder import read_session as read_session
     from urdfcal.io.folder import read_sessions as read_sessions
@@ -36,6 +40,7 @@ if TYPE_CHECKING:
     from urdfcal.session.knowledge import Led as Led
     from urdfcal.session.knowledge import LedDistance as LedDistance
     from urdfcal.session.knowledge import Noise as Noise
+    from urdfcal.session.knowledge import PlaceDistance as PlaceDistance
     from urdfcal.session.knowledge import Tolerances as Tolerances
     from urdfcal.session.model import Session as Session
     from urdfcal.session.model import Setup as Setup
@@ -52,9 +57,9 @@ _HOMES = {
     "urdfcal.robot.urdf.urdf": ("Urdf",),
     "urdfcal.io.folder": ("read_rig", "read_session", "read_sessions"),
     "urdfcal.io.writing": ("write_session",),
-    "urdfcal.estimation.measurements": ("Detections", "Points"),
+    "urdfcal.estimation.measurements": ("Contacts", "Detections", "Distances", "Planes", "Points", "Poses"),
     "urdfcal.session.combine": ("combine",),
-    "urdfcal.session.knowledge": ("Estimate", "Led", "LedDistance", "Noise", "Tolerances"),
+    "urdfcal.session.knowledge": ("Estimate", "Led", "LedDistance", "Noise", "PlaceDistance", "Tolerances"),
     "urdfcal.session.model": ("Session", "Setup"),
     "urdfcal.io.recorder": ("Recorder",),
     "urdfcal.cameras.camera": ("Camera",),

@@ -91,11 +91,11 @@ def _calibrate(
     problem = Problem.of(session, arm)
     by_part = [of.table.by_part(session.part) for of in problem.observations]
     for k in range(len(session.parts)):
-        in_world = [of[k].kind for of in by_part if k in of and of[k].defines_world(session.attachments)]
-        if len(in_world) < 2:
+        in_world = [of[k] for of in by_part if k in of and of[k].defines_world(session.attachments)]
+        if len({"camera" in of.keys for of in in_world}) < 2:
             continue
         raise SessionError(
-            f"{' and '.join(in_world)} are both named: the tracker's frame is not the first camera's",
+            f"{' and '.join(of.kind for of in in_world)} are both named: the tracker's frame is not the first camera's",
             remedy="Name one of them; evaluate --points checks a result against the other.",
         )
     start = _start(session, arm, progress)

@@ -19,7 +19,7 @@ from urdfcal.simulation import simulate as simulation
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from urdfcal.session.model import RigDescription
+    from urdfcal.session.rig_description import RigDescription
 
 SHORT = ["simulate", "elbow3r", "-o", "s", "--poses", "3", "--seed", "1"]
 

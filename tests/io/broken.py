@@ -154,7 +154,7 @@ BROKEN = [
     Broken(
         "no LED",
         swap(YAML, "  red: {position: [0.05, 0.02, 0.03], sigma: 0.005}\n  blue: {}", "  {}"),
-        "key 'leds': there is no LED",
+        "there is neither an LED nor a target: name at least one",
     ),
     Broken(
         "text for a number",

@@ -20,6 +20,7 @@ class Contacts(Measurements):
     dimension: ClassVar[int] = 3
     noise: ClassVar[str] = "contact"
     usual: ClassVar[float] = 3e-4
+    unit: ClassVar[str] = "m"
 
     led: Ints
     place: Ints
@@ -37,6 +38,7 @@ class Depths(Measurements):
     array: ClassVar[str] = "depth"
     noise: ClassVar[str] = "depth"
     usual: ClassVar[float] = 1e-4
+    unit: ClassVar[str] = "m"
 
     led: Ints
     place: Ints

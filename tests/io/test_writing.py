@@ -16,6 +16,8 @@ from urdfcal.io.folder import read_session
 from urdfcal.io.schema import SessionFile
 from urdfcal.io.writing import write_session
 from urdfcal.session.knowledge import Estimate, Led, LedDistance, Noise, Payload, Tolerances
+from urdfcal.session.pattern import FramePattern
+from urdfcal.session.target import Target
 
 if TYPE_CHECKING:
     from urdfcal.session.model import Session
@@ -198,6 +200,7 @@ def test_every_key_that_is_read_is_written(tmp_path: Path, session: Session) -> 
     # Frames are only of an arm that moves; what is left out is written back in test_excluding.py.
     full = replace(
         session,
+        targets=(Target("probe", FramePattern()),),
         led_distances=(LedDistance(session.led_names[:2], 0.1, 1e-3),),
         estimate=Estimate("dh", "fixed"),
         joint_models={"zero_offset": True},
@@ -212,7 +215,8 @@ def test_every_key_that_is_read_is_written(tmp_path: Path, session: Session) -> 
     write_session(tmp_path / "out", full)
     written = yaml.safe_load((tmp_path / "out" / "session.yaml").read_text())
     other_tables = {kind.kind for kind in MEASUREMENTS} - {table.kind for table in session.measurements}
-    assert set(SessionFile.model_fields) - set(written) == other_tables | {"frames", "exclude"}
+    # Distances of places are written in test_sockets.py, where there are places.
+    assert set(SessionFile.model_fields) - set(written) == other_tables | {"frames", "exclude", "place_distances"}
     found = read_session(tmp_path / "out")
     for field in ("led_distances", "estimate", "joint_models", "scale_sigma", "gear_ratio", "moved"):
         assert getattr(found, field) == getattr(full, field), field

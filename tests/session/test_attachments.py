@@ -49,11 +49,11 @@ def test_two_cameras_on_a_link_go_together() -> None:
     camera, apart = one.rig.cameras[0], moved(-0.06)
     pair = Rig((camera, replace(camera, name="second")), (np.eye(4), apart))
     given = one.mounts[0]
-    frames = attach(one.chain, [None], pair, {"head": given, "second": CameraMount("second", given.link)})
+    frames = attach(one.chain, [None], [], pair, {"head": given, "second": CameraMount("second", given.link)})
     assert frames.reference.tolist() == [0, 0]
     np.testing.assert_allclose(frames.T_cam_frame[1], apart @ inverse(given.T_link_camera), atol=1e-15)
     unknown = {"head": CameraMount("head", given.link), "second": CameraMount("second", given.link)}
-    frames = attach(one.chain, [None], pair, unknown)
+    frames = attach(one.chain, [None], [], pair, unknown)
     assert frames.T_cam_frame == (None, None)
     np.testing.assert_array_equal(frames.T_cam_reference[1], apart)
 
@@ -62,7 +62,7 @@ def test_a_place_by_a_camera_on_something_else_is_refused() -> None:
     one = read_rig(find_rig("tiago"))
     pair = Rig((one.rig.cameras[0], replace(one.rig.cameras[0], name="second")), (np.eye(4), moved(-0.06)))
     with pytest.raises(SessionError, match=r"second.*T_cn_cnm1 places it by a camera"):
-        attach(one.chain, [None], pair, {"head": one.mounts[0]})
+        attach(one.chain, [None], [], pair, {"head": one.mounts[0]})
 
 
 def test_a_second_camera_on_a_link_has_no_place_of_its_own_there() -> None:
@@ -70,12 +70,12 @@ def test_a_second_camera_on_a_link_has_no_place_of_its_own_there() -> None:
     pair = Rig((one.rig.cameras[0], replace(one.rig.cameras[0], name="second")), (np.eye(4), None))
     mounts = {"head": one.mounts[0], "second": replace(one.mounts[0], camera="second")}
     with pytest.raises(SessionError, match=r"camera 'second'.*there it goes with 'head'"):
-        attach(one.chain, [None], pair, mounts)
+        attach(one.chain, [None], [], pair, mounts)
 
 
 def test_something_must_be_on_the_robot() -> None:
     rig = read_rig(find_rig("ur5"))
-    with pytest.raises(SessionError, match="neither an LED nor a camera is on the robot"):
+    with pytest.raises(SessionError, match="no LED, target or camera is on the robot"):
         replace(rig, leds=(Led("led", np.zeros(3), link="world"),))
     with pytest.raises(RobotError, match="'forearm_link' is none of the tip links"):
         replace(rig, leds=(Led("led", np.zeros(3), link="forearm_link"),))

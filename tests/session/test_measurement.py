@@ -15,7 +15,7 @@ from tests.io.kinds import Contacts
 from urdfcal.arrays import ReadOnly
 from urdfcal.errors import SessionError
 from urdfcal.estimation.measurements import Detections, Points
-from urdfcal.estimation.measurements.points import TriangulatedPoints
+from urdfcal.estimation.measurements.points import CorrelatedPoints
 
 if TYPE_CHECKING:
     from urdfcal.session.measurements import Measurements
@@ -35,13 +35,11 @@ def contacts(**changes: Any) -> Contacts:
     return Contacts(**{**values, **changes})
 
 
-def triangulated() -> TriangulatedPoints:
+def triangulated() -> CorrelatedPoints:
     """Four points whose numbers all say which of the rows they belong to."""
     pose, led = np.array([2, 0, 1, 0]), np.array([0, 1, 0, 0])
     tag = 10.0 * pose + led + 1.0
-    return TriangulatedPoints(
-        pose, led, np.outer(tag, np.ones(3)), 1e-3 * tag, covariance=tag[:, None, None] * np.eye(3)
-    )
+    return CorrelatedPoints(pose, led, np.outer(tag, np.ones(3)), 1e-3 * tag, covariance=tag[:, None, None] * np.eye(3))
 
 
 def test_rows_are_sorted_with_all_they_say() -> None:
@@ -67,7 +65,7 @@ def test_further_columns_are_sorted_along() -> None:
 def test_further_columns_come_along_with_chosen_rows() -> None:
     points = triangulated()
     for some in (points.rows(np.array([3, 1])), points.rows(np.array([False, True, False, True]))):
-        assert type(some) is TriangulatedPoints
+        assert type(some) is CorrelatedPoints
         assert some.pose.tolist() == [0, 2]
         assert some.covariance[:, 0, 0].tolist() == [2.0, 21.0]
     some = points.at(np.array([1, 2]))

@@ -17,10 +17,12 @@ from urdfcal.io.folder import read_rig, read_session
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.io.writing import write_session
 from urdfcal.session.knowledge import Estimate, Led, LedDistance, Noise, Tolerances
-from urdfcal.session.model import RigDescription, Session, Stand
+from urdfcal.session.rig_description import RigDescription, Stand
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from urdfcal.session.model import Session
 
 
 @pytest.fixture(scope="module")
@@ -127,7 +129,7 @@ def test_sightings_that_do_not_fit_are_refused(changes: dict[str, Any], message:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"leds": ()}, "there is no LED"),
+        ({"leds": ()}, "there is neither an LED nor a target"),
         ({"leds": (Led("a"), Led("a"))}, "two LEDs are named 'a'"),
         ({"leds": (Led("a "),)}, "'a ' begins or ends with a blank"),
         ({"q": np.zeros((8, 4))}, r"q has shape \(8, 4\), not \(8, 5\)"),

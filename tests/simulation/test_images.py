@@ -24,7 +24,7 @@ from urdfcal.simulation.simulate import simulate
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from urdfcal.session.model import RigDescription
+    from urdfcal.session.rig_description import RigDescription
     from urdfcal.simulation.simulate import Simulated
 
 

@@ -69,16 +69,11 @@ def verify(
     from urdfcal.io.folder import read_session
     from urdfcal.result.calibration import Calibration
 
-    calibration = None
-    if _is_urdf(result):
-        measured = read_session(session)
-        chain = _urdf_chain(result, measured, tip, base)
-    elif tip or base:
+    calibration = None if is_urdf(result) else Calibration.load(result)
+    if calibration is not None and (tip or base):
         raise click.UsageError("--tip and --base go with a URDF: a result names its links")
-    else:
-        calibration = Calibration.load(result)
-        measured = read_session(session)
-        chain = _calibrated_chain(calibration, measured, session)
+    measured = read_session(session)
+    chain = arm_of(result, calibration, measured, session, tip, base)
     for warning in measured.warnings:
         click.echo(f"- {warning}", err=True)
     with status_line() as say:
@@ -109,7 +104,8 @@ def verify(
     ctx.exit(0 if found.within else 1)
 
 
-def _is_urdf(reference: str) -> bool:
+def is_urdf(reference: str) -> bool:
+    """Whether a URDF is named, and no result."""
     path = Path(reference)
     return (
         reference.startswith("package://")
@@ -118,18 +114,18 @@ def _is_urdf(reference: str) -> bool:
     )
 
 
-def _urdf_chain(reference: str, session: Session, tip: str | None, base: str | None) -> Mechanism:
+def arm_of(
+    reference: str, calibration: Calibration | None, session: Session, folder: Path,
+    tip: str | None = None, base: str | None = None,
+) -> Mechanism:  # fmt: skip
+    """The session's joints, to its own links, with the placements of a URDF, or of the calibration if there is one."""
+    from urdfcal.robot.apply import apply_to_mechanism
     from urdfcal.robot.chain import read_mechanism
     from urdfcal.robot.urdf.urdf import Urdf
 
-    links = [link.link for link in session.chain.tips]
-    return read_mechanism(Urdf.read(reference), [tip or links[0], *links[1:]], base or session.chain.base_link)
-
-
-def _calibrated_chain(calibration: Calibration, session: Session, folder: Path) -> Mechanism:
-    """The session's joints, to its own links, with the calibrated placements."""
-    from urdfcal.robot.apply import apply_to_mechanism
-
+    if calibration is None:
+        links = [link.link for link in session.chain.tips]
+        return read_mechanism(Urdf.read(reference), [tip or links[0], *links[1:]], base or session.chain.base_link)
     where = session.urdf_reference or str(folder)
     return apply_to_mechanism(session.chain, calibration.chain, calibration.placements, where)
 

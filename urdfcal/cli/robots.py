@@ -23,7 +23,7 @@ _FAR = 20.0
 
 
 @click.command("evaluate")
-@click.argument("urdf", metavar="A.urdf")
+@click.argument("urdf", metavar="A.urdf|RESULT")
 @click.argument("other", metavar="B.urdf|SESSION")
 @click.option("--tip", metavar="LINK", help="Link at the end of the chain.  [default: the session's]")
 @base_option
@@ -43,7 +43,9 @@ def evaluate(
 ) -> None:
     """Compare the tips of two versions of a robot over its workspace, or the residuals of a session under one.
 
-    With a session, base pose and LED positions (and camera poses, for pixels) are fitted; the arm is A's.
+    With a session, base pose, LED positions and what else it does not know (camera poses, places) are fitted; the arm
+    is A's. Of a RESULT, a folder that calibrate has written or its calibration.json, arm and LEDs are as calibrated.
+    Known distances of places take no part: they are shown beside those that come out.
     """
     if Path(other).is_dir() or other.endswith((".yaml", ".yml")):
         if tip or base or poses:
@@ -82,12 +84,13 @@ def compared(a: str, b: str, tip: str, base: str | None, poses: int, seed: int) 
 def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
     import numpy as np
 
+    from urdfcal.cli.judging import arm_of, is_urdf
+    from urdfcal.estimation.blocks.places import PLACES
     from urdfcal.estimation.evaluation import explain
     from urdfcal.io.folder import read_points, read_session
-    from urdfcal.robot.chain import read_mechanism
-    from urdfcal.robot.urdf.urdf import Urdf
+    from urdfcal.result.calibration import Calibration
 
-    session = read_session(folder)
+    calibration, session = None if is_urdf(urdf) else Calibration.load(urdf), read_session(folder)
     for warning in session.warnings:
         click.echo(f"- {warning}", err=True)
     if points is not None:
@@ -98,13 +101,33 @@ def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
             remedy = "Coordinates are in metres; these look like millimetres."
             raise SessionError(what, where=str(points), remedy=remedy)
         session = replace(session, measurements=(measured,), leds=leds, moved={})
-    links = [tip.link for tip in session.chain.tips]
-    chain = read_mechanism(Urdf.read(urdf), links, session.chain.base_link)
-    explained = explain(chain, session)
+    if calibration is not None:
+        known = {(name, led.link): np.array(led.position) for name, led in calibration.document.leds.items()}
+        keys = [(led.name, led.link or session.chain.tip_link) for led in session.leds]
+        fitted = zip(session.leds, keys, strict=True)
+        calibrated = (replace(led, position=known[key], sigma=0.0) if key in known else led for led, key in fitted)
+        session = replace(session, leds=tuple(calibrated))
+    explained = explain(arm_of(urdf, calibration, session, folder), session)
     result: dict[str, Any] = {"a": urdf, "session": str(folder), "points": points and str(points)}
+    found: dict[str, dict[str, Floats]] = {}
     for table, residual in zip(session.measurements, explained.residuals, strict=True):
-        unit, scale = table.report
-        result[f"residual_{unit}"] = {"sightings": len(residual), **_spread(np.linalg.norm(residual, axis=1), scale)}
+        for unit, scale, numbers in table.reports():
+            found.setdefault(unit, {})[table.kind] = scale * np.linalg.norm(residual[:, numbers], axis=1)
+    for unit, by_kind in found.items():
+        every = {"": np.concatenate(list(by_kind.values()))} | (by_kind if len(by_kind) > 1 else {})
+        for kind, values in every.items():
+            result[f"residual_{kind}{'_' * bool(kind)}{unit}"] = {"sightings": len(values), **_spread(values, 1.0)}
+    if session.named("place"):
+        places = dict(zip(session.named("place"), explained.fit.state[PLACES].tolist(), strict=True))
+        result["places"] = places
+        result["place_distances"] = [
+            {
+                "places": list(of.places),
+                "known_mm": 1e3 * of.distance,
+                "found_mm": 1e3 * float(np.linalg.norm(np.subtract(*(places[name] for name in of.places)))),
+            }
+            for of in session.place_distances
+        ]
     return result
 
 
@@ -119,11 +142,14 @@ def _print_residuals(result: Mapping[str, Any]) -> None:
     against = result.get("b") or result.get("points") or result["session"]
     rows = sheet(f"{result['a']}\nagainst {against}", ["", "rms", "mean", "median", "95 %", "max"])
     for name, spread in result.items():
-        if isinstance(spread, dict):
+        if name.endswith(("_px", "_mm", "_mrad")):
             quantity, _, unit = name.rpartition("_")
             cells = [f"{spread[key]:.4f}" for key in ("rms", "mean", "median", "p95", "max")]
             rows.add_row(f"{quantity.replace('_', ' ')} ({unit})", *cells)
     terminal().print(rows)
+    for known in result.get("place_distances", ()):
+        a, b = known["places"]
+        click.echo(f"{a} to {b}: {known['found_mm']:.3f} mm, known as {known['known_mm']:.3f} mm")
 
 
 @click.command("dh")

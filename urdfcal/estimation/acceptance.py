@@ -83,10 +83,7 @@ def accept(
     explained = explain(chain, session, progress)
     problem, fit = explained.problem, explained.fit
     observations = problem.observations
-    distance = [
-        np.linalg.norm(problem.residual(of, fit.state), axis=-1) * problem.metres_per_unit(of, fit.state)
-        for of in observations
-    ]
+    distance = [problem.off(of, fit.state) for of in observations]
     unit = problem.readings.unit
     numbers, taken = _numbers(observations, fit.kept, unit), fit.parameters.count
     if numbers <= taken:

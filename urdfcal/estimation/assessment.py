@@ -48,6 +48,10 @@ IMPLAUSIBLE = 20.0
 # A scale that far from none is a mistake; between the two it is one or a strange arm. Standard deviations of the common
 # factor under the tolerances: on common arms three are 0.35 to 0.7 %, 2 to 4 mm at the tip.
 _DOUBTFUL_SCALE, _IMPOSSIBLE_SCALE = 3.0, 5.0
+_LENGTHS = {
+    "instrument": "the stereo baseline, or the size of the board that it was calibrated with",
+    "distances": "the distances that are given as known",
+}
 # Noise declared this many times off what is found for certain distorts weights and intervals beyond rounding.
 _NOISE_OFF = 1.5
 # An LED that was measured with a ruler comes out within this many of its standard deviations, all three coordinates
@@ -221,8 +225,8 @@ def _scale(scale: LengthScale, least: float, most: float) -> Iterator[str]:
     if least < scale.sigmas <= most:
         yield (
             f"all lengths come out {1e2 * abs(scale.factor):.2g} +- {1e2 * scale.sigma:.1g} % too "
-            f"{'long' if scale.factor > 0.0 else 'short'} for the arm's tolerances: check the stereo baseline, or the "
-            f"size of the board that it was calibrated with; 0.1 % is {1e3 * scale.tip_per_permille:.2g} mm at the tip"
+            f"{'long' if scale.factor > 0.0 else 'short'} for the arm's tolerances: check {_LENGTHS[scale.unit]}; "
+            f"0.1 % is {1e3 * scale.tip_per_permille:.2g} mm at the tip"
         )
 
 

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from urdfcal.estimation.measurements.pixels import Detections
+    from urdfcal.estimation.start import Start
+    from urdfcal.estimation.state import State
     from urdfcal.session.model import Session
 
 _ENOUGH = 6
@@ -31,14 +33,19 @@ class Views:
     Where methods take ``T_world_base``, it is (N, 4, 4), of every pose of the session.
 
     Attributes:
-        session: the cameras, and what is attached where.
-        links: (F, N, 4, 4) T_base_link of the session's frames 1, 2, ... at every pose. [m]
+        at: the session, and where the links of the nominal arm are.
         detections: of the session.
+        state: where the targets are, as far as that is known.
     """
 
-    session: Session
-    links: Floats
+    at: Start
     detections: Detections
+    state: State
+
+    @property
+    def session(self) -> Session:
+        """The cameras, and what is attached where."""
+        return self.at.session
 
     @property
     def _at_base(self) -> Floats:
@@ -61,13 +68,13 @@ class Views:
         return self.resect(c, T_world_base, leds)
 
     def meet(self, T_world_base: Floats, T_cam_frame: Sequence[Floats | None], leds: Floats, wanted: Bools) -> Floats:
-        """Put LEDs (L, 3) where the rays that see them meet: least squares in their own frame, robust to no outlier.
+        """Put LEDs (L + M, 3) where the rays that see them meet: least squares in their frames, robust to no outlier.
 
         An LED that is not wanted, or whose rays are too few, stays where it is.
         """
         detections, attachments = self.detections, self.session.attachments
         leds = leds.copy()
-        for index in np.flatnonzero(wanted & np.isin(np.arange(len(leds)), detections.led)):
+        for index in np.intersect1d(np.flatnonzero(wanted), detections.led):
             A, b = np.zeros((3, 3)), np.zeros(3)
             for c, lens in enumerate(self.session.rig.cameras):
                 rows = np.flatnonzero((detections.led == index) & (detections.camera == c))
@@ -101,10 +108,13 @@ class Views:
 
     def _placed(self, c: int, T_world_base: Floats) -> tuple[Ints, Floats]:
         """A camera's detections of LEDs of roughly known position: rows, and T_view_led (S, 4, 4) of their frames."""
-        session, frames, d = self.session, self.session.attachments, self.detections
-        given = np.array([led.position is not None for led in session.leds])
-        # Where an LED stands in the world is known at most where the world is the base.
-        known = (frames.led != 0) | (given & (frames.camera[c] != 0))
+        frames, d = self.session.attachments, self.detections
+        given = self.at.placed(self.state)
+        carrier = frames.carrier[frames.led]
+        # Where an LED stands in the world is known at most where the world is the base; a target without its pose is
+        # nowhere.
+        known = np.where(frames.led < frames.first_target, carrier != 0, (carrier != 0) & given)
+        known |= given & (frames.camera[c] != 0)
         mine = np.flatnonzero((d.camera == c) & known[d.led])
         T = np.empty((len(mine), 4, 4))
         for frame in np.unique(frames.led[d.led[mine]]):
@@ -119,8 +129,7 @@ class Views:
     def _frame(self, pose: Ints, frame: int, T_world_base: Floats) -> Floats:
         if frame == 0:
             return inverse(T_world_base[pose])
-        result: Floats = self.links[frame - 1, pose]
-        return result
+        return self.at.frame(frame, pose, self.state)
 
     def resect(self, camera: int, T_world_base: Floats, leds: Floats) -> Floats:
         """The camera's place in its frame (4, 4) by PnP on the nominal arm's LED positions."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from urdfcal.arrays import one_blas_thread
-from urdfcal.estimation.linearize import Tangent
+from urdfcal.estimation.linearize import Tangent, fulfilled
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -208,6 +208,8 @@ def _triangle(problem: Problem, state: State, parameters: Parameters) -> Floats:
     """R of the whitened Jacobian's QR, part by part: squaring it would hide singular values below 1e-8."""
     R = parameters.measured_jacobian(state)
     for observed in problem.observations:
+        if not observed.table.array:
+            observed = fulfilled(problem, observed, state, parameters)
         W = np.linalg.inv(np.linalg.cholesky(observed.covariance))
         tangent = Tangent.at(problem, observed, state, parameters)
         for first in range(0, len(observed.pose), _BLOCK):

@@ -16,7 +16,7 @@ from urdfcal.arrays import ReadOnly, one_blas_thread, rms
 from urdfcal.estimation.joint_models import Term
 from urdfcal.estimation.joint_models.linear import LinearJointModel
 from urdfcal.estimation.linearize import Tangent
-from urdfcal.estimation.noise import find_noise
+from urdfcal.estimation.noise import find_noise, with_noise
 from urdfcal.estimation.regions import joint_regions, tip_regions
 from urdfcal.estimation.validation import random_folds
 from urdfcal.estimation.whitening import JointNoise, joint_covariance
@@ -127,12 +127,15 @@ class Alternatives:
         labels = (random_folds(thinned, seed), joint_regions(thinned), tip_regions(thinned))
         with one_blas_thread():
             rows = []
-            for observed, some, kept, noise in zip(thinned.observations, even, fit.kept, found, strict=True):
+            tables = [observed.table for observed in problem.observations]
+            usual = [rms(getattr(table, name)) for table in tables for name in table.spread_of()]
+            factors = [noise.found / sigma for noise, sigma in zip(found, usual, strict=True)]
+            covariances = with_noise(thinned.observations, factors)
+            for observed, covariance, some, kept in zip(thinned.observations, covariances, even, fit.kept, strict=True):
                 at = Tangent.at(thinned, observed, fit.state, parameters).linearise()
                 N, m, D = at.residual.shape
                 used, J = kept[some], at.J.reshape(N, m * D, -1)
                 X = np.concatenate([J, at.residual.reshape(N, m * D, 1) - J[..., P:] @ values[:, None]], axis=2)
-                covariance = (noise.found / rms(observed.table.sigma)) ** 2 * observed.covariance
                 sigma = joint_covariance(at, thinned.arm.chain.reading_jacobian, joint.found)
                 W = JointNoise(sigma, sigma).whitening(covariance, np.where(used, 1.0, _REJECTED))
                 size = np.nan_to_num(thinned.metres_per_unit(observed, fit.state)) * used

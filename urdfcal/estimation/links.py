@@ -1,4 +1,4 @@
-"""Where the frames of LEDs and cameras are at every pose, seen from the base link."""
+"""Where the frames of LEDs, targets and cameras are at every pose, seen from the base link."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from urdfcal.arrays import inverse
 from urdfcal.estimation.blocks.base_pose import base_keys
+from urdfcal.estimation.blocks.targets import target_key
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,7 +21,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Links:
-    """Poses of the frames that LEDs and cameras are fixed in: 0 is the world of the pose's part, others are links.
+    """Poses of the frames that LEDs, points of targets and cameras are fixed in.
+
+    Frame 0 is the world of the pose's part, others are links and targets.
 
     Attributes:
         attachments: what is fixed in which frame.
@@ -34,10 +37,15 @@ class Links:
 
     @classmethod
     def of(cls, attachments: Attachments, state: State, part: Ints, R: Sequence[Floats], p: Sequence[Floats]) -> Links:
-        """Take the world of each pose's part (N,) beside the links' rotations (N, 3, 3) and origins (N, 3)."""
+        """Take world, by each pose's part (N,), and targets beside the links' rotations and origins (N, 3)."""
         T = inverse(np.array([state[key] for key in base_keys(attachments.parts)]))
         T = np.broadcast_to(T[0], (len(part), 4, 4)) if len(T) == 1 else T[part]
-        return cls(attachments, (T[:, :3, :3], *R), (T[:, :3, 3], *p))
+        every_R, every_p = [T[:, :3, :3], *R], [T[:, :3, 3], *p]
+        for name, carrier in attachments.carried:
+            T_carrier = state[target_key(name)]
+            every_p.append(every_p[carrier] + every_R[carrier] @ T_carrier[:3, 3])
+            every_R.append(every_R[carrier] @ T_carrier[:3, :3])
+        return cls(attachments, tuple(every_R), tuple(every_p))
 
     @property
     def one_world(self) -> bool:

@@ -12,7 +12,7 @@ from urdfcal.estimation.linearize import Tangent
 from urdfcal.estimation.whitening import block_diagonal, joint_covariance
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Collection, Iterator, Mapping, Sequence
 
     from urdfcal.arrays import Bools, Floats
     from urdfcal.estimation.observations import Observations
@@ -70,6 +70,16 @@ class FoundNoise:
         return self.declared / self.found
 
 
+def with_noise(observations: Sequence[Observations], factors: Sequence[float]) -> Iterator[Floats]:
+    """Give each kind's covariances (N, m, D, D) with its standard deviations times factors, one for each of them."""
+    each = iter(factors)
+    for observed in observations:
+        factor = np.ones(observed.dimension)
+        for of in observed.table.spread_of().values():
+            factor[of.numbers] = next(each)
+        yield np.outer(factor, factor) * observed.covariance
+
+
 def find_noise(problem: Problem, fit: Solution, undeclared: Collection[str] = ()) -> tuple[FoundNoise, ...]:
     """Estimate variance components by restricted maximum likelihood, on the derivatives at an estimate.
 
@@ -83,23 +93,28 @@ def find_noise(problem: Problem, fit: Solution, undeclared: Collection[str] = ()
         undeclared: keys of ``noise``, joint perhaps among them, of which the session says nothing.
 
     Returns:
-        One for each kind of measurement, and one for the joint readings, the last.
+        One for each kind of measurement (one for each of its fields of standard deviations), and one for the joint
+        readings, the last.
     """
     with one_blas_thread():
-        parts = [
-            _Part.of(problem, fit, observed, kept)
-            for observed, kept in zip(problem.observations, fit.kept, strict=True)
-        ]
+        parts: list[_Part] = []
+        for observed, kept in zip(problem.observations, fit.kept, strict=True):
+            parts.append(_Part.of(problem, fit, observed, kept, sum(len(part.C) for part in parts)))
+        ones = np.ones(sum(len(part.C) for part in parts))
         likelihood = _Likelihood(tuple(parts), *fit.parameters.prior_residuals(fit.state))
-        declared = np.array([*np.ones(len(parts)), max(problem.joint_sigma, _LEAST_JOINT) ** 2])
-        start = np.array([*np.ones(len(parts)), max(problem.joint_sigma, _USUAL_JOINT) ** 2])
+        declared = np.array([*ones, max(problem.joint_sigma, _LEAST_JOINT) ** 2])
+        start = np.array([*ones, max(problem.joint_sigma, _USUAL_JOINT) ** 2])
         found, best = likelihood.maximise(start)
         sigma = 0.5 * np.sqrt(np.diag(np.linalg.inv(best.information + _VAGUE * np.eye(len(found)))))
         falls = []
         for k in range(len(found)):
             _, held = likelihood.maximise(np.where(np.arange(len(found)) == k, declared, found), hold=k)
             falls.append(max(0.0, 2.0 * (best.value - held.value)))
-    names = [(of.table.noise, of.table.unit, rms(of.table.sigma)) for of in problem.observations]
+    names = [
+        (of.noise, of.unit, rms(getattr(observed.table, name)))
+        for observed in problem.observations
+        for name, of in observed.table.spread_of().items()
+    ]
     names.append(("joint", "rad", 1.0))
     return tuple(
         FoundNoise(
@@ -116,25 +131,33 @@ def find_noise(problem: Problem, fit: Solution, undeclared: Collection[str] = ()
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """One kind of measurement at N poses of M numbers: residuals, derivatives, and the covariances to be scaled."""
+    """One kind of measurement at N poses of M numbers: residuals, derivatives, and the covariances to be scaled.
+
+    C holds those of the measurement alone, by the number of the variance that scales them.
+    """
 
     residual: Floats
     J: Floats
-    C: Floats
+    C: Mapping[int, Floats]
     K: Floats
     rest: Floats
 
     @classmethod
-    def of(cls, problem: Problem, fit: Solution, observed: Observations, kept: Bools) -> _Part:
+    def of(cls, problem: Problem, fit: Solution, observed: Observations, kept: Bools, first: int = 0) -> _Part:
         some = observed.even(_MOST_POSES)
         at = Tangent.at(problem, observed.at(some), fit.state, fit.parameters).linearise()
         N, m, D = at.residual.shape
         used = np.repeat(kept[some], D, axis=1)
         both = used[:, :, None] * used[:, None, :]
+        own = {}
+        for k, of in enumerate(observed.table.spread_of().values(), first):
+            numbers = np.zeros(D)
+            numbers[of.numbers] = 1.0
+            own[k] = block_diagonal(observed.covariance[some] * np.outer(numbers, numbers)) * both
         return cls(
             at.residual.reshape(N, m * D) * used,
             at.J.reshape(N, m * D, -1) * used[..., None],
-            block_diagonal(observed.covariance[some]) * both,
+            own,
             joint_covariance(at, problem.arm.chain.reading_jacobian, 1.0) * both,
             np.eye(m * D) * ~used[:, :, None],
         )
@@ -158,7 +181,7 @@ class _Likelihood:
     def maximise(self, variances: Floats, hold: int | None = None) -> tuple[Floats, _LikelihoodValue]:
         """Return the likeliest variances, one of them held, and the likelihood there."""
         free = np.arange(len(variances)) != hold
-        least = np.append(np.full(len(self.parts), _LEAST_SHARE**2), _LEAST_JOINT**2)
+        least = np.append(np.full(len(variances) - 1, _LEAST_SHARE**2), _LEAST_JOINT**2)
         for _ in range(_ROUNDS):
             at = self.at(variances)
             information = at.information[np.ix_(free, free)]
@@ -177,8 +200,9 @@ class _Likelihood:
         count = len(variances)
         H, g = self.J_prior.T @ self.J_prior, self.J_prior.T @ self.r_prior
         whitened, value = [], -0.5 * float(self.r_prior @ self.r_prior)
-        for k, part in enumerate(self.parts):
-            L = np.linalg.cholesky(variances[k] * part.C + variances[-1] * part.K + part.rest)
+        for part in self.parts:
+            own = [variances[i] * C for i, C in part.C.items()]
+            L = np.linalg.cholesky(sum(own, start=variances[-1] * part.K + part.rest))
             W = np.linalg.inv(L)
             J, r = W @ part.J, (W @ part.residual[..., None])[..., 0]
             whitened.append((W, J, r))
@@ -190,10 +214,10 @@ class _Likelihood:
         step = -covariance @ g
         value += 0.5 * float(g @ covariance @ g) - 0.5 * float(np.linalg.slogdet(H)[1])
         score, information = np.zeros(count), np.zeros((count, count))
-        for k, (part, (W, J, r)) in enumerate(zip(self.parts, whitened, strict=True)):
+        for part, (W, J, r) in zip(self.parts, whitened, strict=True):
             Wt = np.swapaxes(W, 1, 2)
             left = r + J @ step
-            shares = {k: variances[k] * (W @ part.C @ Wt), count - 1: variances[-1] * (W @ part.K @ Wt)}
+            shares = {i: variances[i] * (W @ C @ Wt) for i, C in (*part.C.items(), (count - 1, part.K))}
             for i, V in shares.items():
                 taken = np.sum((J @ covariance) * (V @ J))
                 explained = np.einsum("ni,nij,nj->", left, V, left)

@@ -103,6 +103,6 @@ def arrange(session: Session, table: Measurement) -> Observations:
             index[key] = frozen(padded, np.intp)
     value = np.zeros((*shape, D))
     covariance = np.broadcast_to(np.eye(D), (*shape, D, D)).copy()
-    value[group, slot], covariance[group, slot] = table.values, table.covariances
+    value[group, slot], covariance[group, slot] = table.compared, table.covariances
     readings = Readings.of(session).at(poses)
     return Observations(table, readings, frozen(row, np.intp), index, frozen(value), frozen(covariance))

@@ -11,8 +11,11 @@ import numpy as np
 from urdfcal.arrays import Bools, Floats, frozen
 from urdfcal.estimation.blocks.arm import ArmBlock
 from urdfcal.estimation.blocks.base_pose import BaseBlock, base_keys
-from urdfcal.estimation.blocks.leds import LEDS, LedDistances, LedsBlock
+from urdfcal.estimation.blocks.known_distances import KnownDistances
+from urdfcal.estimation.blocks.leds import LEDS, LedsBlock
+from urdfcal.estimation.blocks.places import PLACES
 from urdfcal.estimation.blocks.scale import ScaleBlock
+from urdfcal.estimation.blocks.targets import target_blocks
 from urdfcal.names import check_names
 
 if TYPE_CHECKING:
@@ -33,13 +36,13 @@ class Parameters:
         blocks: whose coordinates the entries are, in order.
         correlation: (P, P) of the priors' errors: cameras calibrated together err together.
         measured: (P,) whose prior is a measurement made beforehand and no tolerance.
-        distances: measured between LEDs.
+        distances: known between LEDs, and between places.
     """
 
     blocks: tuple[Block[Any], ...]
     correlation: Floats
     measured: Bools
-    distances: LedDistances
+    distances: tuple[KnownDistances, ...] = ()
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -177,7 +180,7 @@ class Parameters:
         """Return the whitened differences from the nominal values, and their derivative.
 
         Returns:
-            r (p,) and J (p, count), a row for every active entry with a prior and for every LED distance.
+            r (p,) and J (p, count), a row for every active entry with a prior and for every known distance.
         """
         difference, J = self._difference(state)
         W, _ = self._whitening
@@ -185,14 +188,14 @@ class Parameters:
         return np.concatenate([W @ difference, distances]), np.vstack([W @ J, J_distances])[:, self.active]
 
     def measured_jacobian(self, state: State) -> Floats:
-        """Return the derivative (k, count) of what was measured beforehand: LED distances and calibrated cameras."""
+        """Return the derivative (k, count) of what was measured beforehand: known distances and calibrated cameras."""
         W, measured = self._whitening
         return np.vstack([W[measured] @ self._difference(state)[1], self._distances(state)[1]])[:, self.active]
 
     @property
     def prior_count(self) -> int:
         """Number of priors and measured distances: what counts as measurements beside those of the session."""
-        return int(np.count_nonzero(np.isfinite(self.prior) & self.active)) + len(self.distances)
+        return int(np.count_nonzero(np.isfinite(self.prior) & self.active)) + sum(map(len, self.distances))
 
     def _difference(self, state: State) -> tuple[Floats, Floats]:
         """How far every entry is from its nominal value (P,), and the derivative (P, P)."""
@@ -203,17 +206,20 @@ class Parameters:
         return full, J
 
     def _distances(self, state: State) -> tuple[Floats, Floats]:
-        r, by_leds = self.distances.residuals(state)
-        J = np.zeros((len(r), self.size))
-        J[:, self.columns(LEDS)] = by_leds
-        return r, J
+        rs, Js = [np.zeros(0)], [np.zeros((0, self.size))]
+        for known in self.distances:
+            r, by_points = known.residuals(state)
+            J = np.zeros((len(r), self.size))
+            J[:, self.columns(known.key)] = by_points
+            rs, Js = [*rs, r], [*Js, J]
+        return np.concatenate(rs), np.vstack(Js)
 
 
 def choose_parameters(session: Session, problem: Problem, state: State, spec: ModelSpec) -> Parameters:
-    """List the blocks of an estimate, with tolerances and what was measured of LEDs and cameras as priors.
+    """List the blocks of an estimate, with tolerances and what was measured of LEDs, targets and cameras as priors.
 
     Args:
-        session: LED and camera knowledge, tolerances.
+        session: LED, target and camera knowledge, tolerances.
         problem: whose parameters they are.
         state: where priors without a known value are centred.
         spec: which of arm, lenses and camera poses are estimated.
@@ -238,11 +244,13 @@ def choose_parameters(session: Session, problem: Problem, state: State, spec: Mo
         why = None if in_world else "nothing is measured in the world: the base link is it"
         blocks.append(BaseBlock.of(fixed=why, key=key))
     blocks.append(LedsBlock.of(session.leds, state[LEDS], priors=spec.priors))
-    sets = [table.blocks(session, spec, state) for table in tables]
+    blocks += target_blocks(session.targets, state, priors=spec.priors)
+    # Places that several kinds of measurement name are one block.
+    sets = {of.blocks[0].key if of.blocks else of: of for of in (t.blocks(session, spec, state) for t in tables)}
     first = sum(len(block) for block in blocks)
-    size = first + sum(len(block) for of in sets for block in of.blocks)
+    size = first + sum(len(block) for of in sets.values() for block in of.blocks)
     correlation, measured = np.eye(size), np.zeros(size, dtype=bool)
-    for of in sets:
+    for of in sets.values():
         where = slice(first, first + sum(len(block) for block in of.blocks))
         if of.correlation is not None:
             correlation[where, where] = of.correlation
@@ -251,9 +259,8 @@ def choose_parameters(session: Session, problem: Problem, state: State, spec: Mo
         first = where.stop
         blocks += of.blocks
     check_names("unknowns", [name for block in blocks for name in block.names])
-    return Parameters(
-        tuple(blocks),
-        frozen(correlation),
-        frozen(measured, bool),
-        LedDistances.of(session.led_names, session.led_distances),
-    )
+    places = session.named("place"), session.place_distances, session.measured_of("place")
+    leds = tuple(led.name for led in session.leds)
+    distances = (KnownDistances.of(LEDS, leds, session.led_distances), KnownDistances.of(PLACES, *places))
+    known = tuple(of for of in distances if len(of))
+    return Parameters(tuple(blocks), frozen(correlation), frozen(measured, bool), known)

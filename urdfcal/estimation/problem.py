@@ -87,7 +87,7 @@ class Problem:
         return q
 
     def links(self, readings: Readings, state: State) -> Links:
-        """Return where the frames of LEDs and cameras are."""
+        """Return where the frames of LEDs, targets and cameras are."""
         q, tips = self.joint_values(readings, state), self.attachments.tips
         T = link_poses(self.arm.chain, q, tips, self.arm.placements(state[ARM]))
         R, p = [of[:, :3, :3] for of in T], [of[:, :3, 3] for of in T]
@@ -104,6 +104,20 @@ class Problem:
     def metres_per_unit(self, observed: Observations, state: State) -> Floats:
         """Return what one unit of residual is worth at the LED, (N, m). [m]."""
         return observed.table.metres_per_unit(observed, self.links(observed.readings, state), state)
+
+    def off(self, observed: Observations, state: State) -> Floats:
+        """Return how far what was measured is off (N, m), for pixels across the ray; turns do not count. [m]."""
+        residual = self.residual(observed, state)[..., observed.table.lengths]
+        result: Floats = np.linalg.norm(residual, axis=-1) * self.metres_per_unit(observed, state)
+        return result
+
+    def seen(self, observed: Observations, state: State) -> Floats:
+        """Return what was measured as numbers (N, m, D) that residuals add to; of what was touched, where that is."""
+        table, residual = observed.table, self.residual(observed, state)[..., observed.table.lengths]
+        at = table.points(observed, self.links(observed.readings, state), state)
+        if table.compared is table.values or at is None or residual.shape[-1] != 3:
+            return observed.value[..., table.lengths]
+        return at[1] - residual
 
     def suspect(self, observed: Observations, outlier: Sequence[Bools]) -> Bools:
         """Return which slots (N, m) concern an LED at a pose where a measurement of it is an outlier."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from urdfcal.estimation.problem import Problem
     from urdfcal.estimation.solver import Solution
 
+LengthUnit: TypeAlias = Literal["instrument", "distances", "nothing"]
+
 
 @dataclass(frozen=True)
 class LengthScale:
@@ -28,12 +30,14 @@ class LengthScale:
         factor: by which share the instrument's lengths are too long if the arm is as nominal as its tolerances say.
         sigma: standard deviation of that; infinite where the tolerances say nothing.
         declared: how well the scale was said to be known; None where nothing was said, and intervals do not hold it.
+        unit: what the lengths are measured by: cameras or a tracker ("instrument"), known distances, or nothing.
     """
 
     tip_per_permille: float
     factor: float
     sigma: float
     declared: float | None = None
+    unit: LengthUnit = "instrument"
 
     @property
     def sigmas(self) -> float:
@@ -50,13 +54,18 @@ def find_scale(problem: Problem, fit: Solution, unexplained: Unexplained) -> Len
         unexplained: its residuals.
     """
     columns = unexplained.columns(partial(Part.by, key=SCALE))
+    unit: LengthUnit = "instrument"
+    if not np.any(columns):
+        known = np.concatenate([np.zeros(0), *(of.by_scale for of in fit.parameters.distances)])
+        columns[len(columns) - len(known) :, 0] = known  # the last of the priors
+        unit = "distances" if len(known) else "nothing"
     where, active = fit.parameters.active_columns(SCALE)
     tip = tip_change(problem, fit, unexplained.response(columns, where)) if np.any(columns) else 0.0
     if active.any():
         block = next(block for block in fit.parameters.blocks if block.key == SCALE)
         sigma = float(np.sqrt(fit.covariance[where, where][0, 0]))
-        return LengthScale(1e-3 * tip, float(fit.state[SCALE][0]), sigma, float(block.sigma[0]))
+        return LengthScale(1e-3 * tip, float(fit.state[SCALE][0]), sigma, float(block.sigma[0]), unit)
     _, size, covariance = unexplained.explained(columns)
     variance = float(covariance[0, 0])
     sigma = float(np.sqrt(variance)) if variance > 0.0 else float("inf")
-    return LengthScale(1e-3 * tip, float(size[0]), sigma, 0.0 if SCALE in fit.state else None)
+    return LengthScale(1e-3 * tip, float(size[0]), sigma, 0.0 if SCALE in fit.state else None, unit)

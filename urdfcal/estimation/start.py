@@ -7,15 +7,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from urdfcal.arrays import evenly, numbered
+from urdfcal.arrays import evenly, inverse, numbered
 from urdfcal.estimation.alignment import place_base
 from urdfcal.estimation.blocks.arm import ARM
 from urdfcal.estimation.blocks.base_pose import base_keys
 from urdfcal.estimation.blocks.leds import LEDS, led_positions
 from urdfcal.estimation.blocks.scale import SCALE
+from urdfcal.estimation.blocks.targets import nominal_targets, target_key
 from urdfcal.estimation.joint_models import joint_models_of
 from urdfcal.estimation.measurements import Measurement
 from urdfcal.estimation.state import Key, State
+from urdfcal.estimation.target_start import place_targets
 from urdfcal.robot.kinematics import link_poses
 
 if TYPE_CHECKING:
@@ -51,7 +53,27 @@ class Start:
         """Place the links of an arm with given offsets (rows, columns)."""
         tips = session.attachments.tips
         links = np.array(link_poses(session.chain, session.q, tips, arm.placements(offsets)))
-        return cls(session, links, np.array([led.position is None for led in session.leds]))
+        return cls(session, links, np.array([led.position is None for led in session.leds], dtype=bool))
+
+    def frame(self, frame: int, pose: Ints, state: State) -> Floats:
+        """T_base_frame (S, 4, 4) of a frame at some poses (S,); the world is the base where that is not known. [m]."""
+        attachments = self.session.attachments
+        if frame >= attachments.first_target:
+            own: Floats = state[target_key(attachments.frames[frame])]
+            return self.frame(int(attachments.carrier[frame]), pose, state) @ own
+        if frame:
+            link: Floats = self.links[frame - 1, pose]
+            return link
+        worlds = [inverse(state[key]) if key in state else np.eye(4) for key in base_keys(attachments.parts)]
+        world: Floats = np.array(worlds)[self.session.part[pose]]
+        return world
+
+    def placed(self, state: State) -> Bools:
+        """Return which LEDs and points of targets (L + M,) are roughly known in their frames."""
+        attachments = self.session.attachments
+        known = np.array([target_key(name) in state for name in attachments.targets], dtype=bool)
+        own = attachments.led[len(self.session.leds) :] - attachments.first_target
+        return np.concatenate([[led.position is not None for led in self.session.leds], known[own]]).astype(bool)
 
 
 def first_state(
@@ -77,27 +99,37 @@ def first_state(
     models = joint_models_of(session)
     joints = {**{model.key: model.nominal for model in models}, **(known or {})}
     scale = {} if session.scale_sigma is None else {SCALE: np.zeros(1)}
-    state = State({ARM: offsets, LEDS: led_positions(session.leds), **joints, **scale})
+    state = State({ARM: offsets, **nominal_places(session), **joints, **scale})
     at = Start.of(session, arm, offsets + sum(model.offsets(arm, joints[model.key]) for model in models))
     tables = [table for table in session.measurements if isinstance(table, Measurement)]
     bases = base_keys(session.attachments.parts)
+    tables.sort(key=lambda table: not table.defines_world(session.attachments))  # the others need the world
     for table in tables:
         points = table.world_points(session)
         if points is not None:
             for k, key in enumerate(bases):
                 at, state = _by_points(points, at, state, k, key)
+    if not any(table.defines_world(session.attachments) for table in tables):
+        state = state.replace({key: np.eye(4) for key in bases})
+    state = place_targets(at, tables, state)
     for table in tables:
         state = table.start(at, state)
-    return state.replace({key: np.eye(4) for key in bases if key not in state})
+    state = place_targets(at, tables, state)
+    unplaced = (*bases, *(target_key(name) for name in session.attachments.targets))
+    return state.replace({key: np.eye(4) for key in unplaced if key not in state})
+
+
+def nominal_places(session: Session) -> dict[Key[Any], Floats]:
+    """Return the places of LEDs and targets as the session gives them; no key of a target of unknown pose."""
+    return {LEDS: led_positions(session.leds), **nominal_targets(session.targets)}
 
 
 def _by_points(points: WorldPoints, at: Start, state: State, part: int, base: Key[Floats]) -> tuple[Start, State]:
     """Place the base of a part, and LEDs, by points in space, if there are enough of them and it is not placed."""
     session, frames = at.session, at.session.attachments.led
-    here = session.part[points.pose] == part
-    moving = here & (frames[points.led] != 0)
+    moving = (session.part[points.pose] == part) & (frames[points.led] != 0) & (points.led < len(session.leds))
     pose, led, xyz = points.pose[moving], points.led[moving], points.xyz[moving]
-    if base in state or not here.any() or (not points.complete and len(xyz) < _ENOUGH):
+    if base in state or not len(xyz) or (not points.complete and len(xyz) < _ENOUGH):
         return at, state
     exact = np.array([led.sigma == 0.0 for led in session.leds])
     T_base_led = at.links[frames[led] - 1, pose]

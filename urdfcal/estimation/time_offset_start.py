@@ -8,17 +8,18 @@ import numpy as np
 
 from urdfcal.arrays import evenly
 from urdfcal.errors import CalibrationError
-from urdfcal.estimation.blocks.leds import led_positions
+from urdfcal.estimation.blocks.targets import point_places
 from urdfcal.estimation.camera_start import Views
 from urdfcal.estimation.joint_models.time_offset import TIME_OFFSETS, TimeOffsets
 from urdfcal.estimation.measurements import Detections
-from urdfcal.estimation.start import Start, first_state
+from urdfcal.estimation.start import Start, first_state, nominal_places
+from urdfcal.estimation.state import State
+from urdfcal.estimation.target_start import place_targets
 from urdfcal.session.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from urdfcal.arrays import Floats, Ints
     from urdfcal.estimation.blocks.arm import ArmParameterization
-    from urdfcal.estimation.state import State
     from urdfcal.session.model import Session
 
 # Offsets that are tried: the solver finds its way from 0.1 s off at 0.5 rad/s (7 cm at the tip), not from 1 s.
@@ -73,6 +74,7 @@ def _miss(session: Session, arm: ArmParameterization, offsets: Floats, camera: i
     if detections is None:
         return np.inf
     try:
-        return Views(session, at.links, detections).miss(camera, led_positions(session.leds))
+        state = place_targets(at, [detections], State(nominal_places(session)))
+        return Views(at, detections, state).miss(camera, point_places(session.attachments, state))
     except CalibrationError:  # so far off that there is no such place
         return np.inf

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
     from urdfcal.arrays import Bools, Floats, Ints
     from urdfcal.estimation.observations import Observations
+    from urdfcal.estimation.parameters import Parameters
     from urdfcal.estimation.problem import Problem
     from urdfcal.estimation.solver import Solution
     from urdfcal.estimation.state import State
@@ -56,7 +57,8 @@ def hold_out(problem: Problem, fit: Solution, fold_of_pose: Ints) -> HeldOut:
     """Cross-validate an estimate over poses.
 
     Every fold is estimated anew without its poses, from the full estimate as a start: a start does not leak
-    what is left out into where least squares arrives.
+    what is left out into where least squares arrives. A place that nothing else has touched is fitted to the poses that
+    are left out, the arm is not, and the residuals are as much longer as it takes away from them.
 
     Args:
         problem: what was measured.
@@ -69,11 +71,17 @@ def hold_out(problem: Problem, fit: Solution, fold_of_pose: Ints) -> HeldOut:
     for out, state in _without_each(problem, fit, fold_of_pose):
         folds += 1
         unseen = problem.with_observations([of.at(left) for of, left in zip(observations, out, strict=True)])
+        training = problem.with_observations([of.at(~left) for of, left in zip(observations, out, strict=True)])
+        new, factors = _only_unseen(training, unseen, fit.parameters)
+        if new.any():
+            where = {int(k): "other poses tell it" for k in np.flatnonzero(~new & fit.parameters.active)}
+            used = [keep[left] for keep, left in zip(fit.kept, out, strict=True)]
+            state = refit(unseen, used, state, fit.parameters.fixing(where))
         for k, norm in enumerate(residual_norms(unseen, state, fit.parameters)):
-            left, observed = out[k], unseen.observations[k]
-            norms[k][left] = norm
-            residual[k][left] = np.linalg.norm(unseen.residual(observed, state), axis=-1)
-            distance[k][left] = residual[k][left] * unseen.metres_per_unit(observed, state)
+            left, observed, factor = out[k], unseen.observations[k], factors[k]
+            norms[k][left] = factor * norm
+            residual[k][left] = factor * np.linalg.norm(unseen.residual(observed, state), axis=-1)
+            distance[k][left] = factor * unseen.off(observed, state)
     return HeldOut(folds, tuple(norms), tuple(residual), tuple(distance))
 
 
@@ -104,6 +112,37 @@ def _without_each(problem: Problem, fit: Solution, fold_of_pose: Ints) -> Iterat
         training = problem.with_observations([of.at(~left) for of, left in zip(observations, out, strict=True)])
         kept = [keep[~left] for keep, left in zip(fit.kept, out, strict=True)]
         yield out, refit(training, kept, fit.state, fit.parameters)
+
+
+def _only_unseen(training: Problem, unseen: Problem, parameters: Parameters) -> tuple[Bools, list[Floats]]:
+    """Find the unknowns, such as places, that only unseen measurements can tell.
+
+    What they have fewer numbers of than unknowns stays where the full estimate has it: nothing can be told of it.
+
+    Returns:
+        Which of the parameters (P,) they are, and for each kind (N, m) the factor that makes up for fitting them.
+    """
+    new, factors = np.zeros(parameters.size, dtype=bool), [np.ones(of.row.shape) for of in unseen.observations]
+    for name, key in {pair for of in unseen.observations for pair in of.table.own.items()}:
+        columns = np.arange(parameters.size)[parameters.columns(key)]
+        things = max(len(of.table.names[name]) for of in unseen.observations if name in of.table.own)
+        each = len(columns) // things
+        before, after = (sum(_numbers(of, name, things) for of in some.observations) for some in (training, unseen))
+        lost = (before < each) & (after > each)
+        new[columns] |= np.repeat(lost, each)
+        longer = np.where(lost, np.sqrt(after / np.maximum(after - each, 1)), 1.0)
+        factors = [
+            factor * longer[of.index[name]] if name in of.index else factor
+            for factor, of in zip(factors, unseen.observations, strict=True)
+        ]
+    return new, factors
+
+
+def _numbers(observed: Observations, name: str, things: int) -> Ints:
+    """How many numbers (things,) are measured of each thing that a key names."""
+    if name not in observed.index:
+        return np.zeros(things, dtype=np.intp)
+    return observed.dimension * np.bincount(observed.index[name][observed.valid], minlength=things)
 
 
 def rms_interval(

@@ -23,8 +23,9 @@ from urdfcal.robot.urdf.urdf import Urdf, find_urdf
 from urdfcal.session.attachments import WORLD
 from urdfcal.session.combine import combine
 from urdfcal.session.exclusion import labels, leave_out
-from urdfcal.session.knowledge import Excluded, Led, Stand
-from urdfcal.session.model import Positions, RigDescription, Session
+from urdfcal.session.knowledge import Excluded, Led
+from urdfcal.session.model import Positions, Session
+from urdfcal.session.rig_description import RigDescription, Stand
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -84,9 +85,10 @@ def read_session(
         )
     positions, hashes, tables = inputs.positions, dict(inputs.positions.sha256), {}
     known = {"pose": positions.poses, "camera": positions.rig.names, "led": positions.led_names}
+    known["target"] = tuple(target.name for target in positions.targets)
     excluded = _excluded(document, positions, exclude_poses)
     for kind in (kind for kind in MEASUREMENTS if kind in files):
-        tables[kind] = read_measurements(files[kind], kind, known, positions.noise.of(kind), inputs.frames)
+        tables[kind] = read_measurements(files[kind], kind, known, positions.noise.spreads(kind), inputs.frames)
         hashes[keys.tables.get(kind, DETECTIONS)] = tables[kind].table.source.sha256
     counting = {
         kind: table.only(kept)
@@ -205,7 +207,8 @@ def read_rig(path: str | Path) -> RigDescription:
         remedy = "It says where the first camera stands that is on no link."
         raise SessionError("the key 'stand' is missing", where=document.place(), remedy=remedy)
     with document.placing():
-        return RigDescription(**setup, stand=stand, errors=keys.errors)
+        places = {name: np.array(place) for name, place in keys.places.items()}
+        return RigDescription(**setup, stand=stand, places=places, errors=keys.errors)
 
 
 def read_points(path: str | Path, session: Session) -> tuple[Points, tuple[Led, ...]]:
@@ -323,10 +326,11 @@ def _read_yaml(path: Path, name: str) -> Document:
 
 
 def _read_mechanism(document: Document, keys: SetupFile, urdf: Urdf) -> Mechanism:
-    """The joints to the tip link and to every other link that carries an LED or a camera."""
+    """The joints to the tip link and to every other link that carries an LED, a target or a camera."""
     links = {keys.robot.tip_link: ("robot", "tip_link")}
-    for name, led in keys.leds.items():
-        links.setdefault(led.link or WORLD, ("leds", name))
+    for key, named in (("leds", keys.leds), ("targets", keys.targets)):
+        for name, keys_of in named.items():
+            links.setdefault(keys_of.link or WORLD, (key, name))
     for mount in keys.cameras.mounts if keys.cameras is not None else ():
         links.setdefault(mount.link, ("cameras", mount.camera))
     base = keys.robot.base_link or urdf.root
@@ -359,8 +363,10 @@ def _read_setup(document: Document, keys: SetupFile) -> dict[str, Any]:
         path = _file(document, "cameras", keys.cameras.file)
         rig = read_kalibr(path)
         hashes[keys.cameras.file] = Source.read(path).sha256
+    with document.placing():
+        own = keys.setup()
     return {
-        **keys.setup(),
+        **own,
         "chain": chain,
         "urdf": urdf,
         "urdf_reference": keys.robot.urdf,

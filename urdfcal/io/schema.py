@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 import numpy as np
 from pydantic import (
     AfterValidator,
-    BaseModel,
     BeforeValidator,
     ConfigDict,
     Field,
@@ -18,9 +17,9 @@ from pydantic import (
 
 from urdfcal.estimation.joint_models import JOINT_MODELS
 from urdfcal.estimation.measurements import MEASUREMENTS, Measurement
-from urdfcal.names import flaw
+from urdfcal.io.keys import Keys, Name, NotNegative, PlaceKeys, Positive, ScaleKeys, Vector
+from urdfcal.io.target_keys import AnyTargetKeys  # noqa: TC001  # as of the next
 from urdfcal.robot.dh import Parameter  # noqa: TC001  # pydantic needs it at run time
-from urdfcal.rotations import rpy_to_matrix
 from urdfcal.session.attachments import CameraMount
 from urdfcal.session.knowledge import (
     ArmGeometry,
@@ -31,28 +30,13 @@ from urdfcal.session.knowledge import (
     LedDistance,
     Noise,
     Payload,
+    PlaceDistance,
     TimeOffset,
     Tolerances,
 )
 
 
-def _named(name: str) -> str:
-    if problem := flaw(name):
-        raise ValueError(problem)
-    return name
-
-
-Name = Annotated[str, AfterValidator(_named)]
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
-Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
-
-
-class _Keys(BaseModel):
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class RobotKeys(_Keys):
+class RobotKeys(Keys):
     """Which chain of which robot."""
 
     urdf: Name
@@ -60,7 +44,7 @@ class RobotKeys(_Keys):
     base_link: Name | None = None
 
 
-class LedKeys(_Keys):
+class LedKeys(Keys):
     """Where an LED sits on its link (the tip link, if none is named), and how well that is known, in m."""
 
     link: Name | None = None
@@ -74,7 +58,7 @@ class LedKeys(_Keys):
         return self
 
 
-class LedDistanceKeys(_Keys):
+class LedDistanceKeys(Keys):
     """The distance of two LEDs, in m."""
 
     leds: tuple[Name, Name] = Field(strict=False)
@@ -82,33 +66,26 @@ class LedDistanceKeys(_Keys):
     sigma: Positive
 
 
-class MountKeys(_Keys):
+class PlaceDistanceKeys(Keys):
+    """The distance of two places, in m."""
+
+    places: tuple[Name, Name] = Field(strict=False)
+    distance: Positive
+    sigma: Positive
+
+
+class MountKeys(PlaceKeys):
     """The link of an eye-in-hand camera, where on it (m, rad; the camera's z looks forward, y down), and how surely."""
 
     link: Name
-    position: Vector | None = None
-    rpy: Vector | None = None
     sigma: tuple[Positive, Positive] | None = Field(default=None, strict=False)
-
-    @model_validator(mode="after")
-    def _whole(self) -> MountKeys:
-        if (self.position is None) != (self.rpy is None):
-            raise ValueError("position and rpy are given together, or neither")
-        if self.sigma is not None and self.position is None:
-            raise ValueError("sigma is given without a position")
-        return self
 
     def mount(self, camera: str) -> CameraMount:
         """The same in arrays."""
-        if self.position is None or self.rpy is None:
-            return CameraMount(camera, self.link)
-        T_link_camera = np.eye(4)
-        T_link_camera[:3, :3], T_link_camera[:3, 3] = rpy_to_matrix(np.array(self.rpy)), self.position
-        sigma = None if self.sigma is None else np.repeat(self.sigma, 3)
-        return CameraMount(camera, self.link, T_link_camera, sigma)
+        return CameraMount(camera, self.link, self.T, None if self.sigma is None else np.repeat(self.sigma, 3))
 
 
-class CamerasKeys(_Keys):
+class CamerasKeys(Keys):
     """The camera file; every other key is an eye-in-hand camera."""
 
     model_config = ConfigDict(extra="allow")
@@ -124,18 +101,30 @@ class CamerasKeys(_Keys):
 
 _Cameras = Annotated[CamerasKeys, BeforeValidator(lambda value: {"file": value} if isinstance(value, str) else value)]
 
+
+def _pairs(value: Any) -> Any:
+    """Take apart what is said of several numbers under one key: pose: [m, rad]."""
+    keys = {kind.noise: [of.noise for of in kind.spreads.values()] for kind in MEASUREMENTS if kind.spreads}
+    for name, own in keys.items() if isinstance(value, dict) else ():
+        said = value.get(name)
+        if isinstance(said, list) and len(said) == len(own):
+            value = {**value, **dict(zip(own, said, strict=True))}
+    return value
+
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    NoiseKeys: TypeAlias = _Keys
+    NoiseKeys: TypeAlias = Keys
     JointModelName: TypeAlias = str
 else:
     NoiseKeys = create_model(
         "NoiseKeys",
-        __base__=_Keys,
+        __base__=Keys,
         __doc__="Standard deviations of the joint readings, and of each kind of measurement.",
         joint=(NotNegative, 0.0),
-        **{kind.noise: (Positive, kind.usual) for kind in MEASUREMENTS},
+        __validators__={"pair": model_validator(mode="before")(_pairs)},
+        **{of.noise: (Positive, of.usual) for kind in MEASUREMENTS for of in kind.spread_of().values()},
     )
     JointModelName = Literal[tuple(model.name for model in JOINT_MODELS)]
 
@@ -153,7 +142,7 @@ _JointModels = Annotated[
 ]
 
 
-class EstimateKeys(_Keys):
+class EstimateKeys(Keys):
     """What is to be estimated; what is not named is left to the calibration."""
 
     geometry: ArmGeometry | None = None
@@ -165,7 +154,7 @@ class EstimateKeys(_Keys):
 _Estimate = Annotated[EstimateKeys, BeforeValidator(lambda value: {} if value == "auto" else value)]
 
 
-class TolerancesKeys(_Keys):
+class TolerancesKeys(Keys):
     """How far the robot may be from nominal; every other key is a joint, with the exceptions for its row."""
 
     model_config = ConfigDict(extra="allow")
@@ -176,13 +165,7 @@ class TolerancesKeys(_Keys):
     zero: NotNegative = Tolerances.zero
 
 
-class ScaleKeys(_Keys):
-    """How well the unit of the cameras' baselines, or of a tracker's points, is known: a share of any length."""
-
-    sigma: NotNegative
-
-
-class PayloadKeys(_Keys):
+class PayloadKeys(Keys):
     """What the arm carried: on which link, its mass in kg, and its centre there in m."""
 
     link: Name
@@ -199,7 +182,7 @@ def _known_direction(gravity: Any) -> Any:
     return gravity
 
 
-class StandKeys(_Keys):
+class StandKeys(Keys):
     """Where a rig's first camera stands and looks, in the base link's frame, in m."""
 
     position: Vector
@@ -210,12 +193,6 @@ class StandKeys(_Keys):
         if self.position == self.look_at:
             raise ValueError("position and look_at are the same place")
         return self
-
-
-def _at_least_one(leds: dict[str, LedKeys]) -> dict[str, LedKeys]:
-    if not leds:
-        raise ValueError("there is no LED: name at least one")
-    return leds
 
 
 def _at_rest(estimate: EstimateKeys) -> EstimateKeys:
@@ -233,33 +210,43 @@ def _texts(value: Any) -> Any:
 _Names = Annotated[list[Name], BeforeValidator(_texts)]
 
 
-class ExcludeKeys(_Keys):
+class ExcludeKeys(Keys):
     """What does not count; of poses ranges, too."""
 
-    poses: _Names = []
-    cameras: _Names = []
-    leds: _Names = []
+    poses: _Names = Field(default=[])
+    cameras: _Names = Field(default=[])
+    leds: _Names = Field(default=[])
 
 
-class SetupFile(_Keys):
+# "led:" with nothing behind it is the natural way to write an LED of unknown place.
+_Led = Annotated[LedKeys, BeforeValidator(lambda value: {} if value is None else value)]
+
+
+class SetupFile(Keys):
     """What rig.yaml and session.yaml share."""
 
     robot: RobotKeys
-    # "led:" with nothing behind it is the natural way to write an LED of unknown place.
-    leds: Annotated[
-        dict[Name, Annotated[LedKeys, BeforeValidator(lambda value: {} if value is None else value)]],
-        AfterValidator(_at_least_one),
-    ]
-    led_distances: list[LedDistanceKeys] = []
+    leds: dict[Name, Annotated[LedKeys, BeforeValidator(lambda value: {} if value is None else value)]] = Field(
+        default={}
+    )
+    targets: dict[Name, AnyTargetKeys] = Field(default={})
+    led_distances: list[LedDistanceKeys] = Field(default=[])
+    place_distances: list[PlaceDistanceKeys] = Field(default=[])
     cameras: _Cameras | None = None
     noise: NoiseKeys = NoiseKeys()
     estimate: _Estimate = EstimateKeys()
     tolerances: TolerancesKeys = TolerancesKeys()
-    joint_models: _JointModels = {}
+    joint_models: _JointModels = Field(default={})
     scale: ScaleKeys | None = None
     payload: PayloadKeys | None = None
     gravity: Annotated[Vector | None, BeforeValidator(_known_direction)] = None
-    gear_ratio: dict[Name, Positive] = {}
+    gear_ratio: dict[Name, Positive] = Field(default={})
+
+    @model_validator(mode="after")
+    def _something_is_seen(self) -> SetupFile:
+        if not self.leds and not self.targets:
+            raise ValueError("there is neither an LED nor a target: name at least one")
+        return self
 
     def setup(self) -> dict[str, Any]:
         """The parts that need no other file, as arguments of :class:`~urdfcal.session.model.Setup`."""
@@ -268,8 +255,10 @@ class SetupFile(_Keys):
         exceptions: Any = tolerances.__pydantic_extra__
         return {
             "leds": tuple(Led(name, **dict(led)) for name, led in self.leds.items()),
+            "targets": tuple(target.target(name) for name, target in self.targets.items()),
             "mounts": self.cameras.mounts if self.cameras is not None else (),
             "led_distances": tuple(LedDistance(**dict(distance)) for distance in self.led_distances),
+            "place_distances": tuple(PlaceDistance(**dict(distance)) for distance in self.place_distances),
             "noise": Noise(**own, other=noise),
             "estimate": Estimate(**dict(self.estimate)),
             "tolerances": Tolerances(tolerances.length, tolerances.angle, tolerances.zero, exceptions),
@@ -296,10 +285,16 @@ def _sizes(value: Any) -> Any:
 class RigFile(SetupFile):
     """rig.yaml."""
 
-    cameras: _Cameras
     estimate: Annotated[_Estimate, AfterValidator(_at_rest)] = EstimateKeys()
     stand: StandKeys | None = None
-    errors: dict[JointError, Annotated[Any, AfterValidator(_sizes)]] = {}
+    errors: dict[JointError, Annotated[Any, AfterValidator(_sizes)]] = Field(default={})
+    places: dict[Name, Vector] = Field(default={})
+
+    @model_validator(mode="after")
+    def _measured(self) -> RigFile:
+        if self.cameras is None and not self.places:
+            raise ValueError("there are neither cameras nor places to touch: nothing can be measured")
+        return self
 
 
 if TYPE_CHECKING:
@@ -335,6 +330,11 @@ class SessionFile(_Tables):
         for name in ("torques", "previous"):
             if self.frames is not None and getattr(self, name) is not None:
                 raise ValueError(f"frames and {name} are both named: {name} belongs to an arm that stands still")
+        if self.scale is not None and self.tables and not any(kind.array for kind in self.tables):
+            what = "scale says how well the lengths of what measures are known, and nothing here measures any"
+            raise ValueError(f"{what}: place_distances have a sigma of their own")
+        if self.place_distances and not any("place" in kind.keys for kind in self.tables):
+            raise ValueError("place_distances are given, but nothing that names places, such as contacts")
         if self.frames is not None and self.cameras is None:
             raise ValueError("frames are named, but no cameras")
         if self.frames is None and self.estimate.time_offset is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -9,13 +10,15 @@ import numpy as np
 
 from urdfcal.arrays import Bools, Floats, Ints, frozen
 from urdfcal.errors import SessionError
+from urdfcal.estimation.measurements import Points
+from urdfcal.estimation.measurements.points import SPREAD, CorrelatedPoints
 from urdfcal.io.csv_table import Table, repeats
 from urdfcal.names import listed, suggest
 from urdfcal.session.model import MIN_POSES
 from urdfcal.session.trajectory import LONGEST_GAP, MARGIN, JointLog, Trajectory
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
+    from collections.abc import Collection, Sequence
     from pathlib import Path
 
     from urdfcal.estimation.measurements import Measurement
@@ -23,7 +26,7 @@ if TYPE_CHECKING:
 
 _MISSING = "Leave the row out where nothing was measured."
 # What is named elsewhere: in joints.csv, the camera file and session.yaml.
-_KNOWN = {"pose": "poses of joints.csv", "camera": "cameras", "led": "LEDs"}
+_KNOWN = {"pose": "poses of joints.csv", "camera": "cameras", "led": "LEDs", "target": "targets"}
 _UNITS = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
 # Robots report their joints at 10 Hz to 1 kHz: in milliseconds that is 1 to 100 a reading.
 _FASTEST = 0.9e-3
@@ -182,7 +185,7 @@ def read_measurements(
     path: Path,
     kind: type[Measurement],
     known: Mapping[str, Sequence[str]],
-    sigma: float,
+    sigma: float | Mapping[str, float],
     frames: FrameTable | None = None,
 ) -> MeasurementTable:
     """Read a table of measurements, and sort it.
@@ -191,22 +194,29 @@ def read_measurements(
         path: the file.
         kind: of the measurements.
         known: the names that there are, by column; columns without an entry take those in the file, as they come.
-        sigma: standard deviation where the table has no such column. [unit of the kind]
+        sigma: standard deviation where the table has no such column, or of each such column. [unit of the kind]
         frames: of a moving arm, which its poses are; what was seen in those without joint values is left out.
 
     Raises:
         SessionError: a name is unknown, a number is none, or there are two measurements of the same, with the place
             in the file.
     """
-    table = Table.read(path, [*kind.keys, *kind.columns], ["sigma"])
+    correlated = SPREAD if kind is Points else ()
+    table = Table.read(path, [*kind.keys, *kind.columns], [*kind.spread_of(), *correlated])
     names = {key: tuple(known[key] if key in known else dict.fromkeys(table.labels(key))) for key in kind.keys}
     looked_up = [key for key in kind.keys if frames is None or key != "pose"]
     index = {key: table.indices(key, names[key], _KNOWN.get(key, f"{key}s")) for key in looked_up}
     if frames is not None:
         index["pose"] = frames.poses(table, index["camera"], names["camera"])
-    numbers = table.numbers(kind.columns, _MISSING)
-    own = "sigma" in table.columns
-    spread = table.numbers(["sigma"], positive=True)[:, 0] if own else np.full(len(numbers), sigma)
+    numbers = table.numbers(kind.columns, _MISSING, positive=kind.positive)
+    usual = sigma if isinstance(sigma, Mapping) else dict.fromkeys(kind.spread_of(), sigma)
+    spread = {
+        name: table.numbers([name], positive=True)[:, 0]
+        if name in table.columns
+        else np.full(len(numbers), usual[name])
+        for name in kind.spread_of()
+    }
+    covariance = _covariances(table) if set(correlated) & set(table.columns) else None
     order = np.lexsort([index[key] for key in reversed(kind.keys)])
     order = order[index["pose"][order] >= 0]
     # lexsort is stable: of equal measurements the second comes later in the file.
@@ -214,11 +224,31 @@ def read_measurements(
     for first, second in zip(order[:-1][same].tolist(), order[1:][same].tolist(), strict=True):
         what = ", ".join(f"{key} {table.columns[key][second].strip()!r}" for key in kind.keys)
         raise table.wrong(f"{what} is already in line {first + 2}", second, "pose", "Keep one.")
-    columns = {key: column[order] for key, column in index.items()} | {"sigma": spread[order]}
+    columns = {key: column[order] for key, column in index.items()} | {name: of[order] for name, of in spread.items()}
     if kind.array:
         columns[kind.array] = numbers[order]
     own_names = {key: of for key, of in names.items() if key not in _KNOWN}
-    return MeasurementTable(table, frozen(order, np.intp), kind(**columns, names=own_names), names)  # type: ignore[arg-type]
+    measured: Measurement
+    if covariance is None:
+        measured = kind(**columns, names=own_names)  # type: ignore[arg-type]
+    else:
+        measured = CorrelatedPoints.of_spread(covariance[order], **columns)
+    return MeasurementTable(table, frozen(order, np.intp), measured, names)
+
+
+def _covariances(table: Table) -> Floats:
+    """The covariances of points, (rows, 6) as in ``SPREAD``; each positive definite. [m^2]."""
+    missing = [name for name in SPREAD if name not in table.columns]
+    if missing or "sigma" in table.columns:
+        what = f"the columns are missing: {', '.join(missing)}" if missing else "sigma and a covariance say the same"
+        remedy = f"Write sigma, or {', '.join(SPREAD)}: a covariance in m^2."
+        raise SessionError(what, where=f"{table.path}:1", remedy=remedy)
+    found = table.numbers(SPREAD, _MISSING)
+    least = np.linalg.eigvalsh(found[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]])[:, 0]
+    for row in np.flatnonzero(least <= 0.0)[:1].tolist():
+        what = "the covariance is not positive definite: along some direction its variance is none"
+        raise table.wrong(what, row, "sxx", f"Write {', '.join(SPREAD)} in m^2.")
+    return found
 
 
 def read_log(path: Path, chain: Mechanism, robot_joints: Collection[str]) -> tuple[JointTable, JointLog]:

@@ -6,12 +6,14 @@ import csv
 import secrets
 import shutil
 from contextlib import ExitStack, contextmanager
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from urdfcal.errors import OutputError
+from urdfcal.estimation.measurements.points import SPREAD, CorrelatedPoints
 from urdfcal.files import told
 from urdfcal.names import check_names
 from urdfcal.robot.gravity import STANDARD_GRAVITY
@@ -23,10 +25,12 @@ from urdfcal.session.trajectory import Trajectory
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
+    from urdfcal.arrays import Floats
     from urdfcal.robot.urdf.urdf import Urdf
     from urdfcal.session.attachments import CameraMount
     from urdfcal.session.measurements import Measurements
     from urdfcal.session.model import Positions
+    from urdfcal.session.target import Target
 
 _SESSION = "session.yaml"
 _CAMERAS, _JOINTS, _FRAMES = "cameras.yaml", "joints.csv", "frames.csv"
@@ -84,7 +88,7 @@ def put_into(folder: Path) -> Iterator[Path]:
 
 
 def write_measurements(path: Path, positions: Positions, table: Measurements) -> None:
-    """Write a table of measurements; a column of sigmas only where they differ from the usual one.
+    """Write a table of measurements; sigmas only where they differ from the usual one, covariances where there are.
 
     Args:
         path: the file.
@@ -93,11 +97,15 @@ def write_measurements(path: Path, positions: Positions, table: Measurements) ->
     """
     labels = [positions.label(k) for k in range(len(positions.poses))]
     names = {"pose": labels, "camera": positions.rig.names, "led": positions.led_names, **table.names}
-    own = [table.sigma.tolist()] if np.any(table.sigma != positions.noise.of(type(table))) else []
+    names["target"] = [target.name for target in positions.targets]
+    usual = positions.noise.spreads(type(table))
+    own = {name: of.tolist() for name in usual if np.any((of := getattr(table, name)) != usual[name])}
+    if isinstance(table, CorrelatedPoints):
+        own = dict(zip(SPREAD, table.spread.T.tolist(), strict=True))
     columns = [[names[key][i] for i in index] for key, index in table.index.items()]
-    header = [*table.keys, *table.columns, *(["sigma"] if own else [])]
+    header = [*table.keys, *table.columns, *own]
     numbers = table.values.T.tolist() if table.columns else []
-    write_table(path, header, [*columns, *numbers, *own])
+    write_table(path, header, [*columns, *numbers, *own.values()])
 
 
 def _already_there(path: Path) -> OutputError:
@@ -132,7 +140,9 @@ def _write_files(folder: Path, session: Positions, urdf: Urdf) -> None:
     content: dict[str, Any] = {
         "robot": {"urdf": reference, "base_link": chain.base_link, "tip_link": chain.tip_link},
         "leds": {led.name: _said(link=led.link, position=led.position, sigma=led.sigma) for led in session.leds},
+        "targets": {target.name: _target_keys(target) for target in session.targets},
         "led_distances": [vars(of) | {"leds": list(of.leds)} for of in session.led_distances],
+        "place_distances": [vars(of) | {"places": list(of.places)} for of in session.place_distances],
     }
     if session.rig.cameras:
         mounts = {mount.camera: _mount_keys(mount) for mount in session.mounts}
@@ -192,13 +202,26 @@ def _said(**keys: Any) -> dict[str, Any]:
 
 
 def _mount_keys(mount: CameraMount) -> dict[str, Any]:
-    T, sigma = mount.T_link_camera, mount.sigma
+    return {"link": mount.link, **_place_keys(mount.T_link_camera, mount.sigma, f"camera {mount.camera!r}")}
+
+
+def _target_keys(target: Target) -> dict[str, Any]:
+    pattern = {entry.name: getattr(target.pattern, entry.name) for entry in fields(target.pattern)}  # type: ignore[arg-type]
+    if "tags" in pattern:
+        pattern["tags"] = {number: _said(**vars(place)) for number, place in pattern["tags"].items()}
+    pattern = {key: list(value) if isinstance(value, tuple) else value for key, value in pattern.items()}
+    scale = None if target.scale_sigma is None else {"sigma": target.scale_sigma}
+    place = _place_keys(target.T_link_target, target.sigma, f"target {target.name!r}")
+    return {**_said(kind=target.pattern.kind, **pattern, link=target.link, scale=scale), **place}
+
+
+def _place_keys(T: Floats | None, sigma: Floats | None, where: str) -> dict[str, Any]:
     if sigma is not None and not np.array_equal(sigma, np.repeat(sigma[::3], 3)):
         what = f"the standard deviations of its place differ by direction: {sigma.tolist()}"
         remedy = "session.yaml has one for its position and one for its turn: give three and three alike."
-        raise OutputError(what, where=f"camera {mount.camera!r}", remedy=remedy)
+        raise OutputError(what, where=where, remedy=remedy)
     place = {} if T is None else {"position": T[:3, 3], "rpy": matrix_to_rpy(T[:3, :3])}
-    return _said(link=mount.link, **place, sigma=None if sigma is None else sigma[::3])
+    return _said(**place, sigma=None if sigma is None else sigma[::3])
 
 
 def write_table(path: Path, header: Sequence[str], columns: Iterable[Sequence[object]]) -> None:

@@ -111,8 +111,9 @@ class Document:
             errors = error.errors()
         # A misspelt key is unknown and, under its right name, missing: the first says more.
         first = min(errors, key=lambda error: error["type"] != "extra_forbidden")
-        keys = [key for key in first["loc"] if key != "[key]"]  # of a mapping, pydantic's
-        what, remedy = _explained(first, _allowed(model, keys))
+        what, remedy = _explained(first, _allowed(model, first["loc"]))
+        # Pydantic's own: [key] of a mapping, and the kinds of which one is meant.
+        keys = [key for key in first["loc"] if not str(key).startswith("[")]
         if len(errors) > 1:
             what += f" (and {len(errors) - 1} more to put right)"
         raise SessionError(what, where=self.place(*keys), remedy=remedy)
@@ -151,17 +152,21 @@ def _explained(error: ErrorDetails, allowed: Sequence[str]) -> tuple[str, str]:
 
 def _allowed(model: type[BaseModel], keys: Sequence[str | int]) -> list[str]:
     """The keys that the mapping holding ``keys[-1]`` may have."""
+    choices = [model]
     for key in keys[:-1]:
-        if key in model.model_fields:
-            model = _model_in(model.model_fields[str(key)].annotation) or model
-    return list(model.model_fields)
+        if key in choices[0].model_fields:
+            choices = list(_models_in(choices[0].model_fields[str(key)].annotation)) or choices
+        elif str(key).startswith("["):
+            kind = str(key)[1:-1]
+            choices = [of for of in choices if kind in get_args(of.model_fields["kind"].annotation)] or choices
+    return list(choices[0].model_fields)
 
 
-def _model_in(annotation: Any) -> type[BaseModel] | None:
+def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    inner = (_model_in(argument) for argument in get_args(annotation))
-    return next((model for model in inner if model), None)
+        yield annotation
+    for argument in get_args(annotation):
+        yield from _models_in(argument)
 
 
 def _child(node: yaml.Node, key: str | int) -> tuple[yaml.Node, yaml.Mark] | None:

@@ -76,6 +76,8 @@ def claims(document: ResultData) -> tuple[str, ...]:
     if (declared := scale["declared_sigma"]) is not None:
         known = f"the scale is known to {1e2 * declared:.2g} %, which is in the interval"
         return expected, f"{known}: 0.1 % of it is {permille:.2g} mm at the tip{factor}"
+    if scale.get("unit") == "distances":
+        return expected, f"if the known distances are right: 0.1 % of them is {permille:.2g} mm at the tip{factor}"
     return expected, f"if the scale is right: 0.1 % of it is {permille:.2g} mm at the tip{factor}"
 
 

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.estimation.measurements import Points
 from urdfcal.estimation.snapshot import Snapshot
 
 if TYPE_CHECKING:
@@ -68,9 +67,9 @@ class ResidualTable:
         scale: what residuals are multiplied by to be in that unit.
         components: the name of each component.
         by_camera: whether cameras measured.
-        in_world: whether the numbers are the LED's position in the world.
+        in_world: whether the numbers are a position in the world.
         pose: (S,) index of the pose.
-        led: (S,) index of the LED.
+        led: (S,) index of the LED, or behind all of them of the target.
         camera: (S,) index of the camera; -1 for points.
         measured: (S, D) in px of the camera, m in the world, or the kind's own unit.
         sigma: (S,) standard deviation of each component.
@@ -121,9 +120,11 @@ class ResidualTable:
 
 def measurements_of(calibration: FittedCalibration) -> tuple[ResidualTable, ...]:
     """Bring the calibration's blocks of observations, and what became of them, into tables."""
-    fit, tables = calibration.fit, []
+    fit, tables, problem = calibration.fit, [], calibration.problem
     for index, block in enumerate(calibration.observations):
-        rows, (unit, scale) = block.valid, block.table.report
+        rows, (unit, scale), lengths = block.valid, block.table.report, block.table.lengths
+        measured = problem.seen(block, fit.state)[rows]
+        bodies = len(calibration.session.led_names) + block.index.get("target", block.row)
         size, size_nominal = (
             solution.norms[index][rows] / np.sqrt(block.dimension) for solution in (fit, calibration.nominal_fit)
         )
@@ -131,16 +132,16 @@ def measurements_of(calibration: FittedCalibration) -> tuple[ResidualTable, ...]
             ResidualTable(
                 unit=unit,
                 scale=scale,
-                components=block.table.columns,
+                components=block.table.components(),
                 by_camera="camera" in block.index,
-                in_world=isinstance(block.table, Points),
+                in_world="camera" not in block.index and measured.shape[1] == 3,
                 pose=np.broadcast_to(block.pose[:, None], rows.shape)[rows],
-                led=block.index["led"][rows],
+                led=block.index.get("led", bodies)[rows],
                 camera=block.index.get("camera", np.full_like(block.row, -1))[rows],
-                measured=block.value[rows],
+                measured=measured,
                 sigma=np.sqrt(block.covariance[rows][:, 0, 0]),
-                predicted=calibration.problem.predict(block, fit.state)[rows],
-                nominal=calibration.problem.predict(block, calibration.nominal_fit.state)[rows],
+                predicted=measured + problem.residual(block, fit.state)[rows][:, lengths],
+                nominal=measured + problem.residual(block, calibration.nominal_fit.state)[rows][:, lengths],
                 size=size,
                 size_nominal=size_nominal,
                 outlier=fit.outlier[index][rows],

@@ -106,7 +106,12 @@ def build_scene(calibration: FittedCalibration) -> CalibrationScene:
     tables = fitted.measurements_of(calibration)
     pixels = next((table for table in tables if table.by_camera), None)
     rays = _rays(pixels, arm, poses) if pixels else np.zeros((0, 2, 3))
-    parts = [_leds(block, arm, session.attachments, rays, poses, nominal_leds) for block in tables]
+    parts = [
+        _bodies(block, poses)
+        if block.led.min() >= len(arm.leds)
+        else _leds(block, arm, session.attachments, rays, poses, nominal_leds)
+        for block in tables
+    ]
     leds = parts[0] if len(parts) == 1 else _merged(parts)
     apart = np.linalg.norm(nominal[..., :3, 3] - poses.frames[..., :3, 3], axis=-1).mean(axis=0).max()
     dh = dh_frames(table, arm.row_offsets, poses.frames)
@@ -234,6 +239,16 @@ def _moved(T_a_b: Floats, points: Floats, covariances: Floats) -> tuple[Floats, 
     """Points (M, 3) with covariances (M, 3, 3) by transforms (M, 4, 4)."""
     R = T_a_b[:, :3, :3]
     return (R @ points[..., None])[..., 0] + T_a_b[:, :3, 3], R @ covariances @ np.swapaxes(R, 1, 2)
+
+
+def _bodies(block: ResidualTable, poses: RobotPoses) -> LedTable:
+    """Show the origins of targets whose poses were measured as LEDs are."""
+    T_base_world = poses.T_base_frame[0, block.pose]
+    covariance = block.sigma[:, None, None] ** 2 * np.eye(3)
+    measured, covariance = _moved(T_base_world, block.measured, covariance)
+    predicted, nominal = (_moved(T_base_world, of, covariance)[0] for of in (block.predicted, block.nominal))
+    own = (block.size, block.size_nominal, block.outlier)
+    return LedTable(block.pose, block.led, measured, predicted, nominal, *own, covariance)
 
 
 def _merged(parts: list[LedTable]) -> LedTable:

@@ -59,7 +59,7 @@ def log_texts(base: Layer, overview: Overview) -> None:
 def _about(overview: Overview) -> list[str]:
     """For each pose its residuals in space, and what colours and enlarged things mean."""
     scene, session = overview.scene, overview.calibration.session
-    poses, names, leds = session.poses, session.led_names, scene.leds
+    poses, names, leds = session.poses, (*session.led_names, *session.attachments.targets), scene.leds
     new, old = (1e3 * np.linalg.norm(of - leds.measured, axis=1) for of in (leds.predicted, leds.nominal))
     lines: list[list[str]] = [[] for _ in poses]
     for m, (pose, led, cut) in enumerate(zip(leds.pose, leds.led, leds.outlier, strict=True)):

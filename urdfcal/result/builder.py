@@ -13,6 +13,8 @@ from urdfcal.estimation.blocks.arm import LENGTHS
 from urdfcal.estimation.blocks.base_pose import BASE, base_keys
 from urdfcal.estimation.blocks.cameras import lens_key, pose_key
 from urdfcal.estimation.blocks.leds import LEDS
+from urdfcal.estimation.blocks.places import PLACES
+from urdfcal.estimation.blocks.planes import PLANES
 from urdfcal.estimation.joint_models.time_offset import TIME_OFFSETS
 from urdfcal.estimation.measurements.pixels import triangulate
 from urdfcal.estimation.model_selection import Trial
@@ -26,6 +28,8 @@ from urdfcal.rotations import matrix_to_rpy
 from urdfcal.session.moves import BASE_LINK as BASE_PART
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from urdfcal.arrays import Bools, Floats
     from urdfcal.estimation.observations import Observations
     from urdfcal.result.fitted import FittedCalibration
@@ -35,7 +39,8 @@ if TYPE_CHECKING:
 def build_document(of: FittedCalibration) -> d.ResultDocument:
     """Collect everything that a fitted calibration says."""
     parameters = _parameters(of)
-    listed: dict[str, Any] = {"parameters": parameters} if parameters else {}  # absent where there are none
+    parts = {"places": _places(of), "planes": _planes(of), "parameters": parameters}
+    listed: dict[str, Any] = {key: part for key, part in parts.items() if part}  # absent where there are none
     named = of.session.excluded.named
     excluded: dict[str, Any] = {"excluded": named} if named else {}
     return d.ResultDocument(
@@ -170,13 +175,14 @@ def _sessions(of: FittedCalibration) -> dict[str, Any]:
     """Where each of several sessions has its base, and how well it fits; absent of one alone."""
     session, entries = of.session, {}
     for k, (name, key) in enumerate(zip(session.parts, base_keys(session.parts), strict=True)):
-        residuals, things = [], {"led": set[int](), "camera": set[int]()}
+        residuals: list[d.ResidualEntry] = []
+        things = {"led": set[int](), "camera": set[int]()}
         for block, kept in zip(of.observations, of.fit.kept, strict=True):
             used = kept & (block.readings.part == k)[:, None]
             for kind in things.keys() & block.index.keys():
                 things[kind].update(np.unique(block.index[kind][used]).tolist())
             if used.any():
-                residuals.append(_residual(of, block, used))
+                residuals += _residuals(of, block, used)
         entries[name or BASE_PART] = d.SessionEntry(
             T_world_base=of.fit.state[key].tolist(),
             T_world_base_sigma=_known(of.sigmas_of(key)),
@@ -188,13 +194,12 @@ def _sessions(of: FittedCalibration) -> dict[str, Any]:
     return {"sessions": entries} if len(entries) > 1 else {}
 
 
-def _residual(of: FittedCalibration, block: Observations, used: Bools) -> d.ResidualEntry:
-    """The rms of some residuals of one kind of measurement, nominal and calibrated."""
-    unit, scale = block.table.report
-    nominal, calibrated = (
-        scale * _rms(of.problem.residual(block, state)[used]) for state in (of.nominal_fit.state, of.fit.state)
-    )
-    return d.ResidualEntry(kind=block.table.kind, unit=unit, rms_nominal=nominal, rms=calibrated)
+def _residuals(of: FittedCalibration, block: Observations, used: Bools) -> Iterator[d.ResidualEntry]:
+    """The rms of some residuals of one kind of measurement, nominal and calibrated, in each unit that it has."""
+    both = [of.problem.residual(block, state)[used] for state in (of.nominal_fit.state, of.fit.state)]
+    for unit, scale, numbers in block.table.reports():
+        nominal, calibrated = (scale * _rms(residual[:, numbers]) for residual in both)
+        yield d.ResidualEntry(kind=block.table.kind, unit=unit, rms_nominal=nominal, rms=calibrated)
 
 
 def _leds(of: FittedCalibration) -> dict[str, d.LedEntry]:
@@ -206,6 +211,24 @@ def _leds(of: FittedCalibration) -> dict[str, d.LedEntry]:
             sigma=[0.0, 0.0, 0.0] if led.sigma == 0.0 else _known(sigmas[i]),
         )
     return result
+
+
+def _places(of: FittedCalibration) -> dict[str, d.PlaceEntry]:
+    sigmas = of.sigmas_of(PLACES).reshape(-1, 3)
+    return {
+        name: d.PlaceEntry(position=of.fit.state[PLACES][k].tolist(), sigma=_known(sigmas[k]))
+        for k, name in enumerate(of.session.named("place"))
+    }
+
+
+def _planes(of: FittedCalibration) -> dict[str, d.PlaneEntry]:
+    sigmas = of.sigmas_of(PLANES).reshape(-1, 3)
+    return {
+        name: d.PlaneEntry(
+            normal=of.fit.state[PLANES][k, :3].tolist(), offset=of.fit.state[PLANES][k, 3], sigma=_known(sigmas[k])
+        )
+        for k, name in enumerate(of.session.named("plane"))
+    }
 
 
 def _camera(of: FittedCalibration, c: int) -> d.CameraEntry:
@@ -243,10 +266,10 @@ def _fit(of: FittedCalibration) -> d.FitSection:
         rms = {f"rms_{p}mm": 1e3 * _rms(of.problem.residual(points, state)[used]) for p, state in states.items()}
     residuals = []
     for block, kept in zip(of.observations, fit.kept, strict=True):
-        found = _residual(of, block, kept)
-        residuals.append(found)
-        if found.unit in ("px", "mm"):
-            rms = {f"rms_nominal_{found.unit}": found.rms_nominal, f"rms_{found.unit}": found.rms} | rms
+        for found in _residuals(of, block, kept):
+            residuals.append(found)
+            if found.unit in ("px", "mm"):
+                rms = {f"rms_nominal_{found.unit}": found.rms_nominal, f"rms_{found.unit}": found.rms} | rms
     return d.FitSection(
         poses=len(of.session.poses),
         observations=fit.observations,
@@ -304,6 +327,7 @@ def _evidence(of: FittedCalibration) -> dict[str, Any]:
             factor=scale.factor,
             factor_sigma=scale.sigma if np.isfinite(scale.sigma) else None,
             declared_sigma=scale.declared,
+            unit=scale.unit,
         ),
         "noise": {
             noise.name: e.NoiseEntry(
@@ -331,14 +355,17 @@ def _outliers(of: FittedCalibration) -> list[d.OutlierEntry]:
     """The measurements taken out of the fit: pose, camera, LED and residual (px, or mm for points)."""
     found = []
     for block, cut, norms in zip(of.observations, of.fit.outlier, of.fit.norms, strict=True):
-        residual, (_, scale) = of.problem.residual(block, of.fit.state), block.table.report
+        (_, scale, numbers), *_ = block.table.reports()
+        residual = of.problem.residual(block, of.fit.state)[..., numbers]
         cameras = block.index.get("camera")
+        key = "led" if "led" in block.index else "target"
+        names = of.session.led_names if key == "led" else of.session.attachments.targets
         for group, slot in np.argwhere(cut):
             found.append(
                 d.OutlierEntry(
                     pose=of.session.poses[block.pose[group]],
                     camera=None if cameras is None else of.estimate.cameras[cameras[group, slot]].name,
-                    led=of.session.leds[block.index["led"][group, slot]].name,
+                    led=names[block.index[key][group, slot]],
                     residual=scale * float(np.linalg.norm(residual[group, slot])),
                     sigmas=float(norms[group, slot]),
                 )

@@ -115,6 +115,21 @@ class LedEntry(Section):
     sigma: Sigmas
 
 
+class PlaceEntry(Section):
+    """The position in the world of something that never moves; where no camera or tracker is it is the base link's."""
+
+    position: Triple
+    sigma: Sigmas
+
+
+class PlaneEntry(Section):
+    """A plane of points p in the world with normal.p = offset; sigma of two tilts in rad, and of the offset in m."""
+
+    normal: Triple
+    offset: float
+    sigma: Sigmas
+
+
 class TimeOffsetEntry(Section):
     """The time offset of a camera's clock, in s; sigma is None where it was fixed."""
 
@@ -285,6 +300,8 @@ class ResultDocument(Section):
     sessions: dict[str, SessionEntry] = Field(default_factory=dict)
     leds: dict[str, LedEntry]
     cameras: dict[str, CameraEntry]
+    places: dict[str, PlaceEntry] = Field(default_factory=dict)
+    planes: dict[str, PlaneEntry] = Field(default_factory=dict)
     parameters: list[ParameterEntry] = Field(default_factory=list)
     fit: FitSection
     verdict: VerdictSection

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
@@ -53,12 +53,13 @@ class RegionsSection(Section):
 
 
 class ScaleSection(Section):
-    """What 0.1 % of the instrument's length unit is at the tip, and the common factor of all lengths. [mm, 1]."""
+    """What 0.1 % of the length unit is at the tip, whose unit it is, and the common factor of all lengths. [mm, 1]."""
 
     tip_mm_per_permille: float
     factor: float
     factor_sigma: float | None
     declared_sigma: float | None = None
+    unit: Literal["instrument", "distances", "nothing"] = "instrument"
 
 
 class NoiseEntry(Section):

@@ -1,4 +1,4 @@
-"""What LEDs and cameras are attached to: links of the robot, or the world."""
+"""What LEDs, targets and cameras are attached to: links of the robot, or the world."""
 
 from __future__ import annotations
 
@@ -7,15 +7,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import Floats, Ints, frozen, inverse, keep
+from urdfcal.arrays import Floats, Ints, frozen, inverse
 from urdfcal.errors import SessionError
 from urdfcal.robot.mechanism import Tip  # noqa: TC001  # a field's type
+from urdfcal.session.place import check_place
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from urdfcal.cameras.rig import Rig
     from urdfcal.robot.mechanism import Mechanism
+    from urdfcal.session.target import Target
 
 WORLD = "world"
 """Stands for no link: what neither moves with the robot nor is part of it."""
@@ -43,31 +45,24 @@ class CameraMount:
         if self.link == WORLD:
             remedy = "Name the camera file alone: T_cn_cnm1 says where it stands, or it is estimated."
             raise SessionError("a camera that stands in the world is on no link", where=where, remedy=remedy)
-        if self.T_link_camera is not None:
-            T = frozen(self.T_link_camera)
-            R = T[:3, :3] if T.shape == (4, 4) else np.zeros((3, 3))
-            if not np.allclose(R @ R.T, np.eye(3), rtol=0.0, atol=1e-9) or np.linalg.det(R) < 0.0:
-                raise SessionError("T_link_camera is no rigid 4 x 4 transform", where=where)
-            keep(self, T_link_camera=T)
-        if self.sigma is not None:
-            sigma = frozen(self.sigma)
-            if self.T_link_camera is None:
-                raise SessionError("sigma is given without a place", where=where)
-            if sigma.shape != (6,) or not np.all(np.isfinite(sigma) & (sigma > 0.0)):
-                raise SessionError(f"sigma is {sigma.tolist()}, not six positive numbers", where=where)
-            keep(self, sigma=sigma)
+        check_place(self, "T_link_camera", where, exact=False)
 
 
 @dataclass(frozen=True, eq=False)
 class Attachments:
-    """The frames that LEDs and cameras are fixed in: 0 is the world, the others are links.
+    """The frames that LEDs, targets and cameras are fixed in: 0 is the world, then links, then the targets themselves.
 
-    The world is the frame of the first eye-to-hand camera, or of the tracker; where all cameras are eye-in-hand it is
-    the base link's. Of a session of parts each has its world, and frame 0 is that of the pose's part.
+    A target is a frame that moves with its carrier, a link or the world; its points are fixed in it and are counted
+    after the LEDs, so that whatever measures LEDs measures them, too. The world is the frame of the first eye-to-hand
+    camera, or of the tracker; where all cameras are eye-in-hand it is the base link's. Of a session of parts each has
+    its world, and frame 0 is that of the pose's part.
 
     Attributes:
         tips: the links of frames 1, 2, ...
-        led: (L,) frame of each LED.
+        targets: names of the T targets, which are the frames after these.
+        carrier: (F,) frame that each frame moves with: itself, or of a target the world or a link.
+        led: (L + M,) frame of each LED and of each target's points.
+        target_points: (M, 3) each in its target's frame. [m]
         cameras: names of the C cameras.
         camera: (C,) frame of each camera.
         reference: (C,) for each camera the first one in the same frame: its pose is known relative to that one's.
@@ -78,7 +73,10 @@ class Attachments:
     """
 
     tips: tuple[Tip, ...]
+    targets: tuple[str, ...]
+    carrier: Ints
     led: Ints
+    target_points: Floats
     cameras: tuple[str, ...]
     camera: Ints
     reference: Ints
@@ -89,8 +87,18 @@ class Attachments:
 
     @property
     def frames(self) -> tuple[str, ...]:
-        """The name of each frame: the world, or a link."""
-        return (WORLD, *(tip.link for tip in self.tips))
+        """The name of each frame: the world, a link, or a target."""
+        return (WORLD, *(tip.link for tip in self.tips), *self.targets)
+
+    @property
+    def first_target(self) -> int:
+        """The frame of the first target; the others follow."""
+        return 1 + len(self.tips)
+
+    @property
+    def carried(self) -> Iterator[tuple[str, int]]:
+        """Each target's name, and the frame that carries it."""
+        return zip(self.targets, self.carrier[self.first_target :].tolist(), strict=True)
 
     @property
     def eye_to_hand(self) -> Ints:
@@ -114,15 +122,17 @@ class Attachments:
 def attach(
     mechanism: Mechanism,
     led_links: Sequence[str | None],
+    targets: Sequence[Target],
     rig: Rig,
     mounts: Mapping[str, CameraMount],
     parts: Sequence[str] = ("",),
 ) -> Attachments:
-    """Sort LEDs and cameras by what they are attached to.
+    """Sort LEDs, targets and cameras by what they are attached to.
 
     Args:
         mechanism: the robot.
         led_links: a link for each LED, or "world"; None for the tip link.
+        targets: rigid bodies with points.
         rig: the cameras.
         mounts: of the eye-in-hand ones, by name.
         parts: the names of the session's parts.
@@ -132,14 +142,16 @@ def attach(
         SessionError: nothing is on the robot, a camera's pose is given by one in another frame, or on its link though
             its reference camera gives it there.
     """
-    led_at = [link or mechanism.tip_link for link in led_links]
+    led_at, target_at = ([link or mechanism.tip_link for link in of] for of in (led_links, [t.link for t in targets]))
     camera_at = [mounts[name].link if name in mounts else WORLD for name in rig.names]
-    names = list(dict.fromkeys([WORLD, *led_at, *camera_at]))
-    led, camera = ([names.index(link) for link in links] for links in (led_at, camera_at))
+    names = list(dict.fromkeys([WORLD, *led_at, *target_at, *camera_at]))
+    led, carrier, camera = ([names.index(link) for link in links] for links in (led_at, target_at, camera_at))
+    for t, target in enumerate(targets):
+        led += [len(names) + t] * len(target.points)
     together = list(zip(camera, rig.group, strict=True))
     reference = [together.index(of) for of in together]
     if len(names) == 1:
-        raise SessionError("neither an LED nor a camera is on the robot", remedy="Name the link that carries one.")
+        raise SessionError("no LED, target or camera is on the robot", remedy="Name the link that carries one.")
     T_cam_reference: list[Floats | None] = []
     T_reference_frame: list[Floats | None] = []
     for c, (name, first) in enumerate(zip(rig.names, reference, strict=True)):
@@ -159,7 +171,10 @@ def attach(
         T_reference_frame.append(None if given is None else inverse(given))
     return Attachments(
         tuple(mechanism.tip(name) for name in names[1:]),
+        tuple(target.name for target in targets),
+        frozen([*range(len(names)), *carrier], np.intp),
         frozen(led, np.intp),
+        frozen(np.concatenate([np.zeros((0, 3)), *(target.points for target in targets)])),
         tuple(rig.names),
         frozen(camera, np.intp),
         frozen(reference, np.intp),

@@ -63,6 +63,12 @@ def combine(sessions: Mapping[str, Session]) -> Session:
     own: dict[str, Any] = {
         "chain": _arm(parts),
         "leds": tuple(replace(led, name=f"{name}/{led.name}") for name, of in parts.items() for led in of.leds),
+        "targets": tuple(replace(of, name=f"{name}/{of.name}") for name, part in parts.items() for of in part.targets),
+        "place_distances": tuple(
+            replace(known, places=(f"{name}/{known.places[0]}", f"{name}/{known.places[1]}"))
+            for name, of in parts.items()
+            for known in of.place_distances
+        ),
         "led_distances": tuple(
             replace(distance, leds=(f"{name}/{distance.leds[0]}", f"{name}/{distance.leds[1]}"))
             for name, of in parts.items()
@@ -213,10 +219,12 @@ class _JoinedCameras:
 def _tables(parts: Mapping[str, Session], cameras: Sequence[Ints]) -> tuple[Measurements, ...]:
     """All measurements of each kind in one table, things numbered anew."""
     found: dict[type[Measurements], list[Measurements]] = {}
-    poses, leds = (
-        np.cumsum([0, *counts])
-        for counts in zip(*((len(of.poses), len(of.leds)) for of in parts.values()), strict=True)
-    )
+    every = list(parts.values())
+    poses, targets = (np.cumsum([0, *map(len, of)]) for of in ([s.poses for s in every], [s.targets for s in every]))
+    # The tables count the LEDs of all sessions first, then the points of all targets.
+    own_leds = [np.arange(len(of.led_names)) < len(of.leds) for of in every]
+    order = np.argsort(~np.concatenate(own_leds), kind="stable")
+    leds = np.split(np.argsort(order), np.cumsum([len(of) for of in own_leds])[:-1])
     named: dict[tuple[type[Measurements], str], list[str]] = {}
     for k, (name, of) in enumerate(parts.items()):
         for table in of.measurements:
@@ -224,7 +232,9 @@ def _tables(parts: Mapping[str, Session], cameras: Sequence[Ints]) -> tuple[Meas
             for key in table.keys[1:]:
                 column = table.index[key]
                 if key == "led":
-                    columns[key] = column + leds[k]
+                    columns[key] = leds[k][column]
+                elif key == "target":
+                    columns[key] = column + targets[k]
                 elif key == "camera":
                     columns[key] = cameras[k][column]
                 else:

@@ -103,9 +103,10 @@ def leave_out(session: Session, excluded: Excluded) -> Session:
     gone["led"] -= {i for i, name in enumerate(session.led_names) if name in at_a_distance}
     if any(T is not None and c not in gone["camera"] for c, T in list(enumerate(session.rig.T_cam_world))[1:]):
         gone["camera"].discard(0)
+    gone["led"] -= set(range(len(session.leds), len(session.led_names)))  # a target stays whole
     poses, cameras, leds = (
-        np.array([i for i in range(count) if i not in gone[key]], dtype=np.intp)
-        for key, count in (("pose", len(session.poses)), ("camera", len(session.rig.names)), ("led", len(session.leds)))
+        np.array([i for i in range(len(names)) if i not in gone[key]], dtype=np.intp)
+        for key, names in (("pose", session.poses), ("camera", session.rig.names), ("led", session.led_names))
     )
     if len(poses) < MIN_POSES:
         raise SessionError(f"it leaves {len(poses)} poses, which are too few", where="exclude")
@@ -123,7 +124,7 @@ def restored(session: Session) -> Session:
     if excluded.whole is None:
         return session
     again = leave_out(excluded.whole, excluded)
-    known = ("noise", "tolerances", "estimate", "joint_models", "led_distances", "scale_sigma")
+    known = ("noise", "tolerances", "estimate", "joint_models", "led_distances", "place_distances", "scale_sigma")
     settings = (*known, "payload", "gravity", "gear_ratio", "folder", "sha256", "warnings")
     if not same(session, again, {*settings, "excluded"}):
         return replace(session, excluded=Excluded())
@@ -137,7 +138,7 @@ def _measured(tables: Iterable[Measurements], key: str) -> set[int]:
 
 
 def _of(session: Session, cameras: Ints, leds: Ints, excluded: Excluded) -> Session:
-    """The session of some cameras and LEDs, which are all that have measurements."""
+    """The session of some cameras and LEDs, which are all that have measurements, and of all targets."""
     rig, motion = session.rig.at(cameras), session.motion
     if isinstance(motion, Trajectory):
         frames = tuple(motion.frames[c] for c in cameras)
@@ -156,7 +157,7 @@ def _of(session: Session, cameras: Ints, leds: Ints, excluded: Excluded) -> Sess
         rig=rig,
         moved={what: labels for what, labels in session.moved.items() if what in things},
         mounts=tuple(mount for mount in session.mounts if mount.camera in rig.names),
-        leds=tuple(session.leds[i] for i in leds),
+        leds=tuple(session.leds[i] for i in leds if i < len(session.leds)),
         estimate=Estimate(
             estimate.geometry,
             _only(estimate.intrinsics, rig.names),

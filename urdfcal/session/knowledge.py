@@ -67,10 +67,35 @@ class LedDistance:
     sigma: float
 
     def __post_init__(self) -> None:
-        where = f"distance of LEDs {self.leds[0]!r} and {self.leds[1]!r}"
-        if self.leds[0] == self.leds[1]:
-            raise SessionError("an LED has no distance to itself", where=where)
-        _keep_numbers(self, where, "distance", "sigma")
+        _check_distance(self, "LED", self.leds)
+
+    @property
+    def between(self) -> tuple[str, str]:
+        """The names of its ends."""
+        return self.leds
+
+
+@dataclass(frozen=True)
+class PlaceDistance:
+    """The known distance of two places, as of sockets in one plate.
+
+    Attributes:
+        places: the two.
+        distance: between them. [m]
+        sigma: how well it is known, one standard deviation. [m]
+    """
+
+    places: tuple[str, str]
+    distance: float
+    sigma: float
+
+    def __post_init__(self) -> None:
+        _check_distance(self, "place", self.places)
+
+    @property
+    def between(self) -> tuple[str, str]:
+        """The names of its ends."""
+        return self.places
 
 
 @dataclass(frozen=True)
@@ -105,6 +130,11 @@ class Noise:
         """Return the standard deviation of a kind of measurement, in its unit; its usual one where nothing is said."""
         declared = self.said(kind.noise)
         return kind.usual if declared is None else declared
+
+    def spreads(self, kind: type[Measurements]) -> dict[str, float]:
+        """Return the standard deviation of each of a kind's fields of them, its usual one where nothing is said."""
+        said = {name: (self.said(of.noise), of.usual) for name, of in kind.spread_of().items()}
+        return {name: usual if declared is None else declared for name, (declared, usual) in said.items()}
 
     @property
     def reading(self) -> float:
@@ -172,25 +202,6 @@ class Tolerances:
 
 
 @dataclass(frozen=True, eq=False)
-class Stand:
-    """Where a camera stands and looks.
-
-    Attributes:
-        position: (3,) in the base link's frame. [m]
-        look_at: (3,) point on its optical axis, in the base link's frame. [m]
-    """
-
-    position: Floats
-    look_at: Floats
-
-    def __post_init__(self) -> None:
-        places = {name: finite_array(getattr(self, name), (3,), name, "stand") for name in ("position", "look_at")}
-        keep(self, **places)
-        if np.array_equal(self.position, self.look_at):
-            raise SessionError("the camera looks at its own place", where="stand")
-
-
-@dataclass(frozen=True, eq=False)
 class Payload:
     """What the arm carries beside its own links.
 
@@ -252,6 +263,13 @@ class Excluded:
 
 def _numbers(values: Mapping[str, float], where: str, *, zero: bool = False) -> ReadOnly[str, float]:
     return ReadOnly({str(name): finite_number(value, name, where, zero=zero) for name, value in values.items()})
+
+
+def _check_distance(distance: object, what: str, ends: tuple[str, str]) -> None:
+    where = f"distance of {what}s {ends[0]!r} and {ends[1]!r}"
+    if ends[0] == ends[1]:
+        raise SessionError(f"{'an' if what == 'LED' else 'a'} {what} has no distance to itself", where=where)
+    _keep_numbers(distance, where, "distance", "sigma")
 
 
 def _keep_numbers(declared: object, where: str, *names: str, zero: bool = False) -> None:

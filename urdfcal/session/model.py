@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, TypeVar, get_args
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,18 +16,8 @@ from urdfcal.names import check_known, check_names
 from urdfcal.robot.gravity import STANDARD_GRAVITY
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.session.attachments import Attachments, CameraMount, attach
-from urdfcal.session.knowledge import (
-    Estimate,
-    Excluded,
-    JointError,
-    Led,
-    LedDistance,
-    Noise,
-    Payload,
-    Stand,
-    Tolerances,
-)
-from urdfcal.session.measurements import Measurements
+from urdfcal.session.knowledge import Estimate, Excluded, Led, LedDistance, Noise, Payload, PlaceDistance, Tolerances
+from urdfcal.session.measurements import Kind, Measurements, numbered_alike
 from urdfcal.session.moves import check_moves, moves_at
 from urdfcal.session.trajectory import AT_REST, Motion, Trajectory
 
@@ -38,7 +28,7 @@ if TYPE_CHECKING:
 
     from urdfcal.robot.mechanism import Mechanism
     from urdfcal.robot.urdf.urdf import Urdf
-    from urdfcal.session.knowledge import ErrorSizes
+    from urdfcal.session.target import Target
 
 # Three positions are the fewest that fix a base pose.
 MIN_POSES = 3
@@ -48,8 +38,6 @@ _MIMIC_ROUNDING = 1e-9
 
 # From the poles to the equator it is 9.832 to 9.764; that of some units, axes or signs of payloads is not. [m/s^2]
 _GRAVITY = (9.7, 9.9)
-
-Kind = TypeVar("Kind", bound=Measurements)
 
 
 def before(values: Floats, time: Floats | None) -> Floats:
@@ -68,7 +56,9 @@ class Setup(Rebuilt):
     Attributes:
         chain: the joints that are calibrated; a tree of them where LEDs and cameras are on different links.
         leds: on links of the robot, or in the world.
+        targets: boards, tags and other rigid bodies with points, there as well.
         led_distances: measured between them.
+        place_distances: known between the places that measurements name.
         rig: the cameras; none where something else measures.
         mounts: of the eye-in-hand cameras.
         urdf: the robot description; None for a chain from elsewhere.
@@ -90,8 +80,10 @@ class Setup(Rebuilt):
     """
 
     chain: Mechanism
-    leds: tuple[Led, ...]
+    leds: tuple[Led, ...] = ()
+    targets: tuple[Target, ...] = ()
     led_distances: tuple[LedDistance, ...] = ()
+    place_distances: tuple[PlaceDistance, ...] = ()
     rig: Rig = field(default_factory=Rig)
     mounts: tuple[CameraMount, ...] = ()
     urdf: Urdf | None = None
@@ -110,7 +102,8 @@ class Setup(Rebuilt):
     parts: tuple[str, ...] = ("",)
 
     def __post_init__(self) -> None:
-        keep(self, leds=tuple(self.leds), led_distances=tuple(self.led_distances), mounts=tuple(self.mounts))
+        several = ("leds", "targets", "led_distances", "place_distances", "mounts")
+        keep(self, **{name: tuple(getattr(self, name)) for name in several})
         keep(self, sha256=ReadOnly(self.sha256), joint_models=ReadOnly(self.joint_models))
         keep(self, gravity=finite_array(self.gravity, (3,), "gravity", "gravity"), gear_ratio=ReadOnly(self.gear_ratio))
         self._check_load()
@@ -120,10 +113,11 @@ class Setup(Rebuilt):
         if self.scale_sigma is None:
             keep(self, scale_sigma=self.rig.scale_sigma)
         for name in (name for distance in self.led_distances for name in distance.leds):
-            check_known(name, self.led_names, "LEDs", "led_distances")
-        if not self.leds:
-            raise SessionError("there is no LED", remedy="Name at least one.")
+            check_known(name, [led.name for led in self.leds], "LEDs", "led_distances")
+        if not self.leds and not self.targets:
+            raise SessionError("there is neither an LED nor a target", remedy="Name at least one.")
         check_names("LEDs", self.led_names)
+        check_names("targets", [target.name for target in self.targets])
         rows = rows_of(self.chain).labels if self.tolerances.joints else ()
         for joint in self.tolerances.joints:
             between = f" between {self.chain.base_link!r} and {self.chain.tip_link!r}"
@@ -153,40 +147,14 @@ class Setup(Rebuilt):
 
     @cached_property
     def attachments(self) -> Attachments:
-        """What LEDs and cameras are attached to."""
+        """What LEDs, targets and cameras are attached to."""
         mounts = {mount.camera: mount for mount in self.mounts}
-        return attach(self.chain, [led.link for led in self.leds], self.rig, mounts, self.parts)
+        return attach(self.chain, [led.link for led in self.leds], self.targets, self.rig, mounts, self.parts)
 
-    @property
+    @cached_property
     def led_names(self) -> tuple[str, ...]:
-        """The LEDs' names, in order."""
-        return tuple(led.name for led in self.leds)
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class RigDescription(Setup):
-    """A rig: a setup and where it stands, enough to simulate a session.
-
-    Attributes:
-        stand: of the first camera that stands still; None where all ride on the robot.
-        errors: of the joints of a robot that is simulated.
-    """
-
-    stand: Stand | None = None
-    errors: ErrorSizes = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        keep(self, errors=ReadOnly(self.errors))
-        for name, said in self.errors.items():
-            check_known(name, get_args(JointError), "errors", "errors")
-            for joint in said if isinstance(said, Mapping) else ():
-                check_known(joint, self.chain.actuated, "joints", f"errors.{name}")
-        if self.stand is None and len(self.attachments.eye_to_hand):
-            raise SessionError("where the first camera stands is not given", where="stand")
-        if self.stand is not None and self.mounts and not len(self.attachments.eye_to_hand):
-            remedy = "Leave the key 'stand' out."
-            raise SessionError("no camera stands: all ride on the robot", where="stand", remedy=remedy)
+        """What the tables call the LEDs, then the targets' points, in order."""
+        return (*(led.name for led in self.leds), *(name for of in self.targets for name in of.point_names))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -270,10 +238,11 @@ class Session(Positions):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        keep(self, measurements=tuple(self.measurements), moved=ReadOnly(self.moved))
+        keep(self, measurements=numbered_alike(self.measurements), moved=ReadOnly(self.moved))
         if not self.measurements:
             raise SessionError("there are no measurements", remedy="There is nothing to calibrate from.")
-        counts = {"pose": len(self.poses), "led": len(self.leds), "camera": len(self.rig.cameras)}
+        counts = {"pose": len(self.poses), "led": len(self.led_names), "camera": len(self.rig.cameras)}
+        counts["target"] = len(self.targets)
         for table in self.measurements:
             if "camera" in table.keys and not self.rig.cameras:
                 raise SessionError(f"there are {table.kind}, but no cameras", remedy="Give the session a rig.")
@@ -285,6 +254,18 @@ class Session(Positions):
                 if np.any(table.index["camera"] != self.motion.camera[table.pose]):
                     raise SessionError("a detection is by another camera than its frame", where=table.kind)
         check_moves(self)
+        places = self.named("place")
+        for name in (name for known in self.place_distances for name in known.places if places):
+            check_known(name, places, "places", "place_distances")
+
+    def named(self, key: str) -> tuple[str, ...]:
+        """Return what only tables name under a key, such as places; all tables of the session number it alike."""
+        return next((table.names[key] for table in self.measurements if key in table.names), ())
+
+    def measured_of(self, key: str) -> frozenset[int]:
+        """Return the indices under a key of which there are measurements."""
+        tables = (table.index[key] for table in self.measurements if key in table.index)
+        return frozenset(i for column in tables for i in np.unique(column).tolist())
 
     def find(self, kind: type[Kind]) -> Kind | None:
         """Return the measurements of a kind; None if there are none."""
@@ -328,17 +309,19 @@ class Session(Positions):
     @property
     def undeclared_noise(self) -> frozenset[str]:
         """Keys of ``noise`` of which neither the session nor a table of its measurements says anything."""
-        tables = (table for table in self.measurements if np.all(table.sigma == table.usual))
-        names = (*(table.noise for table in tables), "joint")
-        return frozenset(name for name in names if self.noise.said(name) is None)
+        usual = {
+            of.noise
+            for table in self.measurements
+            for name, of in table.spread_of().items()
+            if np.all(getattr(table, name) == of.usual)
+        }
+        return frozenset(name for name in (*usual, "joint") if self.noise.said(name) is None)
 
     def with_noise(self, sigmas: Mapping[str, float]) -> Self:
         """Return the session with standard deviations for some keys of ``noise``, the tables' own included."""
         own = {name: sigmas[name] for name in ("pixel", "point", "joint") if name in sigmas}
         other = {name: sigma for name, sigma in sigmas.items() if name not in own}
-        tables = (
-            table.with_sigma(sigmas[table.noise]) if table.noise in sigmas else table for table in self.measurements
-        )
+        tables = (table.with_noise(sigmas) for table in self.measurements)
         noise = replace(self.noise, **own, other={**self.noise.other, **other})
         return replace(self, measurements=tuple(tables), noise=noise)
 

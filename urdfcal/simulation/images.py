@@ -18,6 +18,7 @@ from urdfcal.session.trajectory import Trajectory
 from urdfcal.simulation.render import Light, Scenery, Sensor
 from urdfcal.simulation.scene import any_direction
 from urdfcal.simulation.simulate import write_simulated
+from urdfcal.simulation.target_images import target_rows, write_target_images
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -101,8 +102,9 @@ def write_simulated_images(
 ) -> int:
     """Write a session whose detections are still to be made from its images, and the truth beside it.
 
-    Beside truth.urdf and truth.json stands truth_detections.csv: where the LEDs are in the images in which they can
-    be found. Detection and calibration never read it.
+    Beside truth.urdf and truth.json stands truth_detections.csv: where the LEDs, and the points of targets, are in the
+    images in which they can be found. Detection and calibration never read it. With targets, <pose>.png shows them, and
+    LEDs have images of their own.
 
     Args:
         folder: where to; made if need be, in a folder that exists.
@@ -121,21 +123,22 @@ def write_simulated_images(
         OutputError: the folder holds a session or a truth already, or cannot be written.
     """
     session, scene, motion = simulated.session, simulated.truth, simulated.session.motion
-    if video_rate is not None and (not isinstance(motion, Trajectory) or len(session.leds) > 1):
+    if video_rate is not None and (not isinstance(motion, Trajectory) or len(session.led_names) > 1):
         raise SessionError("a video shows a moving arm with one LED", where="simulate", remedy="Write images.")
-    if len(session.attachments.eye_to_hand) < len(scene.cameras):
+    if session.leds and len(session.attachments.eye_to_hand) < len(scene.cameras):
         raise SessionError(
-            "images of eye-in-hand cameras cannot be rendered",
+            "images of LEDs by eye-in-hand cameras cannot be rendered",
             where="simulate",
             remedy="Leave --images out: detections are simulated for them as for any camera.",
         )
-    stage_seed, view_seed = np.random.SeedSequence((simulated.truth.seed, _STREAM)).spawn(2)
+    stage_seed, view_seed, target_seed = np.random.SeedSequence((simulated.truth.seed, _STREAM)).spawn(3)
     sensors = [Sensor(camera.resolution, exposure.bits, exposure.electrons_per_count) for camera in scene.cameras]
     sceneries = _sceneries(scene, exposure, np.random.default_rng(stage_seed))
     outshone = [of.background > sensor.full_well for of, sensor in zip(sceneries, sensors, strict=True)]
-    views = _views(scene, simulated.truth.q, exposure, outshone, view_seed)
+    views = _views(scene, simulated.truth.q, exposure, outshone, view_seed) if session.leds else []
     if isinstance(motion, Trajectory):  # a frame is taken by one camera
         views = [view for view in views if view.camera == motion.camera[view.pose]]
+    count = len(views)
     write_simulated(folder, simulated, detections=False)
 
     def image(view: _View) -> Image:
@@ -153,7 +156,7 @@ def write_simulated_images(
             of_camera, place = [view for view in views if view.camera == c], stage / IMAGES / camera.name
 
             def write(view: _View, place: Path = place) -> None:
-                led = f".{session.led_names[view.led]}" if len(session.leds) > 1 else ""
+                led = f".{session.led_names[view.led]}" if len(session.leds) > 1 or session.targets else ""
                 write_image(place / f"{session.label(view.pose)}{led}.png", image(view))
 
             if video_rate is None:
@@ -163,14 +166,17 @@ def write_simulated_images(
                 place.parent.mkdir(exist_ok=True)
                 video = counted(in_parallel(image, of_camera))
                 write_video(place.parent / f"{camera.name}.mp4", video, camera.resolution, video_rate)
+        if session.targets:
+            count += write_target_images(stage / IMAGES, simulated, exposure, target_seed, counted)
         names = session.rig.names
         rows = [
             (session.label(view.pose), names[view.camera], session.led_names[view.led], *view.uv.tolist())
             for view in views
             if np.isfinite(view.uv[0])
         ]
+        rows += target_rows(simulated)
         write_table(stage / TRUTH, ["pose", "camera", "led", "u", "v"], zip(*rows, strict=True))
-    return len(views)
+    return count
 
 
 def _sceneries(scene: Scene, exposure: Exposure, rng: np.random.Generator) -> list[Scenery]:
@@ -215,7 +221,7 @@ def _views(
     for pose, of_pose in enumerate(seed.spawn(len(q))):
         rng = np.random.default_rng(of_pose)
         moving, mirrors = (exposure.distractors and rng.random() < share for share in (_MOVING, _MIRRORS))
-        for camera, led in np.ndindex(direct.shape[1:3]):
+        for camera, led in np.ndindex(len(scene.cameras), scene.led_count):
             hidden = exposure.distractors and rng.random() < _HIDDEN
             motion = rng.uniform(*_STREAK) * any_direction(rng) if moving else np.zeros(2)
             peak = exposure.peak * (_NEAR / distance[pose, camera, led]) ** 2

@@ -244,7 +244,7 @@ def sample_poses(
 
 def _in_view(scene: Scene, count: int, rng: np.random.Generator) -> tuple[Floats, Floats, int]:
     """Draw poses (M, n) with every LED in view, their pixels (M, C, L, 2), and say of how many draws they are."""
-    lower, upper = _limits(scene.chain)
+    lower, upper = joint_limits(scene.chain)
     actuated = [i for i, joint in enumerate(scene.chain.joints) if joint.mimic is None]
     q: list[Floats] = []
     uv: list[Floats] = []
@@ -254,7 +254,8 @@ def _in_view(scene: Scene, count: int, rng: np.random.Generator) -> tuple[Floats
         values = scene.chain.joint_values(readings)
         pixels = scene.pixels(values)
         # A mimic joint may leave its own limits while its master keeps to them.
-        good = scene.in_image(pixels, MARGIN).all(axis=(1, 2)) & ((values >= lower) & (values <= upper)).all(axis=1)
+        good = ((values >= lower) & (values <= upper)).all(axis=1)
+        good &= scene.in_image(pixels, MARGIN).all(axis=(1, 2)) & scene.faced(values).all(axis=(1, 2))
         q.append(values[good])
         uv.append(pixels[good])
         drawn += _BATCH
@@ -267,7 +268,7 @@ def _cells(scene: Scene, q: Floats, uv: Floats) -> Ints:
     sizes = np.array([camera.resolution for camera in scene.cameras])[:, None]
     across, down = np.moveaxis((uv - MARGIN) / (sizes - 2.0 * MARGIN), -1, 0)
     in_image = _bin(across, columns) * rows + _bin(down, rows)
-    lower, upper = _limits(scene.chain)
+    lower, upper = joint_limits(scene.chain)
     in_joint = _bin((q - lower) / np.where(upper > lower, upper - lower, 1.0), _JOINT_CELLS)
     cells = np.concatenate([in_image.reshape(len(q), in_image.shape[1] * in_image.shape[2]), in_joint], axis=1)
     first = np.arange(cells.shape[1]) * max(columns * rows, _JOINT_CELLS)
@@ -278,7 +279,7 @@ def _bin(share: Floats, count: int) -> Ints:
     return np.clip((share * count).astype(np.intp), 0, count - 1)
 
 
-def _limits(chain: Mechanism) -> tuple[Floats, Floats]:
+def joint_limits(chain: Mechanism) -> tuple[Floats, Floats]:
     """Return the range of every joint that poses are drawn from, (n,) and (n,).
 
     Of more than a turn (or endless travel) it is the turn (or the metre) nearest to zero.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 # From a blob found with a reflection in it, to the wrong blob. [px]
 _OUTLIERS = (5.0, 200.0)
+# Cosine of how far a target may turn away: beyond 60 degrees its squares are half as wide as high, and few are found.
+_FACING = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +32,8 @@ class Scene:
         chain: the robot.
         placements: (n, 4, 4) its joint placements, used instead of the chain's own. [m]
         attachments: what LEDs and cameras are attached to.
-        leds: (L, 3) in the frames they are fixed in. [m]
+        leds: (L + M, 3) LEDs and points of targets, in the frames they are fixed in. [m]
+        targets: (T, 4, 4) each target in the frame that carries it. [m]
         T_world_base: (4, 4) where the robot stands; the world is the first standing camera's frame. [m]
         cameras: C of them.
         T_cam_frame: (C, 4, 4) in each camera the frame that it is fixed in: the world, or its link. [m]
@@ -40,12 +43,13 @@ class Scene:
     placements: Floats
     attachments: Attachments
     leds: Floats
+    targets: Floats
     T_world_base: Floats
     cameras: tuple[Camera, ...]
     T_cam_frame: Floats
 
     def __post_init__(self) -> None:
-        for name in ("placements", "leds", "T_world_base", "T_cam_frame"):
+        for name in ("placements", "leds", "targets", "T_world_base", "T_cam_frame"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
     def camera_centres(self, q: Floats) -> Floats:
@@ -56,6 +60,8 @@ class Scene:
     def points_on_joints(self) -> tuple[list[tuple[int, Floats]], list[tuple[int, Floats]]]:
         """Return for LEDs and for camera centres the joint that carries each, and its position (3,) there. [m]."""
         tips = [Tip("world", BASE, inverse(self.T_world_base)), *self.attachments.tips]
+        for T, (name, carrier) in zip(self.targets, self.attachments.carried, strict=True):
+            tips.append(Tip(name, tips[carrier].joint, tips[carrier].T_joint_link @ T))
         centres = inverse(self.T_cam_frame)[:, :3, 3]
         leds, cameras = (
             [(tips[f].joint, (tips[f].T_joint_link @ [*p, 1.0])[:3]) for f, p in zip(of, points, strict=True)]
@@ -75,6 +81,45 @@ class Scene:
         """Return the distances (N, C, L) from each camera to each LED at joint values ``q`` (N, n). [m]."""
         return np.asarray(np.linalg.norm(self._points(q), axis=-1))
 
+    def target_poses(self, q: Floats) -> Floats:
+        """Return T_cam_target (N, C, T, 4, 4) at joint values ``q`` (N, n). [m]."""
+        T_base_frame, attachments = self._frames(q), self.attachments
+        T_cam_base = self.T_cam_frame[:, None] @ inverse(T_base_frame)[attachments.camera]
+        T_base_target = T_base_frame[attachments.first_target :]
+        return np.moveaxis(T_cam_base[:, None] @ T_base_target[None], 2, 0)
+
+    def faced(self, q: Floats) -> Bools:
+        """Return which targets (N, C, T) show their printed side to which cameras, at up to 60 degrees."""
+        T = self.target_poses(q)
+        towards = np.sum(T[..., :3, 2] * T[..., :3, 3], axis=-1) / np.linalg.norm(T[..., :3, 3], axis=-1)
+        return np.asarray(towards > _FACING)
+
+    def turned_to(self, q: Floats) -> Bools:
+        """Return which LEDs and points of targets (N, C, L + M) face which cameras: LEDs shine to all sides."""
+        shown = np.ones((len(q), len(self.cameras), len(self.leds)), dtype=bool)
+        shown[..., self.led_count :] = self.faced(q)[
+            ..., self.attachments.led[self.led_count :] - self.attachments.first_target
+        ]
+        return shown
+
+    def outlined(self) -> Scene:
+        """Return the same scene with only the outermost points of targets: where they are seen, all is."""
+        kept, attachments = list(range(self.led_count)), self.attachments
+        for frame in range(attachments.first_target, len(attachments.frames)):
+            mine = np.flatnonzero(attachments.led == frame)
+            if len(mine):
+                across = self.leds[mine][:, :2] @ np.array([[1.0, 1.0], [1.0, -1.0]])
+                kept += np.unique(mine[[*across.argmin(axis=0), *across.argmax(axis=0)]]).tolist()
+        own = {entry.name: getattr(self, entry.name) for entry in fields(Scene)}
+        points = self.leds[kept[self.led_count :]].reshape(-1, 3)
+        fewer = replace(attachments, led=attachments.led[kept], target_points=points)
+        return Scene(**own | {"leds": self.leds[kept], "attachments": fewer})
+
+    @property
+    def led_count(self) -> int:
+        """Number of LEDs."""
+        return len(self.leds) - len(self.attachments.target_points)
+
     def in_image(self, uv: Floats, margin: float = 0.0) -> Bools:
         """Return which pixels ``uv`` (N, C, L, 2) are in the images of their cameras, ``margin`` px from the border."""
         return np.stack([camera.in_image(uv[:, c], margin) for c, camera in enumerate(self.cameras)], axis=1)
@@ -82,18 +127,28 @@ class Scene:
     def _points(self, q: Floats, *, mirrored: bool = False) -> Floats:
         """Return the LEDs (N, C, L, 3) in the cameras' frames. [m]."""
         T_base_frame = self._frames(q)
-        leds = np.concatenate([self.leds, np.ones((len(self.leds), 1))], axis=1)
-        p_base = (T_base_frame[self.attachments.led] @ leds[:, None, :, None])[..., 0]  # (L, N, 4)
+        p_base = self._leds_in_base(T_base_frame)
         if mirrored:
             p_base = p_base * [1.0, 1.0, -1.0, 1.0]
         T_cam_base = self.T_cam_frame[:, None] @ inverse(T_base_frame)[self.attachments.camera]  # (C, N, 4, 4)
         points = T_cam_base.swapaxes(0, 1)[:, :, None] @ p_base.swapaxes(0, 1)[:, None, :, :, None]
         return np.asarray(points[..., :3, 0])
 
+    def led_positions(self, q: Floats) -> Floats:
+        """Return the LEDs (N, L, 3) in the base link's frame at joint values ``q`` (N, n). [m]."""
+        return np.asarray(self._leds_in_base(self._frames(q)).swapaxes(0, 1)[..., :3])
+
+    def _leds_in_base(self, T_base_frame: Floats) -> Floats:
+        """Return the LEDs (L, N, 4) in homogeneous coordinates. [m]."""
+        leds = np.concatenate([self.leds, np.ones((len(self.leds), 1))], axis=1)
+        return np.asarray((T_base_frame[self.attachments.led] @ leds[:, None, :, None])[..., 0])
+
     def _frames(self, q: Floats) -> Floats:
-        """Return T_base_frame (F, N, 4, 4) of the world and of the links that carry LEDs or cameras. [m]."""
+        """Return T_base_frame (F, N, 4, 4) of the world, of links that carry something, and of targets. [m]."""
         links = link_poses(self.chain, q, self.attachments.tips, self.placements)
-        return np.array([np.broadcast_to(inverse(self.T_world_base), (len(q), 4, 4)), *links])
+        frames = [np.broadcast_to(inverse(self.T_world_base), (len(q), 4, 4)), *links]
+        frames += [frames[carrier] @ T for T, (_, carrier) in zip(self.targets, self.attachments.carried, strict=True)]
+        return np.array(frames)
 
 
 def look_at(position: Floats, target: Floats) -> Floats:
@@ -127,7 +182,7 @@ def simulate_detections(
     noise_rng: np.random.Generator,
     outlier_rng: np.random.Generator,
 ) -> tuple[Detections, Ints]:
-    """Detect the LEDs of a scene; what falls out of an image is missing.
+    """Detect the LEDs of a scene, and the points of targets that face the camera; what is out of an image is missing.
 
     Args:
         scene: as it truly is.
@@ -141,11 +196,11 @@ def simulate_detections(
     Returns:
         The detections, and the rows (K,) of the outliers among them.
     """
-    uv = scene.pixels(q)[np.arange(len(q))[:, None], views]
+    each = np.arange(len(q))[:, None]
+    uv, inside = scene.pixels(q)[each, views], scene.turned_to(q)[each, views]
     uv = uv + noise[0] * noise_rng.standard_normal(uv.shape)
-    inside = np.zeros(uv.shape[:-1], dtype=bool)
     for c, one in enumerate(scene.cameras):
-        inside[views == c] = one.in_image(uv[views == c])
+        inside[views == c] &= one.in_image(uv[views == c])
     pose, view, led = np.nonzero(inside)
     camera, uv = views[pose, view], uv[inside]
     rows = np.sort(outlier_rng.choice(len(uv), round(outliers * len(uv)), replace=False))

@@ -12,7 +12,8 @@ import pinocchio as pin
 
 from urdfcal.arrays import Floats, frozen, inverse
 from urdfcal.errors import OutputError, SessionError
-from urdfcal.estimation.measurements import Detections
+from urdfcal.estimation.blocks.leds import led_positions
+from urdfcal.estimation.measurements import Contacts, Detections
 from urdfcal.files import write_bytes, write_text
 from urdfcal.io.writing import write_session
 from urdfcal.robot.dh import PARAMETERS
@@ -22,13 +23,16 @@ from urdfcal.session.model import MIN_POSES, Positions, Setup
 from urdfcal.simulation.joint_errors import draw_joint_errors, joint_errors_to_dicts, true_joint_values
 from urdfcal.simulation.planning import load_collision_checker, sample_poses
 from urdfcal.simulation.scene import Scene, look_at, noisy_values, simulate_detections
+from urdfcal.simulation.touching import touch_places
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from urdfcal.arrays import Ints
+    from urdfcal.estimation.measurements import Measurement
     from urdfcal.robot.dh import DHRow, DHTable
-    from urdfcal.session.model import RigDescription, Session
+    from urdfcal.session.model import Session
+    from urdfcal.session.rig_description import RigDescription
 
 _URDF, _JSON = "truth.urdf", "truth.json"
 
@@ -68,6 +72,7 @@ class Truth(Scene):
         outliers: (K,) rows of the session's detections that are outliers.
         urdf: the true robot's description: the nominal one with other ``<origin>`` values.
         time_offsets: (C,) of the cameras' clocks, t_robot = t_camera + offset; empty where the arm stood still. [s]
+        places: (3,) of each place that was touched, in the base link's frame. [m]
     """
 
     seed: int
@@ -81,6 +86,7 @@ class Truth(Scene):
     outliers: Ints
     urdf: bytes
     time_offsets: Floats = field(default_factory=lambda: np.zeros(0))
+    places: Mapping[str, Floats] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,37 +133,49 @@ def simulate(
         RobotError: the corrected URDF cannot be written.
     """
     _check_arguments(seed, poses, pixel, error_scale, outliers)
+    if rig.places and (outliers or pixel is not None):
+        remedy = "Leave outliers and pixel out; the rig's noise is that of its contacts."
+        raise SessionError("there are no pixels: the rig touches places", where="simulate", remedy=remedy)
     nominal = _nominal_scene(rig)
     robot_rng, stand_rng, led_rng, pose_rng, joint_rng, noise_rng, outlier_rng = np.random.default_rng(seed).spawn(7)
 
     table = rows_of(rig.chain)
     offsets = error_scale * draw_offsets(table, robot_rng)
-    sigma = [_LED_SIGMA if led.sigma is None else led.sigma for led in rig.leds]
     off = pin.exp6(stand_rng.normal(0.0, _STAND_SIGMA)).homogeneous if len(rig.attachments.eye_to_hand) else np.eye(4)
     true = replace(
         nominal,
         placements=table.placements(offsets),
         T_world_base=nominal.T_world_base @ off,
-        leds=nominal.leds + led_rng.standard_normal(nominal.leds.shape) * np.array(sigma)[:, None],
+        leds=np.concatenate([_true_leds(rig, nominal, led_rng), rig.attachments.target_points]),
+        targets=_true_targets(rig, nominal, led_rng),
         T_cam_frame=_true_mounts(rig, nominal.T_cam_frame, led_rng),
     )
 
-    checker, warnings = load_collision_checker(nominal, rig)
+    outlined = nominal.outlined()
+    checker, warnings = load_collision_checker(outlined, rig)
     noise = rig.noise if not pixel else replace(rig.noise, pixel=pixel)
+    pixel = rig.noise.of(Detections) if pixel is None else pixel
+    measured: Measurement
+    if rig.places:
+        spread = rig.noise.of(Contacts)
+        readings, touched = touch_places(rig, true, offsets, poses, spread, pose_rng, checker, progress)
+    else:
+        readings = sample_poses(outlined, checker, poses, pose_rng, progress)
     planned = Positions(
         **{one.name: getattr(rig, one.name) for one in fields(Setup)} | {"noise": noise, "sha256": {}, "folder": None},
         poses=tuple(f"{k:0{len(str(poses))}d}" for k in range(1, poses + 1)),
-        q=sample_poses(nominal, checker, poses, pose_rng, progress),
+        q=readings,
         warnings=warnings,
     )
     joint_errors = draw_joint_errors(rig.errors, planned, seed)
     q = true_joint_values(planned, joint_errors)
-    pixel = rig.noise.of(Detections) if pixel is None else pixel
-    views = np.tile(np.arange(len(true.cameras)), (poses, 1))
-    detections, outlying = simulate_detections(
-        true, q, views, (pixel, noise.of(Detections)), outliers, noise_rng, outlier_rng
-    )
-    session = planned.measured((detections,), q=noisy_values(rig, planned.q, joint_rng))
+    if rig.places:
+        measured, outlying = touched, np.zeros(0, dtype=np.intp)
+    else:
+        views = np.tile(np.arange(len(true.cameras)), (poses, 1))
+        levels = pixel, noise.of(Detections)
+        measured, outlying = simulate_detections(true, q, views, levels, outliers, noise_rng, outlier_rng)
+    session = planned.measured((measured,), q=noisy_values(rig, planned.q, joint_rng))
     truth = Truth(
         **vars(true),
         seed=seed,
@@ -169,6 +187,7 @@ def simulate(
         readings=planned.q,
         joint_errors=joint_errors,
         outliers=frozen(outlying, np.intp),
+        places=rig.places,
         urdf=b"" if rig.urdf is None else rewrite_origins(rig.urdf, origins_of(rig.urdf, rig.chain, true.placements)),
     )
     return Simulated(session, truth)
@@ -199,8 +218,10 @@ def write_simulated(folder: str | Path, simulated: Simulated, *, detections: boo
 def _truth_to_dict(simulated: Simulated) -> dict[str, Any]:
     session, truth = simulated.session, simulated.truth
     table, cameras, leds = rows_of(session.chain), session.rig.names, session.led_names
+    targets = [target.name for target in session.targets]
     offsets = dict(zip(cameras, truth.time_offsets.tolist(), strict=False))
     detections = session.find(Detections)
+    places = {name: place.tolist() for name, place in truth.places.items()}
     return {
         "seed": truth.seed,
         "poses": len(session.poses),
@@ -219,10 +240,12 @@ def _truth_to_dict(simulated: Simulated) -> dict[str, Any]:
             for name, value, offset in zip(PARAMETERS, row, row_offsets, strict=True)
         ],
         "T_world_base": truth.T_world_base.tolist(),
-        "leds": dict(zip(leds, truth.leds.tolist(), strict=True)),
+        "leds": dict(zip(leds[: truth.led_count], truth.leds.tolist(), strict=False)),
+        **({"targets": dict(zip(targets, truth.targets.tolist(), strict=True))} if targets else {}),
         "T_cam_frame": dict(zip(cameras, truth.T_cam_frame.tolist(), strict=True)),
         **({"time_offsets": offsets} if offsets else {}),
         **({"joint_errors": joint_errors_to_dicts(session, truth.joint_errors)} if truth.joint_errors else {}),
+        **({"places": places} if places else {}),
         "outliers": [
             {
                 "pose": session.label(int(detections.pose[row])),
@@ -249,8 +272,8 @@ def _check_arguments(seed: int, poses: int, pixel: float | None, error_scale: fl
 
 def _nominal_scene(rig: RigDescription) -> Scene:
     """Build the scene of the nominal robot, its cameras and LEDs where they were meant to be."""
-    if not rig.rig.cameras:
-        raise SessionError("the rig has no cameras", where="cameras")
+    if not rig.rig.cameras and not rig.places:
+        raise SessionError("the rig has no cameras, and no places to touch", where="cameras")
     T_cam_frame = dict(zip(rig.rig.names, rig.attachments.T_cam_frame, strict=True))
     if unknown := [name for name, T in T_cam_frame.items() if T is None]:
         raise SessionError(
@@ -258,20 +281,37 @@ def _nominal_scene(rig: RigDescription) -> Scene:
             where="cameras",
             remedy="Simulating needs T_cn_cnm1 of every camera but the first, or its pose on its link.",
         )
-    if unknown := [led.name for led in rig.leds if led.position is None]:
-        raise SessionError(
-            "an LED has no position", where=f"leds, {unknown[0]}", remedy="Simulating needs it, if only roughly."
-        )
+    unknown = [f"leds.{led.name}" for led in rig.leds if led.position is None]
+    unknown += [f"targets.{target.name}" for target in rig.targets if target.T_link_target is None]
+    if unknown:
+        remedy = "Simulating needs it, if only roughly."
+        raise SessionError("its place is not given", where=unknown[0], remedy=remedy)
     return Scene(
         chain=rig.chain,
         placements=rig.chain.placements,
         attachments=rig.attachments,
-        leds=np.array([led.position for led in rig.leds]),
+        leds=np.concatenate([led_positions(rig.leds), rig.attachments.target_points]),
+        targets=np.array([target.T_link_target for target in rig.targets]).reshape(-1, 4, 4),
         # Without a stand all cameras are eye-in-hand, and the base is the world.
         T_world_base=np.eye(4) if rig.stand is None else inverse(look_at(rig.stand.position, rig.stand.look_at)),
         cameras=rig.rig.cameras,
-        T_cam_frame=np.array(list(T_cam_frame.values())),
+        T_cam_frame=np.array(list(T_cam_frame.values())).reshape(-1, 4, 4),
     )
+
+
+def _true_leds(rig: RigDescription, nominal: Scene, rng: np.random.Generator) -> Floats:
+    sigma = [_LED_SIGMA if led.sigma is None else led.sigma for led in rig.leds]
+    leds = nominal.leds[: nominal.led_count]
+    return np.asarray(leds + rng.standard_normal(leds.shape) * np.array(sigma).reshape(-1, 1))
+
+
+def _true_targets(rig: RigDescription, nominal: Scene, rng: np.random.Generator) -> Floats:
+    """Draw how targets are truly fastened."""
+    true = np.array(nominal.targets)
+    for t, target in enumerate(rig.targets):
+        sigma = _STAND_SIGMA if target.sigma is None else target.sigma
+        true[t] = true[t] @ pin.exp6(rng.normal(0.0, sigma)).homogeneous
+    return true
 
 
 def _true_mounts(rig: RigDescription, T_cam_frame: Floats, rng: np.random.Generator) -> Floats:

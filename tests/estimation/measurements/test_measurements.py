@@ -1,7 +1,7 @@
 """What every kind of measurement must do, whatever it measures.
 
-A new kind is tested here on an invented session, in which every LED is measured once in every pose, each time with
-things of its own; one that can make nothing of that needs an entry in ``SESSIONS``.
+A new kind is tested here on an invented session, in which every LED is measured once in every pose, by turns with
+three things of its own; one that can make nothing of that needs an entry in ``SESSIONS``.
 """
 
 from __future__ import annotations
@@ -18,12 +18,15 @@ from tests.estimation.problems import Example, at_rest, branched, eye_in_hand
 from urdfcal.estimation.blocks.base_pose import BASE
 from urdfcal.estimation.linearize import Jacobian, Tangent
 from urdfcal.estimation.links import Links
-from urdfcal.estimation.measurements import MEASUREMENTS, Measurement, Points
+from urdfcal.estimation.measurements import MEASUREMENTS, Measurement, Points, Poses
 from urdfcal.estimation.measurements.pixels import triangulate
 from urdfcal.io.folder import read_session
 from urdfcal.io.tables import read_measurements
 from urdfcal.io.writing import write_measurements, write_session
-from urdfcal.session.knowledge import Noise
+from urdfcal.robot.kinematics import tip_poses
+from urdfcal.rotations import matrix_to_quaternion
+from urdfcal.session.pattern import FramePattern
+from urdfcal.session.target import Target
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -33,6 +36,7 @@ if TYPE_CHECKING:
     from urdfcal.estimation.observations import Observations
     from urdfcal.session.model import Session
 
+_THINGS = 3
 GEOMETRIES = ("dh", "offsets", "full", "none")
 
 
@@ -45,9 +49,28 @@ def points(simulated: Callable) -> Session:
     )
 
 
+def poses(simulated: Callable) -> Session:
+    """A tracker's poses of a body on the last link, and of one on the first that moves, in place of detections."""
+    session = at_rest(simulated)
+    tips = (session.chain.tip_link,)
+    targets = tuple(Target(f"body{k}", FramePattern(), link) for k, link in enumerate(tips * 2))
+    session = replace(session, targets=targets)
+    count, rng = len(session.poses), np.random.default_rng(0)
+    T_world_base = pin.exp6(np.array([0.5, -0.3, 1.0, 0.3, 0.8, -0.5])).homogeneous
+    fastened = [pin.exp6(0.2 * rng.normal(size=6)).homogeneous for _ in targets]
+    T = T_world_base @ tip_poses(session.chain, session.q)
+    places = np.array(
+        [[*(M := T[k] @ X)[:3, 3], *matrix_to_quaternion(M[:3, :3])] for k in range(count) for X in fastened]
+    )
+    pose, target = np.divmod(np.arange(count * len(targets)), len(targets))
+    usual = session.noise.spreads(Poses)
+    return replace(session, measurements=(Poses(pose, target, places, **{k: np.array(v) for k, v in usual.items()}),))
+
+
 SESSIONS: dict[str, tuple[Callable[[Callable], Session], ...]] = {
     "detections": (branched, eye_in_hand),
     "points": (points,),
+    "poses": (poses,),
 }
 """By kind, functions that make a session with measurements of it from the fixture ``simulated``.
 
@@ -59,15 +82,15 @@ poses or so. It may have measurements of other kinds as well, if they are needed
 def invented(kind: type[Measurement], simulated: Callable) -> Session:
     """Beside two cameras' detections, one measurement of each LED in each pose by each camera, if it has to do with it.
 
-    What the nominal robot predicts is measured; in each row of other things that the table names.
+    What the nominal robot predicts is measured, of three things by turns where the table names such.
     """
     session = branched(simulated)
     counts = {"pose": len(session.poses), "led": len(session.leds), "camera": len(session.rig.cameras)}
     known = [key for key in kind.keys if key in counts]
     index = dict(zip(known, np.indices([counts[key] for key in known]).reshape(len(known), -1), strict=True))
     rows = np.arange(index["pose"].size)
-    own = {key: rows for key in kind.keys if key not in counts}
-    names = {key: tuple(f"{key}{row}" for row in rows) for key in own}
+    own = {key: rows % _THINGS for key in kind.keys if key not in counts}
+    names = {key: tuple(f"{key}{thing}" for thing in range(_THINGS)) for key in own}
     zero = {kind.array: np.zeros((len(rows), kind.dimension))} if kind.array else {}
     table = kind(**index, **own, **zero, sigma=np.array(kind.usual), names=names)
     session = replace(session, measurements=(*session.measurements, table))
@@ -119,7 +142,14 @@ def assert_same_table(found: Measurement, expected: Measurement) -> None:
             [table.names[key][i] for i in column] if key in table.names else column.tolist()
             for key, column in table.index.items()
         ]
-        return sorted(zip(*index, map(tuple, table.values.tolist()), table.sigma.tolist(), strict=True))
+        return sorted(
+            zip(
+                *index,
+                map(tuple, table.values.tolist()),
+                *(getattr(table, name).tolist() for name in table.spread_of()),
+                strict=True,
+            )
+        )
 
     assert rows(found) == rows(expected)
 
@@ -135,9 +165,9 @@ def test_kinds_differ_in_what_files_call_them() -> None:
 def test_its_columns_and_numbers_agree(kind: type[Measurement], session: Session) -> None:
     table = session.find(kind)
     assert kind.keys[0] == "pose"
-    assert len(kind.columns) in (0, kind.dimension)
     assert bool(kind.columns) == bool(kind.array)
-    assert table.values.shape == (len(table), kind.dimension)
+    assert table.values.shape == (len(table), len(kind.columns) or kind.dimension)
+    assert table.compared.shape == (len(table), kind.dimension)
     assert table.covariances.shape == (len(table), kind.dimension, kind.dimension)
     assert (np.linalg.eigvalsh(table.covariances) > 0.0).all()
     assert kind.usual > 0.0
@@ -220,7 +250,7 @@ def test_padding_pulls_at_nothing(kind: type[Measurement], session: Session) -> 
     np.testing.assert_allclose(found.residual[:, :m], without.residual, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(found.J[:, :m], without.J, rtol=1e-12, atol=1e-12 * np.abs(without.J).max())
     np.testing.assert_allclose(J_q[:, :m], J_q_without, rtol=1e-12, atol=1e-12 * np.abs(J_q_without).max())
-    np.testing.assert_array_equal(padded.by_row(padded.value), observed.table.values)
+    np.testing.assert_array_equal(padded.by_row(padded.value), observed.table.compared)
 
 
 @each_kind
@@ -299,20 +329,23 @@ def test_no_poses_give_no_residuals(kind: type[Measurement], session: Session) -
 def test_a_table_written_and_read_back_is_the_same(
     own_sigma: bool, kind: type[Measurement], session: Session, tmp_path: Path
 ) -> None:
-    table = session.find(kind)
-    usual = session.noise.of(kind)
-    sigma = usual * np.random.default_rng(0).uniform(0.5, 2.0, len(table)) if own_sigma else np.full(len(table), usual)
-    table = replace(table, sigma=sigma)
+    table, usual, rng = session.find(kind), session.noise.spreads(kind), np.random.default_rng(0)
+    sigmas = {
+        name: of * (rng.uniform(0.5, 2.0, len(table)) if own_sigma else np.ones(len(table)))
+        for name, of in usual.items()
+    }
+    table = replace(table, **sigmas)
     path = tmp_path / f"{kind.kind}.csv"
     write_measurements(path, session, table)
     header = path.read_text().splitlines()[0].split(",")
-    assert header == [*kind.keys, *kind.columns, *(["sigma"] if own_sigma else [])]
+    assert header == [*kind.keys, *kind.columns, *(usual if own_sigma else [])]
     known = {
         "pose": [session.label(k) for k in range(len(session.poses))],
         "camera": session.rig.names,
         "led": session.led_names,
+        "target": session.attachments.targets,
     }
-    found = read_measurements(path, kind, known, session.noise.of(kind)).measurements
+    found = read_measurements(path, kind, known, usual).measurements
     assert_same_table(found, table)
 
 
@@ -320,13 +353,9 @@ def test_a_table_written_and_read_back_is_the_same(
 def test_it_is_part_of_a_session_folder(kind: type[Measurement], session: Session, tmp_path: Path) -> None:
     # A noise that is not the usual one comes along, too.
     usual = {other.noise: session.noise.of(other) for other in MEASUREMENTS}
-    usual[kind.noise] *= 1.5
-    named = {name: usual.pop(name) for name in ("pixel", "point")}
-    noise = Noise(
-        **named, joint=session.noise.joint, other={kind.noise: usual[kind.noise]} if kind.noise in usual else {}
-    )
-    measurements = tuple(replace(of, sigma=np.full(len(of), noise.of(type(of)))) for of in session.measurements)
-    session = replace(session, noise=noise, measurements=measurements)
+    own = {of.noise: 1.5 * of.usual for of in kind.spread_of().values()}
+    session = session.with_noise({name: usual[name] for name in ("pixel", "point")} | own)
+    noise, measurements = session.noise, session.measurements
     write_session(tmp_path / "session", session)
     assert (tmp_path / "session" / f"{kind.kind}.csv").is_file()
     found = read_session(tmp_path / "session")

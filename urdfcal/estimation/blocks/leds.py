@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -14,8 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from urdfcal.arrays import Floats
-    from urdfcal.estimation.state import State
-    from urdfcal.session.knowledge import Led, LedDistance
+    from urdfcal.session.knowledge import Led
 
 LEDS: Key[Floats] = Key("leds")
 """(L, 3) LED positions, each in the frame that it is attached to. [m]"""
@@ -61,37 +59,3 @@ def led_sigma(led: Led) -> float:
 def led_positions(leds: Sequence[Led]) -> Floats:
     """Declared LED positions (L, 3), the origin of the link where none is declared. [m]."""
     return np.array([np.zeros(3) if led.position is None else led.position for led in leds]).reshape(-1, 3)
-
-
-@dataclass(frozen=True)
-class LedDistances:
-    """Measured distances between LEDs: a measurement of the LEDs' positions alone.
-
-    Attributes:
-        pairs: (LED, LED, distance, standard deviation) of each. [m]
-        leds: number of LEDs.
-    """
-
-    pairs: tuple[tuple[int, int, float, float], ...]
-    leds: int
-
-    @classmethod
-    def of(cls, names: Sequence[str], distances: Sequence[LedDistance]) -> LedDistances:
-        """Take a session's distances between LEDs of these names."""
-        pairs = tuple((names.index(d.leds[0]), names.index(d.leds[1]), d.distance, d.sigma) for d in distances)
-        return cls(pairs, len(names))
-
-    def __len__(self) -> int:
-        """Return the number of distances."""
-        return len(self.pairs)
-
-    def residuals(self, state: State) -> tuple[Floats, Floats]:
-        """Return the differences (k,) in standard deviations, and their derivative (k, 3 L) by the positions."""
-        positions, r, J = state[LEDS], np.zeros(len(self)), np.zeros((len(self), self.leds, 3))
-        for k, (a, b, distance, sigma) in enumerate(self.pairs):
-            difference = positions[a] - positions[b]
-            length = float(np.linalg.norm(difference))
-            r[k] = (length - distance) / sigma
-            J[k, a] = difference / max(length, 1e-12) / sigma
-            J[k, b] = -J[k, a]
-        return r, J.reshape(len(self), 3 * self.leds)

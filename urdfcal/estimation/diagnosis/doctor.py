@@ -55,6 +55,7 @@ class Finding:
 _CHANGES = {
     "joint": "the encoder jumped",
     "led": "it slipped",
+    "target": "it slipped",
     "camera": "it was bumped",
     "base": "the base, or what all cameras stand on, was bumped",
 }

@@ -11,6 +11,7 @@ import numpy as np
 from urdfcal.estimation.blocks.base_pose import base_keys
 from urdfcal.estimation.blocks.cameras import has_cameras, lens_key, pose_key
 from urdfcal.estimation.blocks.leds import LEDS
+from urdfcal.estimation.blocks.targets import target_key
 from urdfcal.estimation.diagnosis.residuals import Part
 from urdfcal.estimation.joint_models.linear import LinearJointModel
 
@@ -23,12 +24,12 @@ if TYPE_CHECKING:
     from urdfcal.estimation.state import State
     from urdfcal.session.model import Session
 
-Movable = Literal["joint", "led", "camera", "base"]
+Movable = Literal["joint", "led", "target", "camera", "base"]
 
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """Something that may have moved: a joint, an LED, a camera, or the robot's base.
+    """Something that may have moved: a joint, an LED, a target, a camera, or the robot's base.
 
     Attributes:
         kind: of it.
@@ -44,7 +45,8 @@ class Subject:
     def called(self) -> str:
         """What a sentence calls it."""
         base = f"the robot's base in {self.name!r}" if self.name else "the robot's base"
-        return {"joint": self.name, "led": f"LED {self.name!r}", "camera": f"camera {self.name!r}"}.get(self.kind, base)
+        known = {"joint": self.name, "led": f"LED {self.name!r}", "base": base}
+        return known.get(self.kind, f"{self.kind} {self.name!r}")
 
     def size(self, motion: Floats) -> str:
         """Say how far it moved; motion (1,) for a joint, (3,) for an LED, (6,) else. [rad or m]."""
@@ -75,8 +77,10 @@ def subjects(session: Session, problem: Problem, state: State) -> Iterator[Subje
     for j, joint in enumerate(problem.arm.chain.joints):
         if joint.mimic is None:
             yield Subject("joint", joint.name, partial(Part.by_joint, joint=j))
-    for k, name in enumerate(session.led_names):
-        yield Subject("led", name, partial(Part.by, key=LEDS, coordinates=slice(3 * k, 3 * k + 3)))
+    for k, led in enumerate(session.leds):
+        yield Subject("led", led.name, partial(Part.by, key=LEDS, coordinates=slice(3 * k, 3 * k + 3)))
+    for target in session.targets:
+        yield Subject("target", target.name, partial(Part.by, key=target_key(target.name)))
     if has_cameras(state) and len(session.rig.names) > 1:
         for c, name in enumerate(session.rig.names):
             yield Subject("camera", name, partial(Part.by, key=pose_key(name), camera=c))

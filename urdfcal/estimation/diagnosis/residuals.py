@@ -11,13 +11,16 @@ import numpy as np
 from urdfcal.arrays import one_blas_thread
 from urdfcal.estimation.blocks.base_pose import BaseBlock, base_keys
 from urdfcal.estimation.blocks.cameras import CameraPoseBlock, LensBlock, camera_poses, camera_values
-from urdfcal.estimation.blocks.leds import LEDS, LedDistances, LedsBlock
+from urdfcal.estimation.blocks.leds import LEDS, LedsBlock
 from urdfcal.estimation.blocks.scale import ScaleBlock
+from urdfcal.estimation.blocks.targets import target_blocks
 from urdfcal.estimation.linearize import Tangent
+from urdfcal.estimation.noise import with_noise
 from urdfcal.estimation.parameters import Parameters
 from urdfcal.estimation.robust import norm_quantile
 from urdfcal.estimation.whitening import JointNoise, joint_covariance
 from urdfcal.session.knowledge import Led
+from urdfcal.session.target import Target
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -131,12 +134,12 @@ class Unexplained:
         everything = _everything(session, fit.state)
         parts, rs, Js, poses = [], [], [], []
         with one_blas_thread():
-            parts_of = zip(thinned.observations, even, fit.norms, fit.outlier, less, strict=True)
-            for observed, some, norm, outlier, factor in parts_of:
+            covariances = with_noise(thinned.observations, less)
+            parts_of = zip(thinned.observations, covariances, even, fit.norms, fit.outlier, strict=True)
+            for observed, covariance, some, norm, outlier in parts_of:
                 at = Tangent.at(thinned, observed, fit.state, everything).linearise()
                 J = Tangent.at(thinned, observed, fit.state, fit.parameters).linearise().J
                 sigma, chain = less_joint * thinned.joint_sigma, thinned.arm.chain
-                covariance = factor**2 * observed.covariance
                 joint = joint_covariance(at, chain.reading_jacobian, sigma)
                 limit = norm_quantile(observed.dimension, _BOUNDED)
                 weight = np.where(outlier[some], (limit / np.maximum(norm[some], limit)) ** 2, 1.0)
@@ -227,10 +230,11 @@ def solve_score(gram: Floats, score: Floats, scale: Floats) -> tuple[float, Floa
 
 
 def _everything(session: Session, state: State) -> Parameters:
-    """Base, LEDs, scale, and the pose and the lens of every camera, all of them free."""
-    led_names = [Led(name) for name in session.led_names]
+    """Base, LEDs, targets, scale, and the pose and the lens of every camera, all of them free."""
+    leds = [Led(led.name) for led in session.leds]
     blocks: list[Block[Any]] = [BaseBlock.of(fixed=None, key=key) for key in base_keys(session.parts)]
-    blocks.append(LedsBlock.of(led_names, state[LEDS], priors=False))
+    blocks.append(LedsBlock.of(leds, state[LEDS], priors=False))
+    blocks += target_blocks([Target(of.name, of.pattern) for of in session.targets], state, priors=False)
     blocks.append(ScaleBlock.of(np.inf))
     attachments, free = session.attachments, np.full(6, np.inf)
     lenses, poses = camera_values(attachments, state), camera_poses(attachments, state)
@@ -238,7 +242,4 @@ def _everything(session: Session, state: State) -> Parameters:
     own = (lens for c, lens in enumerate(lenses) if attachments.lens[c] == c)
     blocks += [LensBlock.of(lens, np.full(len(lens.parameters), np.inf)) for lens in own]
     size = sum(len(block) for block in blocks)
-    nothing: Sequence[Any] = ()
-    return Parameters(
-        tuple(blocks), np.eye(size), np.zeros(size, dtype=bool), LedDistances.of(session.led_names, nothing)
-    )
+    return Parameters(tuple(blocks), np.eye(size), np.zeros(size, dtype=bool))

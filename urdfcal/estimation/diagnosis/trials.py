@@ -112,7 +112,11 @@ def _miss(session: Session, progress: Progress | None) -> float:
     except UrdfcalError:
         return np.inf
     observed = problem.observations[0]
-    return float(np.median(np.linalg.norm(problem.residual(observed, fit.state), axis=-1)[observed.valid]))
+    return float(
+        np.median(
+            np.linalg.norm(problem.residual(observed, fit.state)[..., observed.table.lengths], axis=-1)[observed.valid]
+        )
+    )
 
 
 def _trials(session: Session) -> Iterator[Mending]:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from urdfcal.session.measurements import Measurements
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
     from typing_extensions import Self
 
     from urdfcal.arrays import Bools, Floats, Ints
@@ -20,7 +22,8 @@ if TYPE_CHECKING:
     from urdfcal.estimation.model_spec import ModelSpec
     from urdfcal.estimation.observations import Observations
     from urdfcal.estimation.start import Start
-    from urdfcal.estimation.state import State
+    from urdfcal.estimation.state import Key, State
+    from urdfcal.estimation.target_start import TargetViews
     from urdfcal.session.attachments import Attachments
     from urdfcal.session.model import Session
 
@@ -62,7 +65,12 @@ class Measurement(Measurements):
 
     S measurements of D = ``dimension`` numbers each are arranged by pose as (N, m) ``Observations``. Register the
     class in ``urdfcal.estimation.measurements``.
+
+    Attributes:
+        own: of the keys that name things of unknown place, the block of these unknowns, as many for each thing.
     """
+
+    own: ClassVar[Mapping[str, Key[Any]]] = {}
 
     @property
     def covariances(self) -> Floats:
@@ -124,6 +132,11 @@ class Measurement(Measurements):
         """Return LED positions in the world that the measurements give in closed form; None if they give none."""
         del session
         return None
+
+    def target_views(self, session: Session) -> Iterator[TargetViews]:
+        """Find where targets were, one pose of one target by one viewer at a time; by default nothing is said."""
+        del session
+        return iter(())
 
     def start(self, at: Start, state: State) -> State:
         """Add first values of the measurement's own unknowns, and of the base if it is not there yet.

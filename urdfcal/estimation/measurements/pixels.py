@@ -22,6 +22,7 @@ from urdfcal.estimation.blocks.cameras import (
 )
 from urdfcal.estimation.blocks.leds import LEDS
 from urdfcal.estimation.blocks.scale import SCALE, scale_of
+from urdfcal.estimation.blocks.targets import point_places
 from urdfcal.estimation.camera_prior import CameraPrior
 from urdfcal.estimation.camera_start import Views
 from urdfcal.estimation.measurements.base import BlockSet, ByFrame, Measurement, WorldPoints
@@ -33,7 +34,8 @@ from urdfcal.estimation.measurements.point_geometry import (
     put_leds,
     seen_from,
 )
-from urdfcal.estimation.measurements.points import TriangulatedPoints
+from urdfcal.estimation.measurements.points import CorrelatedPoints
+from urdfcal.estimation.target_start import TargetViews, picture_poses, place_targets
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -179,14 +181,29 @@ class Detections(Measurement):
         found = triangulate(session)
         return None if found is None else WorldPoints(found.pose, found.led, found.xyz, complete=False)
 
+    def target_views(self, session: Session) -> Iterator[TargetViews]:
+        """Find each target in every picture of each camera by PnP."""
+        attachments = session.attachments
+        target, first = attachments.led[self.led] - attachments.first_target, len(session.leds)
+        for t in np.unique(target[target >= 0]).tolist():
+            for c, lens in enumerate(session.rig.cameras):
+                mine = np.flatnonzero((target == t) & (self.camera == c))
+                points = attachments.target_points[self.led[mine] - first]
+                pose, T = picture_poses(lens, self.pose[mine], points, self.uv[mine])
+                yield TargetViews(t, int(attachments.camera[c]), attachments.T_cam_frame[c], pose, T)
+
     def start(self, at: Start, state: State) -> State:
         """Place the base if need be, then the cameras, by PnP, and unknown LEDs where the cameras' rays meet."""
-        attachments, views = at.session.attachments, Views(at.session, at.links, self)
+        attachments, views = at.session.attachments, Views(at, self, state)
         T_cam_frame = list(attachments.T_cam_frame)
-        leds, bases = state[LEDS], base_keys(attachments.parts)
+        leds, bases = point_places(attachments, state), base_keys(attachments.parts)
+        unplaced = any(key not in state for key in bases)
         for k, here in self.by_part(at.session.part).items():
             if bases[k] not in state and here.defines_world(attachments):
                 state = state.replace({bases[k]: replace(views, detections=here).base(T_cam_frame, leds)})
+        if unplaced:
+            state = place_targets(at, [self], state)
+            views = Views(at, self, state)
         T_world_base = np.array([state[key] if key in state else np.eye(4) for key in bases])[at.session.part]
         for c, T in enumerate(T_cam_frame):
             if T is None:
@@ -195,7 +212,7 @@ class Detections(Measurement):
                 by_reference = None if known is None or reference is None else known @ reference
                 T_cam_frame[c] = views.place(c, T_world_base, leds, by_reference)
         leds = views.meet(T_world_base, T_cam_frame, leds, at.unknown_leds)
-        return state.replace({LEDS: leds, **camera_state(at.session, np.array(T_cam_frame))})
+        return state.replace({LEDS: leds[: len(at.session.leds)], **camera_state(at.session, np.array(T_cam_frame))})
 
 
 def camera_state(session: Session, T_cam_frame: Floats) -> dict[Key[Any], object]:
@@ -221,7 +238,7 @@ def nominal_cameras(session: Session, state: State) -> dict[Key[Any], Floats]:
     return poses
 
 
-def triangulate(session: Session) -> TriangulatedPoints | None:
+def triangulate(session: Session) -> CorrelatedPoints | None:
     """Find the points of all LEDs seen by two or more eye-to-hand cameras of known pose, with their covariances."""
     detections, attachments = session.find(Detections), session.attachments
     cameras = attachments.eye_to_hand
@@ -235,7 +252,7 @@ def triangulate(session: Session) -> TriangulatedPoints | None:
         return None
     covariance = result.covariances[good]
     spread = np.sqrt(np.maximum(np.trace(covariance, axis1=1, axis2=2), 0.0) / 3.0)
-    return TriangulatedPoints(pose[good], led[good], result.points[good], spread, covariance)
+    return CorrelatedPoints(pose[good], led[good], result.points[good], spread, covariance)
 
 
 def side_by_side(

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.estimation.blocks.leds import LEDS
+from urdfcal.estimation.blocks.targets import point_places, print_key
 
 if TYPE_CHECKING:
     from urdfcal.arrays import Bools, Floats, Ints
@@ -28,7 +29,7 @@ def led_points(observed: Observations, links: Links, state: State) -> tuple[Floa
     """
     led = observed.index["led"]
     frame = links.attachments.led[led]
-    leds, each = state[LEDS], np.arange(len(led))[:, None]
+    leds, each = point_places(links.attachments, state), np.arange(len(led))[:, None]
     lever, p_base = np.zeros((*led.shape, 3)), np.zeros((*led.shape, 3))
     for k, (R, p) in enumerate(zip(links.R, links.p, strict=True)):
         here = frame == k
@@ -93,16 +94,36 @@ def by_frames(
 
 
 def put_leds(J: Jacobian, observed: Observations, links: Links, E: Floats) -> None:
-    """Put the derivatives by the LEDs' positions in their frames; E (K, D, 3) is that by the position in the base."""
+    """Put the derivatives by the LEDs' positions in their frames, and by the scale of targets' prints.
+
+    Args:
+        J: takes them.
+        observed: which points.
+        links: where the frames are.
+        E: (K, D, 3) derivative by the position in the base link.
+    """
+    _put_prints(J, observed, links, E)
     if not J.wants(LEDS):
         return
-    led, frames = observed.index["led"], links.attachments.led
+    led = observed.index["led"]
+    frames = links.attachments.led[: len(links.attachments.led) - len(links.attachments.target_points)]
     N, m = led.shape
     parts = np.zeros((N * m, E.shape[1], len(frames), 3))
     for index, frame in enumerate(frames.tolist()):
         d_led = (E.reshape(N, -1, 3) @ links.R[frame]).reshape(E.shape)
         parts[:, :, index] = d_led * (led == index).reshape(-1, 1, 1)
     J.put(LEDS, parts.reshape(N * m, E.shape[1], -1))
+
+
+def _put_prints(J: Jacobian, observed: Observations, links: Links, E: Floats) -> None:
+    """Put the derivatives by the scales of targets' prints: points move along their own positions on the target."""
+    attachments, led = links.attachments, observed.index["led"]
+    for k, name in enumerate(attachments.targets, attachments.first_target):
+        if J.wants(print_key(name)):
+            mine = (attachments.led[led] == k) & observed.valid
+            nominal = attachments.target_points[np.where(mine, led - len(attachments.led), 0)]
+            along = (links.R[k][:, None] @ nominal[..., None])[..., 0] * mine[..., None]
+            J.put(print_key(name), E @ along.reshape(-1, 3, 1))
 
 
 def carry(matrices: Floats, right: Floats) -> Floats:

@@ -3,26 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from urdfcal.estimation.blocks.scale import SCALE, scale_of
-from urdfcal.estimation.measurements.base import ByFrame, Measurement, WorldPoints
-from urdfcal.estimation.measurements.point_geometry import by_frames, led_points, put_leds, seen_from
+from urdfcal.estimation.measurements.base import WorldPoints
+from urdfcal.estimation.measurements.leds_in_world import LedPositions
+from urdfcal.estimation.target_start import TargetViews, space_poses
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
     from urdfcal.arrays import Floats, Ints
-    from urdfcal.estimation.linearize import Jacobian
-    from urdfcal.estimation.links import Links
-    from urdfcal.estimation.observations import Observations
-    from urdfcal.estimation.state import State
+    from urdfcal.estimation.state import Key, State
     from urdfcal.session.attachments import Attachments
     from urdfcal.session.model import Session
 
 
 @dataclass(frozen=True, eq=False)
-class Points(Measurement):
+class Points(LedPositions):
     """LEDs measured in 3-D, sorted by pose and LED.
 
     Attributes:
@@ -46,33 +46,32 @@ class Points(Measurement):
     xyz: Floats
     sigma: Floats
 
-    def predict(self, observed: Observations, links: Links, state: State) -> Floats:
-        """Return the LEDs' positions in the world as the instrument measures them, (N, m, 3). [m]."""
-        return scale_of(state) * self.points(observed, links, state)[1]
+    def measured(self, p_world: Floats, index: Mapping[str, Ints], state: State) -> Floats:
+        """Return the points as the instrument measures them."""
+        del index
+        return scale_of(state) * p_world
 
-    def linearise(self, observed: Observations, links: Links, state: State, J: Jacobian) -> ByFrame:
-        """Differentiate the LEDs' positions in the world."""
-        lever, p_base = led_points(observed, links, state)
-        world = np.zeros_like(observed.row)
-        E = np.repeat(scale_of(state) * np.swapaxes(links.R[0], 1, 2), world.shape[1], axis=0)
-        E[~observed.valid.ravel()] = 0.0
-        put_leds(J, observed, links, E)
-        led_frame = links.attachments.led[observed.index["led"]]
-        p_world = seen_from(links, p_base, world)
-        if J.wants(SCALE):
-            J.put(SCALE, np.where(observed.valid[..., None], p_world, 0.0).reshape(-1, 3, 1))
-        return ByFrame(scale_of(state) * p_world, by_frames(links, E, lever, p_base, led_frame, world))
-
-    def points(self, observed: Observations, links: Links, state: State) -> tuple[Ints, Floats]:
-        """Return the world as the frame, and the LEDs' positions in it."""
-        _, p_base = led_points(observed, links, state)
-        world = np.zeros_like(observed.row)
-        return world, seen_from(links, p_base, world)
+    def derivatives(
+        self, p_world: Floats, index: Mapping[str, Ints], state: State
+    ) -> tuple[Floats, Mapping[Key[Any], Floats]]:
+        """Return the scale times the identity, and the points by the scale."""
+        del index
+        return np.broadcast_to(scale_of(state) * np.eye(3), (len(p_world), 3, 3)), {SCALE: p_world[..., None]}
 
     def defines_world(self, attachments: Attachments) -> bool:
         """Return True: the tracker's frame is the world."""
         del attachments
         return True
+
+    def target_views(self, session: Session) -> Iterator[TargetViews]:
+        """Align each target with its points at every pose."""
+        attachments = session.attachments
+        target, first = attachments.led[self.led] - attachments.first_target, len(session.leds)
+        for t in np.unique(target[target >= 0]).tolist():
+            mine = np.flatnonzero(target == t)
+            points = attachments.target_points[self.led[mine] - first]
+            pose, T = space_poses(self.pose[mine], points, self.xyz[mine])
+            yield TargetViews(t, 0, np.eye(4), pose, T)
 
     def world_points(self, session: Session) -> WorldPoints:
         """Return the points as they are."""
@@ -81,8 +80,8 @@ class Points(Measurement):
 
 
 @dataclass(frozen=True, eq=False)
-class TriangulatedPoints(Points):
-    """Points where the rays of several cameras meet, with a covariance each.
+class CorrelatedPoints(Points):
+    """Points with a covariance each: of a tracker, or where the rays of several cameras meet.
 
     Attributes:
         covariance: (S, 3, 3). [m^2]
@@ -90,7 +89,23 @@ class TriangulatedPoints(Points):
 
     covariance: Floats
 
+    @classmethod
+    def of_spread(cls, spread: Floats, **columns: Any) -> CorrelatedPoints:
+        """Take covariances as in points.csv, (S, 6): sxx, sxy, sxz, syy, syz, szz. [m^2]."""
+        covariance = spread[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
+        sigma = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 3.0)
+        return cls(**{**columns, "sigma": sigma}, covariance=covariance)
+
+    @property
+    def spread(self) -> Floats:
+        """(S, 6) the covariances as in points.csv. [m^2]."""
+        return self.covariance.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]]
+
     @property
     def covariances(self) -> Floats:
         """Covariance (S, 3, 3) of each point. [m^2]."""
         return self.covariance
+
+
+SPREAD = ("sxx", "sxy", "sxz", "syy", "syz", "szz")
+"""The columns of points.csv that say a covariance instead of a sigma. [m^2]"""

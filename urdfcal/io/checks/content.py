@@ -14,15 +14,18 @@ from urdfcal.estimation.measurements.pixels import side_by_side
 from urdfcal.names import listed
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Mapping
 
     from urdfcal.arrays import Floats
+    from urdfcal.estimation.measurements import Measurement
     from urdfcal.io.checks.plausibility import Inputs
     from urdfcal.io.tables import MeasurementTable
     from urdfcal.session.measurements import Measurements
 
 # One bad pixel, or one in twenty, is an error of its own, and the others are worth having; more have a cause.
 _FEW = 0.05
+# A place has three coordinates, a plane two tilts and an offset.
+_UNKNOWNS = 3
 # A grabber that hands out a picture twice now and then; one that does more often is not to be trusted.
 _FROZEN = 0.01
 # Encoders repeat what hardly changes: one frame in a hundred of a slow arm at 2 kB a frame.
@@ -122,7 +125,7 @@ def frozen_recording(inputs: Inputs, table: MeasurementTable) -> tuple[Measureme
         SessionError: too many poses show exactly what another one shows.
     """
     measured = table.measurements
-    if not measured.columns:
+    if measured.repeats or not measured.columns:
         return table, []
     readings, still = inputs.positions.readings, 0.0 if inputs.frames is None else _STILL
     pose, values = measured.pose, measured.values
@@ -163,6 +166,44 @@ def frozen_recording(inputs: Inputs, table: MeasurementTable) -> tuple[Measureme
         raise SessionError(found, where=where, remedy=remedy)
     more = f", and {len(repeated) - 1} more times" if len(repeated) > 1 else ""
     return table.only(anew), [f"{where}: {found}{more}: {left_out} of {len(pose)} {measured.kind} were left out"]
+
+
+def told(
+    tables: Mapping[type[Measurement], MeasurementTable],
+) -> tuple[dict[type[Measurement], MeasurementTable], list[str]]:
+    """Leave out places and planes that are measured so seldom that nothing of the arm is told beside where they are.
+
+    Returns:
+        The tables without them, and warnings.
+
+    Raises:
+        SessionError: nothing of a table is left.
+    """
+    result, warnings = dict(tables), []
+    for key in dict.fromkeys(key for kind in tables for key in kind.own):
+        count: dict[str, int] = {}
+        named = {kind: _own_names(table, key) for kind, table in tables.items() if key in kind.own}
+        for kind, names in named.items():
+            for name in names:
+                count[name] = count.get(name, 0) + kind.dimension
+        for kind, names in named.items():
+            kept = np.array([count[name] > _UNKNOWNS for name in names])
+            if kept.all():
+                continue
+            seldom = listed(sorted({name for name, keep in zip(names, kept, strict=True) if not keep}))
+            what = f"measured too seldom to tell anything but where the {key} is: {seldom}"
+            where = tables[kind].place(tables[kind].first(np.flatnonzero(~kept)), key)
+            if not kept.any():
+                least = 1 + _UNKNOWNS // kind.dimension
+                raise SessionError(what, where=where, remedy=f"Measure each {key} in {least} poses or more.")
+            result[kind] = result[kind].only(kept)
+            warnings.append(f"{where}: {what}: left out")
+    return result, warnings
+
+
+def _own_names(table: MeasurementTable, key: str) -> list[str]:
+    names = table.measurements.names[key]
+    return [names[i] for i in table.measurements.index[key]]
 
 
 def check_images(inputs: Inputs, table: MeasurementTable, rays_meet: bool | None) -> tuple[MeasurementTable, list[str]]:
@@ -228,11 +269,12 @@ def unseen(inputs: Inputs) -> Iterator[str]:
     if len(blind) > (0 if inputs.frames is None else _MOST * len(labels)):
         path = (inputs.frames or inputs.joints).table.path
         yield f"{path}: {len(blind)} of {len(labels)} poses have no measurement: {listed(blind)}"
-    leds = _named(tables, "led")
-    if dark := [
-        name for i, name in enumerate(inputs.positions.led_names) if i not in leds and name not in excluded.leds
-    ]:
+    positions, names = inputs.positions, inputs.positions.led_names
+    leds = {names[i] for i in _named(tables, "led")} | set(excluded.leds)
+    if dark := [led.name for led in positions.leds if led.name not in leds]:
         yield f"{inputs.document.place('leds')}: never seen: {listed(dark)}"
+    if dark := [of.name for of in positions.targets if of.point_names and leds.isdisjoint(of.point_names)]:
+        yield f"{inputs.document.place('targets')}: never seen: {listed(dark)}"
     used = _named(tables, "camera")
     if used and (
         idle := [

@@ -13,8 +13,8 @@ import numpy as np
 
 from urdfcal.errors import SessionError
 from urdfcal.estimation.blocks.arm import parameter_tolerance
-from urdfcal.estimation.measurements import Detections, Points
-from urdfcal.io.checks.content import check_images, check_names_by_rays, frozen_recording
+from urdfcal.estimation.measurements import Detections, Distances, Points, Poses
+from urdfcal.io.checks.content import check_images, check_names_by_rays, frozen_recording, told
 from urdfcal.io.csv_table import repeats
 from urdfcal.names import listed
 from urdfcal.session.attachments import WORLD
@@ -44,6 +44,8 @@ _TOO_FAR, _TOO_WIDE = 5.0, 20.0
 _BLIND = 0.05
 # Five degrees of reading noise: the unit is wrong.
 _UNREAD = 0.1
+# Quaternions are written to three digits or more.
+_UNIT = 5e-3
 # A joint that moves less than this moves the tip by less than a nominal arm is wrong.
 _STILL = 1e-3
 
@@ -130,6 +132,8 @@ def check(inputs: Inputs) -> tuple[dict[type[Measurement], MeasurementTable], tu
     for kind, table in inputs.tables.items():
         tables[kind], odd = frozen_recording(inputs, table)
         warnings += odd
+    tables, odd = told(tables)
+    warnings += odd
     if Detections in tables:
         rays_meet, odd = check_names_by_rays(inputs.positions.rig, tables[Detections])
         tables[Detections], outside = check_images(inputs, tables[Detections], rays_meet)
@@ -255,19 +259,34 @@ def _check_noise_units(inputs: Inputs) -> None:
         absurd = np.flatnonzero(measured.sigma > largest)
         if absurd.size:
             first = table.first(absurd)
-            own = "sigma" in table.table.columns
+            own = next((name for name in ("sigma", "sxx") if name in table.table.columns), None)
             raise SessionError(
                 f"a sigma of {measured.sigma[first]:g} {measured.unit} is of the size of the {size}",
-                where=table.place(first, "sigma") if own else inputs.document.place("noise", measured.noise),
-                remedy=f"Write one standard deviation in {measured.unit}.",
+                where=table.place(first, own) if own else inputs.document.place("noise", measured.noise),
+                remedy=f"Write one standard deviation in {measured.unit}, or a covariance in its square.",
             )
 
 
 def _check_point_units(inputs: Inputs) -> None:
-    table = inputs.tables.get(Points)
-    if table is None:
-        return
-    values = table.measurements.values
+    table = inputs.tables.get(Distances)
+    far = np.flatnonzero(table.measurements.values[:, 0] > _TOO_WIDE * inputs.scale) if table is not None else ()
+    if table is not None and len(far):
+        first = table.first(np.asarray(far))
+        what = f"a distance of {table.measurements.values[first, 0]:g} m looks like millimetres: {inputs.reach}"
+        raise SessionError(what, where=table.place(first, "distance"), remedy="Write metres.")
+    for table in (inputs.tables[kind] for kind in (Points, Poses) if kind in inputs.tables):
+        _check_spread(inputs, table)
+    poses = inputs.tables.get(Poses)
+    lengths = np.linalg.norm(poses.measurements.values[:, 3:], axis=1) if poses is not None else np.ones(0)
+    wrong = np.flatnonzero(np.abs(lengths - 1.0) > _UNIT)
+    if poses is not None and wrong.size:
+        first = poses.first(wrong)
+        what = f"qx, qy, qz, qw have the length {lengths[first]:.3g}, not 1: this is no orientation"
+        raise SessionError(what, where=poses.place(first, "qx"), remedy="Write a unit quaternion, qw last.")
+
+
+def _check_spread(inputs: Inputs, table: MeasurementTable) -> None:
+    values = table.measurements.values[:, :3]
     distance = np.linalg.norm(values - np.median(values, axis=0), axis=1)
     if np.median(distance) > _TOO_FAR * inputs.scale:
         spread = f"{np.ptp(values, axis=0).max():.3g} m, which looks like millimetres: {inputs.reach}"

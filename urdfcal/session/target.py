@@ -1,0 +1,54 @@
+"""Rigid bodies with points of known layout: printed boards and tags, a tracker's bodies and probes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from urdfcal.arrays import Floats, finite_number, frozen, keep
+from urdfcal.session.place import check_place
+
+if TYPE_CHECKING:
+    from urdfcal.session.pattern import Pattern
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """A rigid body on a link of the robot, or one that stands still, whose pose there is one unknown.
+
+    Attributes:
+        name: in the tables.
+        pattern: its points.
+        link: what it is fastened to; "world" for nothing of the robot, None for the tip link.
+        T_link_target: (4, 4) how, None where unknown. [m]
+        sigma: (6,) how well that is known, standard deviations of a small motion x y z rx ry rz of the target in its
+            own frame, 0 exactly; None where it is only a guess to start from. [m, rad]
+        scale_sigma: of the share that its print may be too large by; None where it is as given.
+    """
+
+    name: str
+    pattern: Pattern
+    link: str | None = None
+    T_link_target: Floats | None = None
+    sigma: Floats | None = None
+    scale_sigma: float | None = None
+
+    def __post_init__(self) -> None:
+        where = f"targets.{self.name}"
+        keep(self, name=str(self.name))
+        check_place(self, "T_link_target", where, exact=True)
+        if self.scale_sigma is not None:
+            keep(self, scale_sigma=finite_number(self.scale_sigma, "scale.sigma", where, zero=False))
+
+    @property
+    def point_names(self) -> tuple[str, ...]:
+        """What the tables call its M points."""
+        return tuple(f"{self.name}:{point}" for point in self.pattern.points)
+
+    @cached_property
+    def points(self) -> Floats:
+        """(M, 3) points in the target's frame. [m]."""
+        return frozen(np.array(list(self.pattern.points.values())).reshape(-1, 3))
