@@ -127,6 +127,7 @@ def test_kinds_of_one_unit_are_told_together_and_apart(tmp_path: Path, capsys: p
         contacts,
         poses=tuple(f"{k}" for k in range(len(contacts.poses) + len(planes.poses))),
         q=np.vstack([contacts.q, planes.q]),
+        previous=None,
         measurements=(*contacts.measurements, replace(table, pose=table.pose + len(contacts.poses))),
         noise=replace(contacts.noise, other={"contact": 1e-4, "plane": 1e-4}),
     )

@@ -91,12 +91,14 @@ def test_written_tables_make_it_a_session_and_foreign_ones_are_kept(
     for name in ("session.yaml", "cameras.yaml", "joints.csv"):
         (copy / name).write_bytes((session / name).read_bytes())
     (copy / "detections.csv").write_text("mine")
-    with pytest.raises(OutputError, match="not by urdfcal"):
+    with pytest.raises(OutputError, match=r"there are detections already.*--force"):
         write_detected(copy, detected)
     assert (copy / "detections.csv").read_text() == "mine"
     (copy / "detections.csv").unlink()
     write_detected(copy, detected)
-    write_detected(copy, detected)
+    with pytest.raises(OutputError, match="there are detections already"):
+        write_detected(copy, detected)
+    write_detected(copy, detected, force=True)
     read = read_session(copy).find(Detections)
     for name in ("pose", "camera", "led", "uv", "sigma"):
         assert np.array_equal(getattr(read, name), getattr(detected.detections, name))

@@ -8,7 +8,7 @@ import pytest
 
 from tests.worlds import declared
 from urdfcal.estimation.noise import _Likelihood, _Part, find_noise
-from urdfcal.estimation.whitening import joint_covariance
+from urdfcal.estimation.whitening import joint_noise
 from urdfcal.pipeline import calibrate
 from urdfcal.session.knowledge import Estimate
 
@@ -91,10 +91,10 @@ def test_noise_of_joints_that_move_nothing_that_is_seen_is_unknown(
     simulated: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def nothing(*arguments: object) -> np.ndarray:
-        return 0.0 * joint_covariance(*arguments)
+        return 0.0 * joint_noise(*arguments)
 
     calibration = calibrated(simulated("so101", poses=20).session)
-    monkeypatch.setattr("urdfcal.estimation.noise.joint_covariance", nothing)
+    monkeypatch.setattr("urdfcal.estimation.noise.joint_noise", nothing)
     pixel, joint = find_noise(calibration.problem, calibration.fit)
     assert pixel.known
     assert not joint.known

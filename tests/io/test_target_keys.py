@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from urdfcal.session.model import RigDescription
+    from urdfcal.session.rig_description import RigDescription
 
 TARGETS = """
 board: {kind: charuco, size: [5, 7], square: 0.036, marker: 0.018, dictionary: DICT_6X6_250, legacy: true, link: tool0}
@@ -136,3 +136,19 @@ def test_what_is_wrong_with_a_target_is_said_where_it_stands(tmp_path: Path, tar
 def test_there_must_be_something_to_see(tmp_path: Path) -> None:
     with pytest.raises(SessionError, match="there is neither an LED nor a target"):
         read_rig(rig_with(tmp_path, "{}", leds={}))
+
+
+def test_the_session_s_scale_is_that_of_prints_that_say_none(tmp_path: Path) -> None:
+    own = "{kind: chessboard, size: [9, 6], square: 0.03, scale: {sigma: 0.001}}"
+    rig = read_rig(rig_with(tmp_path, f"a: {own}\nb: {{kind: frame}}", scale={"sigma": 0.004}))
+    assert [target.scale_sigma for target in rig.targets] == [0.001, 0.004]
+
+
+def test_millimetres_are_told(tmp_path: Path, simulated: Callable) -> None:
+    write_simulated(tmp_path / "s", simulated("ur5_charuco", poses=5))
+    text = (tmp_path / "s" / "session.yaml").read_text()
+    content = yaml.safe_load(text)
+    content["targets"]["board"]["position"] = [-54.0, 90.0, 12.0]
+    (tmp_path / "s" / "session.yaml").write_text(yaml.safe_dump(content))
+    with pytest.raises(SessionError, match=r"'targets\.board\.position'.*from the tip looks like millimetres"):
+        read_session(tmp_path / "s")

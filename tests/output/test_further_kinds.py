@@ -59,7 +59,7 @@ class Heights(Measurement):
         world = np.zeros_like(observed.row)
         E = np.broadcast_to(state[BASE][2:3, :3], (world.size, 1, 3)).copy()
         E[~observed.valid.ravel()] = 0.0
-        put_leds(J, observed, links, E)
+        put_leds(J, observed, links, E, lever, state)
         J.put(HEIGHT, -np.broadcast_to(observed.valid.reshape(-1, 1, 1), (world.size, 1, 1)).astype(float))
         led_frame = links.attachments.led[observed.index["led"]]
         return ByFrame(self.predict(observed, links, state), by_frames(links, E, lever, p_base, led_frame, world))

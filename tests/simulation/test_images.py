@@ -118,7 +118,7 @@ def test_only_a_moving_arm_with_one_led_makes_a_video(small: RigDescription, sti
 
 def test_images_of_cameras_on_the_robot_are_refused(tmp_path: Path) -> None:
     simulated = simulate(read_rig(find_rig("ur5_handeye")), poses=3, seed=0)
-    with pytest.raises(SessionError, match=r"images of eye-in-hand cameras cannot be rendered.*Leave --images out"):
+    with pytest.raises(SessionError, match=r"images of LEDs by eye-in-hand cameras cannot be.*Leave --images out"):
         write_simulated_images(tmp_path / "s", simulated, Exposure())
     assert not (tmp_path / "s").exists()
 

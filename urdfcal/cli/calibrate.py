@@ -35,17 +35,18 @@ _MOST_LINES, _MOST_ROWS, _MOST_REMARKS = 25, 8, 6
 @click.argument("session", type=PATH)
 @click.option("--colour", type=click.Choice(_COLOURS), default="any", help="Of the LED, in colour images.")
 @click.option("--debug-images", type=PATH, help="Folder for drawings of what was found in each image.")
-def detect(session: Path, colour: Colour, debug_images: Path | None) -> None:
-    """Find the LEDs in SESSION/images/<camera>/<pose>.png, or <camera>.mp4, and write detections.csv.
+@click.option("--force", is_flag=True, help="Write over detections that are there already.")
+def detect(session: Path, colour: Colour, debug_images: Path | None, force: bool) -> None:
+    """Find LEDs and targets in SESSION/images/<camera>/<pose>.png, or <camera>.mp4, and write detections.csv.
 
-    With several LEDs the images are called <pose>.<led>.png; <pose>.off.png, with the LEDs dark, is subtracted.
-    What was rejected, and why, is in detections_rejected.csv.
+    With several LEDs, or with targets, an LED's images are called <pose>.<led>.png; <pose>.off.png, with the LEDs
+    dark, is subtracted. What was rejected, and why, is in detections_rejected.csv.
     """
-    find_leds(session, colour, debug_images)
+    find_leds(session, colour, debug_images, force=force)
 
 
-def find_leds(session: Path, colour: Colour = "any", debug_images: Path | None = None) -> None:
-    """Find the LEDs in a session's images, write the tables and print what came of it."""
+def find_leds(session: Path, colour: Colour = "any", debug_images: Path | None = None, *, force: bool = False) -> None:
+    """Find LEDs and targets in a session's images, write the tables and print what came of it."""
     from urdfcal.detection.detect import detect_in, open_images, write_debug_images, write_detected
 
     positions, index = open_images(session)
@@ -54,7 +55,7 @@ def find_leds(session: Path, colour: Colour = "any", debug_images: Path | None =
     if debug_images is not None:
         with progress_bar("drawing", index.count) as advance:
             write_debug_images(debug_images, detected, colour, advance)
-    paths = write_detected(session, detected)
+    paths = write_detected(session, detected, force=force)
     sigma = detected.detections.sigma
     click.echo(
         f"{detected.found} detections in {index.count} images, "

@@ -9,6 +9,8 @@ import numpy as np
 from urdfcal.images.files import channel
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from urdfcal.arrays import Floats
     from urdfcal.detection.spots.detector import Spots
     from urdfcal.images.files import Colour, Image
@@ -59,6 +61,30 @@ def draw_spots(image: Image, colour: Colour, spots: Spots, title: str) -> Image:
         ink = _INK if row == 0 else _GREEN if row <= len(good) else _RED
         cv2.putText(legend, text, (10, 22 * (row + 1)), cv2.FONT_HERSHEY_SIMPLEX, 0.5, ink, 1, cv2.LINE_AA)
     return np.vstack([legend, images])
+
+
+def draw_points(image: Image, points: Sequence[tuple[str, Floats]], title: str) -> Image:
+    """Draw the points of targets that were found in an image.
+
+    Args:
+        image: (h, w) or (h, w, 3), 8 or 16 bit.
+        points: name of each, and (2,) where it is. [px]
+        title: of the drawing.
+
+    Returns:
+        (h, w, 3) red first, 8 bit.
+    """
+    import cv2
+
+    drawing = cv2.cvtColor(_visible(channel(image, "any")), cv2.COLOR_GRAY2RGB)
+    for name, uv in points:
+        x, y = (round(16.0 * c) for c in uv)  # OpenCV draws at sixteenths of a pixel
+        cv2.circle(drawing, (x, y), 16 * 4, _GREEN, 1, cv2.LINE_AA, 4)
+        at = (x // 16 + 5, y // 16 - 5)
+        cv2.putText(drawing, name.partition(":")[2], at, cv2.FONT_HERSHEY_SIMPLEX, 0.35, _GREEN, 1, cv2.LINE_AA)
+    text = f"{title}: {len(points)} points" if points else f"{title}: no target"
+    cv2.putText(drawing, text, (10, 22), cv2.FONT_HERSHEY_SIMPLEX, 0.5, _GREEN if points else _RED, 1, cv2.LINE_AA)
+    return np.asarray(drawing)
 
 
 def _visible(values: Floats | Image) -> Image:

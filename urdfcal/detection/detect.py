@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.detection.association import LightCandidate, associate
-from urdfcal.detection.debug_images import draw_spots
+from urdfcal.detection.debug_images import draw_points, draw_spots
 from urdfcal.detection.image_index import ImageIndex, read_index
 from urdfcal.detection.prediction import Lights, predict
 from urdfcal.detection.spots.detector import find_spots
+from urdfcal.detection.targets.search import find_targets
 from urdfcal.errors import OutputError, SessionError
 from urdfcal.estimation.measurements import Detections
 from urdfcal.files import staged
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from urdfcal.cameras.rig import Rig
     from urdfcal.detection.image_index import Shot
     from urdfcal.detection.spots.detector import Spots
+    from urdfcal.detection.targets.search import TargetSightings
     from urdfcal.images.files import Colour, ImageSequence, SequenceImage
     from urdfcal.session.model import Positions
 
@@ -53,12 +55,14 @@ class Detected:
         positions: the session without its detections.
         index: the images.
         spots: the small lights of each camera; the good ones are the detections.
+        targets: what was found of the targets.
         warnings: what could not be used to decide, and what is left over.
     """
 
     positions: Positions
     index: ImageIndex
     spots: tuple[Spots, ...]
+    targets: TargetSightings
     warnings: tuple[str, ...]
 
     @property
@@ -70,6 +74,8 @@ class Detected:
         """
         if not self.found:
             remedy = f"What was seen instead: {self.summary()}."
+            if self.targets.warnings:
+                raise SessionError("; ".join(self.targets.warnings), remedy=remedy)
             raise SessionError(f"no LED was found in {self.index.count} images", remedy=remedy)
         parts = []
         for c, (shots, images, spots) in enumerate(zip(self.index.shots, self.index.images, self.spots, strict=True)):
@@ -78,12 +84,15 @@ class Detected:
             sigma = seen.fits.sigma
             sigma = np.hypot(sigma, _COMPRESSED) if isinstance(images, Video) else np.maximum(_LEAST_SIGMA, sigma)
             parts.append((pose[seen.image], np.full(len(seen), c), led[seen.image], seen.fits.uv, sigma))
+        if (points := self.targets.detections) is not None:
+            parts.append((points.pose, points.camera, points.led, points.uv, points.sigma))
         return Detections(*(np.concatenate(values) for values in zip(*parts, strict=True)))
 
     @property
     def found(self) -> int:
         """Number of detections."""
-        return sum(int(spots.good.sum()) for spots in self.spots)
+        points = self.targets.detections
+        return sum(int(spots.good.sum()) for spots in self.spots) + (0 if points is None else len(points))
 
     def rejected(self) -> Iterator[tuple[str, str, str, int | None, str]]:
         """Pose, camera, LED, row of its camera's spots (None: no light) and reason of every light rejected."""
@@ -96,6 +105,8 @@ class Detected:
                         yield (*labels, i, spots.reasons[i])
                 if start == end:
                     yield (*labels, None, "no light at all")
+        for *of, reason in self.targets.rejected:
+            yield (*of, None, reason)  # type: ignore[misc]
 
     def summary(self) -> str:
         """How often which reason was given, most frequent first."""
@@ -135,7 +146,7 @@ def open_images(path: str | Path) -> tuple[Positions, ImageIndex]:
 def detect_in(
     positions: Positions, index: ImageIndex, colour: Colour = "any", progress: Callable[[int], object] | None = None
 ) -> Detected:
-    """Look for the LEDs in the images of an index; see :func:`detect`."""
+    """Look for LEDs and targets in the images of an index; see :func:`detect`."""
     rig = positions.rig
     if not rig.cameras:
         raise SessionError("no cameras are named", remedy="Images need a camera file.")
@@ -172,27 +183,29 @@ def detect_in(
             far[np.isinf(misses)] = "the arm holds the LED out of this camera's sight"
             spots[-1] = seen.rejected(misses > prediction.gate, far)
     spots, more = _agreeing(rig, index, spots)
-    return Detected(positions, index, tuple(spots), (*positions.warnings, *index.warnings, *warnings, *more))
+    targets = find_targets(positions, index, progress)
+    warnings += [*more, *targets.warnings]
+    return Detected(positions, index, tuple(spots), targets, (*positions.warnings, *index.warnings, *warnings))
 
 
-def write_detected(path: str | Path, detected: Detected) -> list[Path]:
+def write_detected(path: str | Path, detected: Detected, *, force: bool = False) -> list[Path]:
     """Write detections.csv and detections_rejected.csv into a session's folder; both or none.
 
     Args:
         path: the session's folder, or its YAML file.
         detected: what was found.
+        force: write over detections that are there already.
 
     Returns:
         The files.
 
     Raises:
-        OutputError: there are detections that do not come from here, or the folder cannot be written.
+        OutputError: there are detections already, or the folder cannot be written.
         SessionError: no LED was found.
     """
     table = detections_path(path)
-    if table.exists() and not table.with_name(REJECTED).exists():
-        remedy = "Move them away first."
-        raise OutputError("there are detections already, and not by urdfcal detect", where=str(table), remedy=remedy)
+    if table.exists() and not force:
+        raise OutputError("there are detections already", where=str(table), remedy="Use --force to write over them.")
     detections = detected.detections
     with staged(table.parent) as stage:
         write_measurements(stage / table.name, detected.positions, detections)
@@ -218,13 +231,30 @@ def write_debug_images(
     positions, rig = detected.positions, detected.positions.rig
     if not rig.cameras:
         return
+    points = detected.targets.detections
+
+    def draw_picture(task: tuple[int, int, SequenceImage]) -> None:
+        c, pose, shown = task
+        label, marks = positions.label(pose), []
+        if points is not None:
+            seen = np.flatnonzero((points.camera == c) & (points.pose == pose))
+            marks = [(positions.led_names[points.led[i]], points.uv[i]) for i in seen]
+        drawing = draw_points(shown.lit(rig.cameras[c].resolution), marks, f"{rig.names[c]}  pose {label}")
+        write_image(stage / rig.names[c] / f"{label}.png", drawing)
+
+    def pictures() -> Iterator[tuple[int, int, SequenceImage]]:
+        for c, (poses, files) in enumerate(zip(detected.index.pictures, detected.index.picture_files, strict=True)):
+            sequence: Iterable[SequenceImage] = files
+            for pose, shown in zip(poses, sequence, strict=True):
+                yield c, pose, shown
 
     def draw(task: tuple[Camera, Shot, SequenceImage, Spots]) -> None:
         camera, shot, shown, spots = task
         label, led = positions.label(shot.pose), positions.led_names[shot.led]
         title = f"{camera.name}  pose {label}  LED {led}"
         drawing = draw_spots(shown.lit(camera.resolution), colour, spots, title)
-        name = f"{label}.{led}.png" if len(positions.leds) > 1 else f"{label}.png"
+        several = len(positions.leds) > 1 or positions.targets
+        name = f"{label}.{led}.png" if several else f"{label}.png"
         write_image(stage / camera.name / name, drawing)
 
     def tasks() -> Iterator[tuple[Camera, Shot, SequenceImage, Spots]]:
@@ -238,6 +268,8 @@ def write_debug_images(
         for name in rig.names:
             (stage / name).mkdir()
         for _ in in_parallel(draw, tasks(), progress=progress):
+            pass
+        for _ in in_parallel(draw_picture, pictures(), progress=progress):
             pass
 
 
@@ -257,8 +289,8 @@ def _places(positions: Positions, T_base_tip: Floats, led: Ints) -> Ints:
     # An LED of unknown place is somewhere off the tip: turning the tip moves it.
     assumed = [np.full(3, 0.05) if one.position is None else one.position for one in positions.leds]
     R, p = T_base_tip[:, :3, :3], T_base_tip[:, :3, 3]
-    points = p + (R @ np.array(assumed)[led][..., None])[..., 0]
-    unknown = np.array([one.position is None for one in positions.leds])[led]
+    points = p + (R @ np.array(assumed).reshape(-1, 3)[led][..., None])[..., 0]
+    unknown = np.array([one.position is None for one in positions.leds], dtype=bool)[led]
     rounded = np.column_stack([np.round(points / _SAME), np.where(unknown, led, -1)])
     return np.asarray(np.unique(rounded, axis=0, return_inverse=True)[1].ravel())
 

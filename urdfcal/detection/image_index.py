@@ -1,4 +1,4 @@
-"""Which image shows which LED at which pose: the names of the files in a session's images folder."""
+"""Which image shows which LED, or the targets, at which pose: the names of the files in a session's images folder."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from urdfcal.session.model import Positions
 
 _DARK = "off"
+# Stands for an LED in the image of a pose that shows the targets.
+_PICTURE = -2
 
 
 class Shot(NamedTuple):
@@ -38,23 +40,28 @@ class ImageIndex:
     Attributes:
         shots: of each camera, by pose and LED.
         images: of each camera, one a shot.
+        pictures: of each camera, the poses of which it has a picture of the targets.
+        picture_files: of each camera, one a picture.
         warnings: files and cameras that are left over.
     """
 
     shots: tuple[tuple[Shot, ...], ...]
     images: tuple[tuple[ImageFile, ...] | Video, ...]
+    pictures: tuple[tuple[int, ...], ...]
+    picture_files: tuple[tuple[ImageFile, ...] | Video, ...]
     warnings: tuple[str, ...]
 
     @property
     def count(self) -> int:
-        """Number of images to look for an LED in."""
-        return sum(map(len, self.shots))
+        """Number of images to look for an LED or for targets in."""
+        return sum(map(len, (*self.shots, *self.pictures)))
 
 
 def read_index(folder: Path, positions: Positions) -> ImageIndex:
     """Sort the files of ``folder``/<camera>/: <pose>.png, <pose>.<led>.png or <pose>.off.png (dark, subtracted).
 
-    Of an arm that moved a pose is a frame, and ``folder``/<camera>.mp4 may hold all frames of a camera in their order.
+    Where there are targets, <pose>.png shows them, and an LED's image has its name. Of an arm that moved a pose is a
+    frame, and ``folder``/<camera>.mp4 may hold all frames of a camera in their order.
 
     Args:
         folder: of the images.
@@ -80,20 +87,26 @@ def read_index(folder: Path, positions: Positions) -> ImageIndex:
     warnings += [f"{path}: no camera is called {path.stem!r}" for path in videos if path.stem not in cameras]
     shots: list[tuple[Shot, ...]] = []
     images: list[tuple[ImageFile, ...] | Video] = []
+    pictures: list[tuple[int, ...]] = []
+    picture_files: list[tuple[ImageFile, ...] | Video] = []
     for c, camera in enumerate(cameras):
         if mine := [path for path in videos if path.stem == camera]:
             found, video = _frames(mine, c, folder / camera, positions)
-            shots.append(found)
-            images.append(video)
+            shots.append(found if positions.leds else ())
+            images.append(video if positions.leds else ())
+            pictures.append(() if positions.leds else tuple(shot.pose for shot in found))
+            picture_files.append(() if positions.leds else video)
             continue
-        stills, strangers = _sort(folder / camera, c, positions)
+        stills, shown, strangers = _sort(folder / camera, c, positions)
         shots.append(tuple(stills))
         images.append(tuple(stills.values()))
-        if not stills:
+        pictures.append(tuple(shown))
+        picture_files.append(tuple(shown.values()))
+        if not stills and not shown:
             warnings.append(f"{folder / camera}: there are no images of this camera")
         elif strangers:
             warnings.append(f"{folder / camera}: {len(strangers)} files belong to no pose: {listed(strangers)}")
-    index = ImageIndex(tuple(shots), tuple(images), tuple(warnings))
+    index = ImageIndex(tuple(shots), tuple(images), tuple(pictures), tuple(picture_files), tuple(warnings))
     if not index.count:
         raise SessionError(
             "there is no image of any pose and camera",
@@ -114,8 +127,9 @@ def _frames(paths: Sequence[Path], camera: int, folder: Path, positions: Positio
     if not isinstance(positions.motion, Trajectory):
         remedy = "frames: frames.csv in session.yaml lists them: camera,frame,time."
         raise SessionError("this is a video, and the session names no frames", where=str(path), remedy=remedy)
-    if len(positions.leds) > 1:
-        what = f"there are {len(positions.leds)} LEDs, and a video does not say which is lit"
+    if len(positions.leds) + len(positions.targets) > 1 and positions.leds:
+        count = len(positions.leds) + len(positions.targets)
+        what = f"there are {count} LEDs and targets, and a video does not say which is lit"
         remedy = "Write its frames as images <frame>.<led>.png, or leave one LED on."
         raise SessionError(what, where=str(path), remedy=remedy)
     poses = _poses_of(positions.motion, camera)
@@ -130,14 +144,16 @@ def _poses_of(trajectory: Trajectory, camera: int) -> dict[str, int]:
     return {trajectory.label(k): k for k in mine}
 
 
-def _sort(folder: Path, camera: int, positions: Positions) -> tuple[dict[Shot, ImageFile], list[str]]:
-    """The shots in one camera's folder, and the names of image files that say nothing."""
+def _sort(
+    folder: Path, camera: int, positions: Positions
+) -> tuple[dict[Shot, ImageFile], dict[int, ImageFile], list[str]]:
+    """The shots in one camera's folder, its pictures of targets, and the names of image files that say nothing."""
     if not isinstance(positions.motion, Trajectory):
         poses = {name: i for i, name in enumerate(positions.poses)}
         known = set(poses)
     else:
         poses, known = _poses_of(positions.motion, camera), set(positions.motion.frames[camera])
-    leds = positions.led_names
+    leds = [led.name for led in positions.leds]
     numbers = {"": 0, _DARK: -1} | {name: i for i, name in enumerate(leds)}
     found: dict[Shot, Path] = {}
     strangers = []
@@ -152,11 +168,13 @@ def _sort(folder: Path, camera: int, positions: Positions) -> tuple[dict[Shot, I
         if pose is None or last not in numbers:
             strangers.append(path.name)
             continue
-        if not last and len(leds) > 1:
+        if not last and not positions.targets and len(leds) > 1:
             what = f"there are {len(leds)} LEDs, and the name does not say which is lit"
             remedy = f"Call it {path.stem}.{leds[0]}{path.suffix} or the like, one image an LED."
             raise SessionError(what, where=str(path), remedy=remedy)
-        if (other := found.setdefault(Shot(pose, numbers[last]), path)) is not path:
+        number = numbers[last] if last or not positions.targets else _PICTURE
+        if (other := found.setdefault(Shot(pose, number), path)) is not path:
             raise SessionError(f"this is the same image as {other.name}", where=str(path), remedy="Keep one.")
     lit = [(shot, path) for shot, path in sorted(found.items()) if shot.led >= 0]
-    return {shot: ImageFile(path, found.get(Shot(shot.pose, -1))) for shot, path in lit}, strangers
+    shown = {shot.pose: ImageFile(path) for shot, path in sorted(found.items()) if shot.led == _PICTURE}
+    return {shot: ImageFile(path, found.get(Shot(shot.pose, -1))) for shot, path in lit}, shown, strangers

@@ -11,6 +11,7 @@ import pinocchio as pin
 from urdfcal.estimation.blocks.arm import ARM, ArmBlock
 from urdfcal.estimation.blocks.cameras import camera_poses, camera_values, has_cameras
 from urdfcal.estimation.blocks.leds import LEDS, led_sigma
+from urdfcal.estimation.blocks.targets import TargetBlock
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -144,6 +145,7 @@ def assess(session: Session, problem: Problem, comparison: Comparison, evidence:
         *_repeats(problem),
         *(str(c) for c in moved if c.tolerances > _UNUSUAL and c not in implausible),
         *_displaced_leds(session, fit),
+        *_displaced_targets(fit),
         *_displaced_mounts(session, fit),
         *_other_lenses(session, fit),
         *_elsewhere(comparison, evidence.regions),
@@ -263,6 +265,20 @@ def _displaced_leds(session: Session, fit: Solution) -> Iterator[str]:
                 f"LED {led.name!r} comes out {1e3 * apart:.0f} mm from where the session puts it on {link!r}, "
                 f"{apart / sigma:.0f} times its sigma: check the tip link, and position"
             )
+
+
+def _displaced_targets(fit: Solution) -> Iterator[str]:
+    """Targets that come out far from where the session puts them."""
+    for block in fit.parameters.blocks:
+        if isinstance(block, TargetBlock):
+            off = np.abs(block.local(fit.state[block.key])[0])
+            if (sigmas := float(np.max(off / block.sigma))) > _DISPLACED:
+                apart = f"{1e3 * np.linalg.norm(off[:3]):.0f} mm and {1e3 * np.linalg.norm(off[3:]):.0f} mrad"
+                name = block.key.name.partition(".")[0]
+                yield (
+                    f"target {name!r} comes out {apart} from where the session puts it, {sigmas:.0f} times its sigma: "
+                    "check its link, position and rpy, and which way its print is turned"
+                )
 
 
 def _other_lenses(session: Session, fit: Solution) -> Iterator[str]:

@@ -127,9 +127,7 @@ class Views:
         return inverse(self._frame(pose, view_frame, T_world_base)) @ self._frame(pose, led_frame, T_world_base)
 
     def _frame(self, pose: Ints, frame: int, T_world_base: Floats) -> Floats:
-        if frame == 0:
-            return inverse(T_world_base[pose])
-        return self.at.frame(frame, pose, self.state)
+        return self.at.frame(frame, pose, self.state, T_world_base)
 
     def resect(self, camera: int, T_world_base: Floats, leds: Floats) -> Floats:
         """The camera's place in its frame (4, 4) by PnP on the nominal arm's LED positions."""

@@ -19,7 +19,7 @@ from urdfcal.estimation.linearize import Tangent
 from urdfcal.estimation.noise import find_noise, with_noise
 from urdfcal.estimation.regions import joint_regions, tip_regions
 from urdfcal.estimation.validation import random_folds
-from urdfcal.estimation.whitening import JointNoise, joint_covariance
+from urdfcal.estimation.whitening import Whitening, joint_noise
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -136,10 +136,10 @@ class Alternatives:
                 N, m, D = at.residual.shape
                 used, J = kept[some], at.J.reshape(N, m * D, -1)
                 X = np.concatenate([J, at.residual.reshape(N, m * D, 1) - J[..., P:] @ values[:, None]], axis=2)
-                sigma = joint_covariance(at, thinned.arm.chain.reading_jacobian, joint.found)
-                W = JointNoise(sigma, sigma).whitening(covariance, np.where(used, 1.0, _REJECTED))
+                reading = joint_noise(at, thinned.arm.chain.reading_jacobian, joint.found)
+                W = Whitening.of(covariance / np.where(used, 1.0, _REJECTED)[..., None, None], reading)
                 size = np.nan_to_num(thinned.metres_per_unit(observed, fit.state)) * used
-                rows.append((observed.pose, W @ X, np.repeat(size, D, axis=1)[..., None] * X, used.sum(axis=1)))
+                rows.append((observed.pose, W(X), np.repeat(size, D, axis=1)[..., None] * X, used.sum(axis=1)))
             divisions = tuple(_Division.of(label, rows) for label in labels)
             r, J_prior = parameters.prior_residuals(fit.state)
         own = ~np.any(J_prior[:, P:], axis=1)

@@ -43,11 +43,11 @@ class Jacobian:
         return self._parameters.has_active(key)
 
     def put(self, key: Key[Any], derivative: Floats, rows: Ints | slice = _EVERY) -> None:
-        """Write the derivative (K or len(rows), D, k) by the k coordinates of a block; fixed ones are left out."""
+        """Add the derivative (K or len(rows), D, k) by the k coordinates of a block; fixed ones are left out."""
         if not self.wants(key):
             return
         where, active = self._parameters.active_columns(key)
-        self.values[rows, :, where] = derivative if active.all() else derivative[..., active]
+        self.values[rows, :, where] += derivative if active.all() else derivative[..., active]
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Links:
-    """Poses of the frames that LEDs, points of targets and cameras are fixed in.
+    """Poses of the frames that LEDs, points of targets and cameras are fixed in: world, links, targets.
 
-    Frame 0 is the world of the pose's part, others are links and targets.
+    Frame 0 is the world of the pose's part.
 
     Attributes:
         attachments: what is fixed in which frame.
@@ -37,14 +37,14 @@ class Links:
 
     @classmethod
     def of(cls, attachments: Attachments, state: State, part: Ints, R: Sequence[Floats], p: Sequence[Floats]) -> Links:
-        """Take world, by each pose's part (N,), and targets beside the links' rotations and origins (N, 3)."""
+        """Take the world of each pose's part (N,) and the targets beside the links' rotations and origins (N, ...)."""
         T = inverse(np.array([state[key] for key in base_keys(attachments.parts)]))
         T = np.broadcast_to(T[0], (len(part), 4, 4)) if len(T) == 1 else T[part]
         every_R, every_p = [T[:, :3, :3], *R], [T[:, :3, 3], *p]
         for name, carrier in attachments.carried:
-            T_carrier = state[target_key(name)]
-            every_p.append(every_p[carrier] + every_R[carrier] @ T_carrier[:3, 3])
-            every_R.append(every_R[carrier] @ T_carrier[:3, :3])
+            own = state[target_key(name)]
+            every_p.append(every_p[carrier] + every_R[carrier] @ own[:3, 3])
+            every_R.append(every_R[carrier] @ own[:3, :3])
         return cls(attachments, tuple(every_R), tuple(every_p))
 
     @property

@@ -9,12 +9,12 @@ import numpy as np
 
 from urdfcal.arrays import one_blas_thread, rms
 from urdfcal.estimation.linearize import Tangent
-from urdfcal.estimation.whitening import block_diagonal, joint_covariance
+from urdfcal.estimation.whitening import Whitening, joint_noise
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping, Sequence
+    from collections.abc import Collection, Iterator, Sequence
 
-    from urdfcal.arrays import Bools, Floats
+    from urdfcal.arrays import Bools, Floats, Ints
     from urdfcal.estimation.observations import Observations
     from urdfcal.estimation.problem import Problem
     from urdfcal.estimation.solver import Solution
@@ -99,8 +99,10 @@ def find_noise(problem: Problem, fit: Solution, undeclared: Collection[str] = ()
     with one_blas_thread():
         parts: list[_Part] = []
         for observed, kept in zip(problem.observations, fit.kept, strict=True):
-            parts.append(_Part.of(problem, fit, observed, kept, sum(len(part.C) for part in parts)))
-        ones = np.ones(sum(len(part.C) for part in parts))
+            parts.append(
+                _Part.of(problem, fit, observed, kept, 1 + max((of.scaled_by.max() for of in parts), default=-1))
+            )
+        ones = np.ones(1 + parts[-1].scaled_by.max())
         likelihood = _Likelihood(tuple(parts), *fit.parameters.prior_residuals(fit.state))
         declared = np.array([*ones, max(problem.joint_sigma, _LEAST_JOINT) ** 2])
         start = np.array([*ones, max(problem.joint_sigma, _USUAL_JOINT) ** 2])
@@ -131,16 +133,21 @@ def find_noise(problem: Problem, fit: Solution, undeclared: Collection[str] = ()
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """One kind of measurement at N poses of M numbers: residuals, derivatives, and the covariances to be scaled.
+    """One kind of measurement at N poses, whitened by what is declared of it; zero where it is left out.
 
-    C holds those of the measurement alone, by the number of the variance that scales them.
+    Attributes:
+        residual: (N, m D, 1).
+        J: (N, m D, p) derivative by the parameters.
+        joint: (N, m D, k) what 1 rad or m of each joint reading does.
+        used: (N, m D) which numbers are not left out.
+        scaled_by: (m D,) the number of the variance that each is scaled by.
     """
 
     residual: Floats
     J: Floats
-    C: Mapping[int, Floats]
-    K: Floats
-    rest: Floats
+    joint: Floats
+    used: Bools
+    scaled_by: Ints
 
     @classmethod
     def of(cls, problem: Problem, fit: Solution, observed: Observations, kept: Bools, first: int = 0) -> _Part:
@@ -148,19 +155,14 @@ class _Part:
         at = Tangent.at(problem, observed.at(some), fit.state, fit.parameters).linearise()
         N, m, D = at.residual.shape
         used = np.repeat(kept[some], D, axis=1)
-        both = used[:, :, None] * used[:, None, :]
-        own = {}
+        joint = joint_noise(at, problem.arm.chain.reading_jacobian, 1.0)
+        alone = Whitening.of(observed.covariance[some], joint[..., :0])
+        columns = at.residual.reshape(N, m * D, 1), at.J.reshape(N, m * D, -1), joint
+        residual, J, joint = (alone(of * used[..., None]) for of in columns)
+        scaled_by = np.zeros(D, dtype=np.intp)
         for k, of in enumerate(observed.table.spread_of().values(), first):
-            numbers = np.zeros(D)
-            numbers[of.numbers] = 1.0
-            own[k] = block_diagonal(observed.covariance[some] * np.outer(numbers, numbers)) * both
-        return cls(
-            at.residual.reshape(N, m * D) * used,
-            at.J.reshape(N, m * D, -1) * used[..., None],
-            own,
-            joint_covariance(at, problem.arm.chain.reading_jacobian, 1.0) * both,
-            np.eye(m * D) * ~used[:, :, None],
-        )
+            scaled_by[of.numbers] = k
+        return cls(residual, J, joint, used, np.tile(scaled_by, m))
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,27 +203,40 @@ class _Likelihood:
         H, g = self.J_prior.T @ self.J_prior, self.J_prior.T @ self.r_prior
         whitened, value = [], -0.5 * float(self.r_prior @ self.r_prior)
         for part in self.parts:
-            own = [variances[i] * C for i, C in part.C.items()]
-            L = np.linalg.cholesky(sum(own, start=variances[-1] * part.K + part.rest))
-            W = np.linalg.inv(L)
-            J, r = W @ part.J, (W @ part.residual[..., None])[..., 0]
-            whitened.append((W, J, r))
-            H, g = H + np.einsum("nij,nik->jk", J, J), g + np.einsum("nij,ni->j", J, r)
-            value -= float(np.sum(np.log(np.diagonal(L, axis1=1, axis2=2)))) + 0.5 * float(np.sum(r**2))
+            own = np.broadcast_to(variances[part.scaled_by, None, None], (*part.used.shape, 1, 1))
+            W = Whitening.of(own, np.sqrt(variances[-1]) * part.joint)
+            r, J = W(part.residual), W(part.J)
+            whitened.append((W, r, J))
+            H, g = H + np.einsum("nij,nik->jk", J, J), g + np.einsum("nij,ni->j", J, r[..., 0])
+            logs = np.sum(part.used * np.log(variances[part.scaled_by])) + np.sum(np.log1p(W.strength))
+            value -= 0.5 * float(logs + np.sum(r**2))
         scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
         scaled = H * np.outer(scale, scale)
         covariance = np.linalg.pinv(scaled, hermitian=True) * np.outer(scale, scale)
         step = -covariance @ g
         value += 0.5 * float(g @ covariance @ g) - 0.5 * float(np.linalg.slogdet(H)[1])
         score, information = np.zeros(count), np.zeros((count, count))
-        for part, (W, J, r) in zip(self.parts, whitened, strict=True):
-            Wt = np.swapaxes(W, 1, 2)
-            left = r + J @ step
-            shares = {i: variances[i] * (W @ C @ Wt) for i, C in (*part.C.items(), (count - 1, part.K))}
-            for i, V in shares.items():
-                taken = np.sum((J @ covariance) * (V @ J))
-                explained = np.einsum("ni,nij,nj->", left, V, left)
-                score[i] += 0.5 * (explained - np.trace(V, axis1=1, axis2=2).sum() + taken)
-                for j, U in shares.items():
-                    information[i, j] += 0.5 * np.einsum("nij,nji->", V, U)
+        # A pose is whitened by R with R^2 = (1 + A A^T)^-1 = 1 - G G^T. The readings' share of its covariance then is
+        # F F^T with F = R A, and that of a variance R M R, with M for the numbers that it scales.
+        for part, (W, r, J) in zip(self.parts, whitened, strict=True):
+            left, q = r + J @ step[:, None], count - 1
+            F, share = W.shared(W.A), W.strength / (1.0 + W.strength)
+            G = (W.A @ W.axes) / np.sqrt(1.0 + W.strength)[:, None]
+            by_joint = np.swapaxes(F, 1, 2) @ J
+            taken = np.sum((by_joint @ covariance) * by_joint)
+            score[q] += 0.5 * (np.sum((np.swapaxes(F, 1, 2) @ left) ** 2) - np.sum(share) + taken)
+            information[q, q] += 0.5 * np.sum(share**2)
+            left, J, F = W.shared(left), W.shared(J), W.shared(F)
+            each = {}
+            for i in np.unique(part.scaled_by).tolist():
+                mine = (part.used & (part.scaled_by == i))[..., None]
+                of = mine * G
+                free = np.sum(mine) - np.sum(of**2)
+                score[i] += 0.5 * (np.sum(mine * left**2) - free + np.sum(mine * (J @ covariance) * J))
+                each[i] = np.swapaxes(of, 1, 2) @ of
+                information[i, i] += 0.5 * (free - np.sum(of**2))
+                information[[i, q], [q, i]] += 0.5 * np.sum(mine * F**2)
+            for i, a in each.items():
+                for j, b in each.items():
+                    information[i, j] += 0.5 * np.sum(a * b)
         return _LikelihoodValue(value, score, information)

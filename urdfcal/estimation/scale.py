@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 import numpy as np
 
 from urdfcal.estimation.blocks.scale import SCALE
+from urdfcal.estimation.blocks.targets import print_key
 from urdfcal.estimation.diagnosis.residuals import Part
 from urdfcal.estimation.uncertainty import tip_change
 
@@ -53,18 +54,23 @@ def find_scale(problem: Problem, fit: Solution, unexplained: Unexplained) -> Len
         fit: the estimate.
         unexplained: its residuals.
     """
-    columns = unexplained.columns(partial(Part.by, key=SCALE))
+    # A target's print is a length unit, too.
+    every = unexplained.parts[0].parameters
+    printed = (key for target in problem.attachments.targets if every.has_active(key := print_key(target)))
+    keys = (SCALE, *printed)
+    columns = sum((unexplained.columns(partial(Part.by, key=key)) for key in keys), start=np.zeros(1))
     unit: LengthUnit = "instrument"
     if not np.any(columns):
         known = np.concatenate([np.zeros(0), *(of.by_scale for of in fit.parameters.distances)])
         columns[len(columns) - len(known) :, 0] = known  # the last of the priors
         unit = "distances" if len(known) else "nothing"
-    where, active = fit.parameters.active_columns(SCALE)
+    own = next((key for key in keys if fit.parameters.has_active(key)), SCALE)
+    where, active = fit.parameters.active_columns(own)
     tip = tip_change(problem, fit, unexplained.response(columns, where)) if np.any(columns) else 0.0
     if active.any():
-        block = next(block for block in fit.parameters.blocks if block.key == SCALE)
+        block = next(block for block in fit.parameters.blocks if block.key == own)
         sigma = float(np.sqrt(fit.covariance[where, where][0, 0]))
-        return LengthScale(1e-3 * tip, float(fit.state[SCALE][0]), sigma, float(block.sigma[0]), unit)
+        return LengthScale(1e-3 * tip, float(fit.state[own][0]), sigma, float(block.sigma[0]), unit)
     _, size, covariance = unexplained.explained(columns)
     variance = float(covariance[0, 0])
     sigma = float(np.sqrt(variance)) if variance > 0.0 else float("inf")

@@ -15,7 +15,7 @@ from urdfcal.arrays import one_blas_thread
 from urdfcal.errors import CalibrationError, CameraError
 from urdfcal.estimation.linearize import Tangent
 from urdfcal.estimation.robust import REJECTED, HuberWeights, find_outliers, keep_weights, unit_weights
-from urdfcal.estimation.whitening import JointNoise, joint_covariance
+from urdfcal.estimation.whitening import JointNoise, Whitening, joint_noise
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -255,7 +255,7 @@ class _LeastSquares:
 
     def linearise(self, state: State, noise: tuple[JointNoise, ...] | None = None) -> _Local:
         """Find residuals, derivatives, and the noise that the joint readings give at a state."""
-        problem, count = self.problem, self.parameters.count
+        problem, count, readings = self.problem, self.parameters.count, self.problem.arm.chain.reading_jacobian
         residuals: list[Floats] = []
         derivatives: list[Floats] = []
         noises: list[JointNoise] = []
@@ -263,12 +263,12 @@ class _LeastSquares:
             tangent = Tangent.at(problem, observed, state, self.parameters)
             N, m, D = observed.value.shape
             residual, J = np.empty((N, m, D)), np.empty((N, m * D, count))
-            joint = np.zeros((N, m * D, m * D))
+            joint = np.zeros((N, m * D, readings.shape[1] if problem.joint_sigma > 0.0 else 0))
             for poses in _chunks(N):
                 at = tangent.linearise(poses)
                 residual[poses], J[poses] = at.residual, at.J.reshape(-1, m * D, count)
                 if noise is None and problem.joint_sigma > 0.0:
-                    joint[poses] = joint_covariance(at, problem.arm.chain.reading_jacobian, problem.joint_sigma)
+                    joint[poses] = joint_noise(at, readings, problem.joint_sigma)
             residuals.append(residual)
             derivatives.append(J)
             if noise is None:
@@ -289,22 +289,23 @@ class _LeastSquares:
         residual = tuple(self.problem.residual(observed, state) for observed in self.problem.observations)
         return replace(at, state=state, residual=residual, drift=drift)
 
-    def whitening(self, noise: Sequence[JointNoise], weights: Weights) -> tuple[Floats, ...]:
-        """Return what gives the residuals of whole poses unit variance, for each kind (N, mD, mD)."""
+    def whitening(self, noise: Sequence[JointNoise], weights: Weights) -> tuple[Whitening, ...]:
+        """Return for each kind what gives the residuals of whole poses unit variance."""
         return tuple(
             own.whitening(observed.covariance, weight)
             for observed, own, weight in zip(self.problem.observations, noise, weights, strict=True)
         )
 
-    def evaluate(self, at: _Local, whitening: Sequence[Floats]) -> _NormalEquations:
-        """Accumulate the normal equations over all poses, whole poses whitened (N, mD, mD)."""
+    def evaluate(self, at: _Local, whitening: Sequence[Whitening]) -> _NormalEquations:
+        """Accumulate the normal equations over all poses, whole poses whitened."""
         r, J = self.parameters.prior_residuals(at.state)
         H, g, cost = J.T @ J, J.T @ r, float(r @ r)
         for residual, J, W in zip(at.residual, at.J, whitening, strict=True):
             N, m, D = residual.shape
             for poses in _chunks(N):
-                r = (W[poses] @ residual[poses].reshape(-1, m * D, 1)).ravel()
-                J_poses = (W[poses] @ J[poses]).reshape(len(r), -1)
+                whitened = W.at(poses)(np.concatenate([residual[poses].reshape(-1, m * D, 1), J[poses]], axis=2))
+                whitened = whitened.reshape(-1, 1 + J.shape[2])
+                r, J_poses = whitened[:, 0], whitened[:, 1:]
                 H += J_poses.T @ J_poses
                 g += J_poses.T @ r
                 cost += float(r @ r)

@@ -55,18 +55,26 @@ class Start:
         links = np.array(link_poses(session.chain, session.q, tips, arm.placements(offsets)))
         return cls(session, links, np.array([led.position is None for led in session.leds], dtype=bool))
 
-    def frame(self, frame: int, pose: Ints, state: State) -> Floats:
-        """T_base_frame (S, 4, 4) of a frame at some poses (S,); the world is the base where that is not known. [m]."""
+    def frame(self, frame: int, pose: Ints, state: State, T_world_base: Floats | None = None) -> Floats:
+        """T_base_frame (S, 4, 4) of a frame at some poses (S,).
+
+        Args:
+            frame: which.
+            pose: (S,) indices.
+            state: where the targets are, and the bases.
+            T_world_base: (N, 4, 4) instead of the state's; where that has none, the world is the base. [m]
+        """
         attachments = self.session.attachments
         if frame >= attachments.first_target:
             own: Floats = state[target_key(attachments.frames[frame])]
-            return self.frame(int(attachments.carrier[frame]), pose, state) @ own
+            return self.frame(int(attachments.carrier[frame]), pose, state, T_world_base) @ own
         if frame:
             link: Floats = self.links[frame - 1, pose]
             return link
-        worlds = [inverse(state[key]) if key in state else np.eye(4) for key in base_keys(attachments.parts)]
-        world: Floats = np.array(worlds)[self.session.part[pose]]
-        return world
+        if T_world_base is None:
+            keys = base_keys(attachments.parts)
+            T_world_base = np.array([state[key] if key in state else np.eye(4) for key in keys])[self.session.part]
+        return inverse(T_world_base[pose])
 
     def placed(self, state: State) -> Bools:
         """Return which LEDs and points of targets (L + M,) are roughly known in their frames."""
@@ -114,6 +122,7 @@ def first_state(
     state = place_targets(at, tables, state)
     for table in tables:
         state = table.start(at, state)
+    state = state.replace({key: np.eye(4) for key in bases if key not in state})
     state = place_targets(at, tables, state)
     unplaced = (*bases, *(target_key(name) for name in session.attachments.targets))
     return state.replace({key: np.eye(4) for key in unplaced if key not in state})

@@ -9,7 +9,7 @@ import numpy as np
 
 from urdfcal.arrays import Floats, Ints, inverse
 from urdfcal.errors import CalibrationError
-from urdfcal.estimation.blocks.base_pose import BASE, base_keys
+from urdfcal.estimation.blocks.base_pose import base_keys
 from urdfcal.estimation.blocks.targets import target_key
 
 if TYPE_CHECKING:
@@ -67,24 +67,27 @@ def place_targets(at: Start, tables: Iterable[Measurement], state: State) -> Sta
         CalibrationError: what sees a target does not tell its pose.
     """
     attachments = at.session.attachments
-    bases = base_keys(attachments.parts)
     wanted = [name for name in attachments.targets if target_key(name) not in state]
     if not wanted:
         return state
     views = sorted((of for table in tables for of in table.target_views(at.session)), key=lambda of: -len(of.pose))
+    part, bases = at.session.part, base_keys(attachments.parts)
     for t, (name, carrier) in enumerate(attachments.carried):
-        for view in (of for of in views if of.target == t and target_key(name) not in state):
+        for view in (of for of in views if of.target == t and len(of.pose) and target_key(name) not in state):
             T_viewer_frame = view.T_viewer_frame
+            # Each part has its own world: of several, the one with most views.
+            most = int(np.argmax(np.bincount(part[view.pose])))
+            here, base = part[view.pose] == most, bases[most]
+            pose, seen = view.pose[here], view.T_viewer_target[here]
             if view.frame == carrier:
                 if T_viewer_frame is not None:
-                    T_frame_target = inverse(T_viewer_frame) @ view.T_viewer_target[:, 0]
-                    state = state.replace({target_key(name): mean_pose(T_frame_target)})
-            elif carrier or all(base in state for base in bases):
-                B = inverse(at.frame(view.frame, view.pose, state)) @ at.frame(carrier, view.pose, state)
-                Y, X = hand_eye(name, view.T_viewer_target, B)
+                    state = state.replace({target_key(name): mean_pose(inverse(T_viewer_frame) @ seen[:, 0])})
+            elif carrier or base in state:
+                B = inverse(at.frame(view.frame, pose, state)) @ at.frame(carrier, pose, state)
+                Y, X = hand_eye(name, seen, B)
                 state = state.replace({target_key(name): X})
-                if bases == (BASE,) and BASE not in state and view.frame == 0 and T_viewer_frame is not None:
-                    state = state.replace({BASE: inverse(T_viewer_frame) @ Y})
+                if base not in state and view.frame == 0 and T_viewer_frame is not None:
+                    state = state.replace({base: inverse(T_viewer_frame) @ Y})
     return state
 
 

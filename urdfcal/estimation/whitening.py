@@ -1,8 +1,13 @@
-"""Whitening of measurements by their own noise and that of the joint readings (METHOD 8)."""
+"""Whitening of measurements by their own noise and that of the joint readings (METHOD 8).
+
+The joint readings' noise moves all measurements of a pose together, by as many numbers as there are joints: whatever a
+pose measures, its covariance is block diagonal but for a part of that rank, and costs no more than that.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,13 +16,16 @@ if TYPE_CHECKING:
     from urdfcal.arrays import Floats
     from urdfcal.estimation.linearize import Linearization
 
+# Poses of so few numbers are whitened by a matrix each, which is quicker than its factors.
+_FEW = 16
+
 
 @dataclass(frozen=True, eq=False)
 class JointNoise:
     """What the joint readings' noise does to measurements.
 
     Attributes:
-        joint: (N, mD, mD) covariance of whole poses from joint readings.
+        joint: (N, m D, k) what one standard deviation of each reading does; k is 0 where they have no noise.
         marginal: (N, m, D, D) what gives each measurement alone unit variance, its share of the joint noise included.
     """
 
@@ -26,11 +34,9 @@ class JointNoise:
 
     @classmethod
     def of(cls, covariance: Floats, joint: Floats) -> JointNoise:
-        """Take the covariance (N, m, D, D) of measurements and that of whole poses from joint readings."""
-        N, m, D, _ = covariance.shape
-        each = np.arange(m)
-        own = covariance + np.moveaxis(joint.reshape(N, m, D, m, D)[:, each, :, each, :], 0, 1)
-        return cls(joint, np.linalg.inv(np.linalg.cholesky(own)))
+        """Take the covariance (N, m, D, D) of measurements, and what the joint readings do to whole poses."""
+        own = joint.reshape(*covariance.shape[:3], joint.shape[-1])
+        return cls(joint, np.linalg.inv(np.linalg.cholesky(covariance + own @ np.swapaxes(own, -1, -2))))
 
     def norms(self, residual: Floats) -> Floats:
         """Return the whitened residual norm (N, m) of each measurement alone."""
@@ -38,28 +44,72 @@ class JointNoise:
         result: Floats = np.sqrt(np.einsum("nmd,nmd->nm", own, own))
         return result
 
-    def whitening(self, covariance: Floats, weight: Floats) -> Floats:
-        """Return what gives the residuals of whole poses unit variance (N, mD, mD).
+    def whitening(self, covariance: Floats, weight: Floats) -> Whitening:
+        """Return what gives the residuals of whole poses unit variance.
 
         Args:
             covariance: (N, m, D, D) of the measurements alone, which is divided by the weight.
             weight: (N, m).
         """
-        own = block_diagonal(covariance / weight[..., None, None])
-        W: Floats = np.linalg.inv(np.linalg.cholesky(self.joint + own))
-        return W
+        return Whitening.of(covariance / weight[..., None, None], self.joint)
 
 
-def block_diagonal(covariance: Floats) -> Floats:
-    """Return the covariance of whole poses (N, mD, mD) of measurements (N, m, D, D) that err independently."""
-    N, m, D, _ = covariance.shape
-    each, pose = np.arange(m), np.zeros((N, m, D, m, D))
-    pose[:, each, :, each, :] = np.moveaxis(covariance, 1, 0)
-    return pose.reshape(N, m * D, m * D)
+@dataclass(frozen=True, eq=False)
+class Whitening:
+    """What gives the numbers of whole poses unit variance: (1 + A A^T)^(-1/2), after each measurement's own factor.
+
+    Attributes:
+        own: (N, m, D, D) gives each measurement unit variance by its own noise.
+        A: (N, m D, k) what the joint readings do to measurements so whitened.
+        strength: (N, k) eigenvalues of A^T A.
+        axes: (N, k, k) its eigenvectors.
+    """
+
+    own: Floats
+    A: Floats
+    strength: Floats
+    axes: Floats
+
+    @classmethod
+    def of(cls, covariance: Floats, joint: Floats) -> Whitening:
+        """Take the covariance (N, m, D, D) of measurements, and what the joint readings do (N, m D, k)."""
+        own = np.linalg.inv(np.linalg.cholesky(covariance))
+        A = _each(own, joint)
+        strength, axes = np.linalg.eigh(np.swapaxes(A, 1, 2) @ A)
+        return cls(own, A, np.maximum(strength, 0.0), axes)
+
+    def at(self, poses: slice) -> Whitening:
+        """Return that of some of the poses."""
+        return Whitening(self.own[poses], self.A[poses], self.strength[poses], self.axes[poses])
+
+    def __call__(self, columns: Floats) -> Floats:
+        """Whiten columns (N, m D, k)."""
+        if columns.shape[1] <= _FEW:
+            result: Floats = self._matrix @ columns
+            return result
+        return self.shared(_each(self.own, columns))
+
+    def shared(self, columns: Floats) -> Floats:
+        """Whiten columns (N, m D, k) that are whitened by their measurements' own noise already."""
+        if not self.A.shape[2]:
+            return columns
+        # (1 + A A^T)^(-1/2) = 1 - A V [s (1 + s)]^-1 V^T A^T with s^2 = 1 + strength.
+        s = np.sqrt(1.0 + self.strength)[:, None]
+        inner = (self.axes / (s * (1.0 + s))) @ np.swapaxes(self.axes, 1, 2)
+        result: Floats = columns - self.A @ (inner @ (np.swapaxes(self.A, 1, 2) @ columns))
+        return result
+
+    @cached_property
+    def _matrix(self) -> Floats:
+        N, m, D, _ = self.own.shape
+        whole = np.zeros((N, m, D, m, D))
+        each = np.arange(m)
+        whole[:, each, :, each, :] = np.moveaxis(self.own, 1, 0)
+        return self.shared(whole.reshape(N, m * D, m * D))
 
 
-def joint_covariance(at: Linearization, reading_jacobian: Floats, sigma: float) -> Floats:
-    """Return the covariance (N, mD, mD) of whole poses from joint readings of a standard deviation.
+def joint_noise(at: Linearization, reading_jacobian: Floats, sigma: float) -> Floats:
+    """Return what a standard deviation of each joint reading does to whole poses (N, m D, k).
 
     Args:
         at: the derivatives.
@@ -67,6 +117,12 @@ def joint_covariance(at: Linearization, reading_jacobian: Floats, sigma: float) 
         sigma: of each reading. [rad or m]
     """
     N, m, D = at.residual.shape
-    J_q = sigma * (at.J_q.reshape(N * m * D, -1) @ reading_jacobian).reshape(N, m * D, -1)
-    covariance: Floats = J_q @ np.swapaxes(J_q, -1, -2)
-    return covariance
+    result: Floats = sigma * (at.J_q.reshape(N * m * D, -1) @ reading_jacobian).reshape(N, m * D, -1)
+    return result
+
+
+def _each(own: Floats, columns: Floats) -> Floats:
+    """Multiply the rows of each measurement by its own matrix (N, m, D, D)."""
+    N, m, D, _ = own.shape
+    result: Floats = (own @ columns.reshape(N, m, D, columns.shape[2])).reshape(columns.shape)
+    return result

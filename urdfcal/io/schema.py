@@ -5,15 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 import numpy as np
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    WrapValidator,
-    create_model,
-    model_validator,
-)
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, WrapValidator, create_model, model_validator
 
 from urdfcal.estimation.joint_models import JOINT_MODELS
 from urdfcal.estimation.measurements import MEASUREMENTS, Measurement
@@ -255,7 +247,7 @@ class SetupFile(Keys):
         exceptions: Any = tolerances.__pydantic_extra__
         return {
             "leds": tuple(Led(name, **dict(led)) for name, led in self.leds.items()),
-            "targets": tuple(target.target(name) for name, target in self.targets.items()),
+            "targets": tuple(target.target(name, self.scale) for name, target in self.targets.items()),
             "mounts": self.cameras.mounts if self.cameras is not None else (),
             "led_distances": tuple(LedDistance(**dict(distance)) for distance in self.led_distances),
             "place_distances": tuple(PlaceDistance(**dict(distance)) for distance in self.place_distances),
@@ -287,8 +279,8 @@ class RigFile(SetupFile):
 
     estimate: Annotated[_Estimate, AfterValidator(_at_rest)] = EstimateKeys()
     stand: StandKeys | None = None
-    errors: dict[JointError, Annotated[Any, AfterValidator(_sizes)]] = Field(default={})
     places: dict[Name, Vector] = Field(default={})
+    errors: dict[JointError, Annotated[Any, AfterValidator(_sizes)]] = Field(default={})
 
     @model_validator(mode="after")
     def _measured(self) -> RigFile:

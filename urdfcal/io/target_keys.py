@@ -21,12 +21,13 @@ class TargetKeys(PlaceKeys):
     sigma: tuple[NotNegative, NotNegative] | None = Field(default=None, strict=False)
     scale: ScaleKeys | None = None
 
-    def target(self, name: str) -> Target:
-        """The same in arrays; other keys are its pattern's fields."""
+    def target(self, name: str, usual: ScaleKeys | None) -> Target:
+        """The same in arrays, of the session's scale where it says none; other keys are its pattern's fields."""
         own = {key: getattr(self, key) for key in type(self).model_fields if key not in TargetKeys.model_fields}
         pattern = next(pattern for pattern in PATTERNS if pattern.kind == self.kind)
         sigma = None if self.sigma is None else np.repeat(self.sigma, 3)
-        scale = None if self.scale is None else self.scale.sigma
+        said = self.scale or usual
+        scale = None if said is None else said.sigma
         try:
             return Target(name, pattern(**own), self.link, self.T, sigma, scale)
         except SessionError as error:

@@ -26,7 +26,7 @@ class RobotPoses:
 
     Attributes:
         frames: (N, n + 1, 4, 4) base link and joint frames. [m]
-        T_base_frame: (F, N, 4, 4) what LEDs and cameras are fastened to: the world, then links. [m]
+        T_base_frame: (F, N, 4, 4) what LEDs and cameras are fastened to: the world, links, targets. [m]
         leds: (N, L, 3) LEDs. [m]
         T_base_cam: (C, N, 4, 4) cameras. [m]
     """
@@ -42,7 +42,9 @@ class RobotPoses:
         fastened, T_base_world = session.attachments, inverse(arm.T_world_bases)
         frames = joint_frames(session.chain, arm.placements, q)
         part = session.part if len(q) == len(session.part) else np.zeros(len(q), np.intp)
-        T_base_frame = np.array([T_base_world[part], *(link_frames(frames, tip) for tip in fastened.tips)])
+        every = [T_base_world[part], *(link_frames(frames, tip) for tip in fastened.tips)]
+        every += [every[carrier] @ T for T, (_, carrier) in zip(arm.targets, fastened.carried, strict=True)]
+        T_base_frame = np.array(every)
         T_base_carrier = np.swapaxes(T_base_frame[fastened.led], 0, 1)
         leds = (T_base_carrier[..., :3, :3] @ arm.leds[..., None])[..., 0] + T_base_carrier[..., :3, 3]
         seats = np.array(

@@ -121,15 +121,16 @@ def fastening_sentences(session: Setup) -> tuple[str, ...]:
     Nothing is said where every LED is on the tip link and every camera is fixed in the world.
     """
     frames, chain = session.attachments, session.chain
-    links = [tip.link for tip in frames.tips]
     if len(chain.tips) == 1 and np.all(frames.led == 1) and not session.mounts:
         return ()
     parts = []
-    for frame in sorted(set(frames.led.tolist())):
-        names = [name for name, of in zip(session.led_names, frames.led, strict=True) if of == frame]
-        where = f"on {links[frame - 1]}" if frame else "fixed in the world"
+    carried = [(led.name, frame) for led, frame in zip(session.leds, frames.led.tolist(), strict=False)]
+    carried += [(f"target {name}", carrier) for name, carrier in frames.carried]
+    for frame in sorted({frame for _, frame in carried}):
+        names = [name for name, of in carried if of == frame]
+        where = f"on {frames.frames[frame]}" if frame else "fixed in the world"
         parts.append(f"{listed(names)} {where}")
-    sentences = [f"LEDs: {'; '.join(parts)}."]
+    sentences = [f"{'LEDs' if session.leds else 'Seen'}: {'; '.join(parts)}."]
     sentences += [
         f"Camera {mount.camera} is on {mount.link}: an error in mm is how far an LED is, across the camera's ray, from "
         "where the joints between the two put it."

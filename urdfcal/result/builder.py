@@ -15,6 +15,7 @@ from urdfcal.estimation.blocks.cameras import lens_key, pose_key
 from urdfcal.estimation.blocks.leds import LEDS
 from urdfcal.estimation.blocks.places import PLACES
 from urdfcal.estimation.blocks.planes import PLANES
+from urdfcal.estimation.blocks.targets import target_key
 from urdfcal.estimation.joint_models.time_offset import TIME_OFFSETS
 from urdfcal.estimation.measurements.pixels import triangulate
 from urdfcal.estimation.model_selection import Trial
@@ -52,6 +53,7 @@ def build_document(of: FittedCalibration) -> d.ResultDocument:
         T_world_base_sigma=_known(of.sigmas_of(BASE)),
         **_sessions(of),
         leds=_leds(of),
+        targets=_targets(of),
         cameras={camera.name: _camera(of, c) for c, camera in enumerate(of.estimate.cameras)},
         **listed,
         fit=_fit(of),
@@ -186,7 +188,7 @@ def _sessions(of: FittedCalibration) -> dict[str, Any]:
         entries[name or BASE_PART] = d.SessionEntry(
             T_world_base=of.fit.state[key].tolist(),
             T_world_base_sigma=_known(of.sigmas_of(key)),
-            poses=int(np.count_nonzero(session.part == k)),
+            poses=int(np.count_nonzero(session.part[of.problem.poses] == k)),
             leds=[session.led_names[i] for i in sorted(things["led"])],
             cameras=[session.rig.names[i] for i in sorted(things["camera"])],
             residuals=residuals,
@@ -231,6 +233,16 @@ def _planes(of: FittedCalibration) -> dict[str, d.PlaneEntry]:
     }
 
 
+def _targets(of: FittedCalibration) -> dict[str, d.TargetEntry]:
+    frames = of.session.attachments
+    result = {}
+    for T, (name, carrier), target in zip(of.estimate.targets, frames.carried, of.session.targets, strict=True):
+        exact = target.sigma is not None and not target.sigma.any()
+        sigma: list[float | None] = [0.0] * 6 if exact else _known(of.sigmas_of(target_key(name)))
+        result[name] = d.TargetEntry(link=frames.frames[carrier], T_link_target=T.tolist(), sigma=sigma)
+    return result
+
+
 def _camera(of: FittedCalibration, c: int) -> d.CameraEntry:
     """A camera's lens, and its pose in the world or on its link; of an arm that moved its clock's time offset."""
     camera, T, attachments = of.estimate.cameras[c], of.estimate.T_cam_frame[c], of.session.attachments
@@ -271,7 +283,7 @@ def _fit(of: FittedCalibration) -> d.FitSection:
             if found.unit in ("px", "mm"):
                 rms = {f"rms_nominal_{found.unit}": found.rms_nominal, f"rms_{found.unit}": found.rms} | rms
     return d.FitSection(
-        poses=len(of.session.poses),
+        poses=len(of.problem.poses),
         observations=fit.observations,
         parameters=fit.parameters.count,
         rank=of.identifiability.rank,

@@ -130,6 +130,14 @@ class PlaneEntry(Section):
     sigma: Sigmas
 
 
+class TargetEntry(Section):
+    """The pose of a target on its link, or in the world; sigma of a small motion x, y, z, rx, ry, rz of the target."""
+
+    link: str
+    T_link_target: Transform
+    sigma: Sigmas
+
+
 class TimeOffsetEntry(Section):
     """The time offset of a camera's clock, in s; sigma is None where it was fixed."""
 
@@ -299,6 +307,7 @@ class ResultDocument(Section):
     T_world_base_sigma: Sigmas
     sessions: dict[str, SessionEntry] = Field(default_factory=dict)
     leds: dict[str, LedEntry]
+    targets: dict[str, TargetEntry] = Field(default_factory=dict)
     cameras: dict[str, CameraEntry]
     places: dict[str, PlaceEntry] = Field(default_factory=dict)
     planes: dict[str, PlaneEntry] = Field(default_factory=dict)

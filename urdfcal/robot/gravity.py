@@ -86,7 +86,7 @@ def masses_of(urdf: Urdf, mechanism: Mechanism, payload: Body | None = None) -> 
         payload: what the robot carries beside its own links.
     """
     model = pin.buildModelFromXML(urdf.text)
-    if not all(model.existJointName(name) for name in mechanism.names):
+    if not all(model.existJointName(name) for name in mechanism.names) or not model.existFrame(mechanism.base_link):
         return None
     if payload is not None:
         frame = model.frames[model.getFrameId(payload.link)]

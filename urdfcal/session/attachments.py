@@ -9,6 +9,7 @@ import numpy as np
 
 from urdfcal.arrays import Floats, Ints, frozen, inverse
 from urdfcal.errors import SessionError
+from urdfcal.names import check_names
 from urdfcal.robot.mechanism import Tip  # noqa: TC001  # a field's type
 from urdfcal.session.place import check_place
 
@@ -139,9 +140,12 @@ def attach(
 
     Raises:
         RobotError: a link is none of the mechanism's tips.
-        SessionError: nothing is on the robot, a camera's pose is given by one in another frame, or on its link though
-            its reference camera gives it there.
+        SessionError: there is nothing to see, or nothing is on the robot, a camera's pose is given by one in another
+            frame, or on its link though its reference camera gives it there.
     """
+    if not led_links and not targets:
+        raise SessionError("there is neither an LED nor a target", remedy="Name at least one.")
+    check_names("targets", [target.name for target in targets])
     led_at, target_at = ([link or mechanism.tip_link for link in of] for of in (led_links, [t.link for t in targets]))
     camera_at = [mounts[name].link if name in mounts else WORLD for name in rig.names]
     names = list(dict.fromkeys([WORLD, *led_at, *target_at, *camera_at]))

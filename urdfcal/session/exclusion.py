@@ -151,7 +151,7 @@ def _of(session: Session, cameras: Ints, leds: Ints, excluded: Excluded) -> Sess
             if key in table.index
         }
         tables.append(replace(table, **renumbered))
-    estimate, things = session.estimate, {BASE_LINK, *rig.names, *(session.leds[i].name for i in leds)}
+    estimate, things = session.estimate, {BASE_LINK, *rig.names, *(session.led_names[i] for i in leds)}
     return replace(
         session,
         rig=rig,

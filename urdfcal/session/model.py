@@ -114,10 +114,7 @@ class Setup(Rebuilt):
             keep(self, scale_sigma=self.rig.scale_sigma)
         for name in (name for distance in self.led_distances for name in distance.leds):
             check_known(name, [led.name for led in self.leds], "LEDs", "led_distances")
-        if not self.leds and not self.targets:
-            raise SessionError("there is neither an LED nor a target", remedy="Name at least one.")
         check_names("LEDs", self.led_names)
-        check_names("targets", [target.name for target in self.targets])
         rows = rows_of(self.chain).labels if self.tolerances.joints else ()
         for joint in self.tolerances.joints:
             between = f" between {self.chain.base_link!r} and {self.chain.tip_link!r}"

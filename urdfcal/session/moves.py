@@ -36,6 +36,9 @@ def resolve_moves(session: Session) -> Session:
         firsts = sorted({session.poses.index(label) for label in labels})
         moves = np.searchsorted(firsts, np.arange(len(session.poses)), side="right")
         names = [f"{what}@{session.poses[k]}" for k in firsts]
+        if session.targets and what not in (BASE_LINK, *session.rig.names):
+            remedy = "Leave the poses from there on out (exclude), or those before."
+            raise SessionError(f"{what!r} cannot have moved in a session with targets", where="moved", remedy=remedy)
         if what == BASE_LINK:
             session = replace(session, parts=("", *names), part=moves)
         elif what in session.led_names:

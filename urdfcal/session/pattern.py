@@ -39,6 +39,11 @@ class Pattern(ABC):
     def points(self) -> Mapping[str, Floats]:
         """(3,) each point in the target's frame, by its name after the colon in detections.csv. [m]."""
 
+    @property
+    def ambiguous(self) -> bool:
+        """Whether a picture does not tell it from the same turned around."""
+        return False
+
 
 @dataclass(frozen=True)
 class ChessboardPattern(Pattern):
@@ -64,6 +69,11 @@ class ChessboardPattern(Pattern):
             return self._board()
         except CameraError as error:
             raise SessionError(error.what, where=self.kind, remedy=error.remedy) from error
+
+    @property
+    def ambiguous(self) -> bool:
+        """Whether both sides are odd or both even."""
+        return len(self.board.symmetries) > 1
 
     def _board(self) -> Board:
         return Board("chessboard", *self.size, self.square)
@@ -92,7 +102,7 @@ class CharucoPattern(ChessboardPattern):
     legacy: bool = False
 
     def _board(self) -> Board:
-        return Board("charuco", *self.size, self.square, self.marker, self.dictionary, self.legacy)
+        return Board("charuco", *self.size, self.square, self.marker, self.dictionary, legacy=self.legacy)
 
 
 @dataclass(frozen=True)
@@ -114,6 +124,11 @@ class CirclesPattern(Pattern):
         _length(self.spacing, "spacing", self.kind)
         if min(self.size) < 2:
             raise SessionError(f"a grid of {self.size[0]} x {self.size[1]} dots is a line", where=self.kind)
+
+    @property
+    def ambiguous(self) -> bool:
+        """True, but for an asymmetric grid of an odd number of rows."""
+        return not self.asymmetric or self.size[1] % 2 == 0
 
     @cached_property
     def points(self) -> Mapping[str, Floats]:

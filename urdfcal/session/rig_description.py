@@ -43,8 +43,8 @@ class RigDescription(Setup):
 
     Attributes:
         stand: of the first camera that stands still; None where all ride on the robot.
+        errors: of the joints of a robot that is simulated.
         places: (3,) of each place that is touched, in the base link's frame; none where cameras measure. [m]
-        errors: of the joints of an arm that cameras measure.
     """
 
     stand: Stand | None = None
@@ -59,8 +59,8 @@ class RigDescription(Setup):
             for joint in said if isinstance(said, Mapping) else ():
                 check_known(joint, self.chain.actuated, "joints", f"errors.{error}")
         if self.errors and self.places:
-            remedy = "Leave the errors out, or let cameras measure."
-            raise SessionError("an arm that touches places has true joints here", where="errors", remedy=remedy)
+            what = "joint errors are simulated before cameras alone, and the rig touches places"
+            raise SessionError(what, where="errors", remedy="Leave the key out.")
         if self.stand is None and len(self.attachments.eye_to_hand):
             raise SessionError("where the first camera stands is not given", where="stand")
         if self.stand is not None and self.mounts and not len(self.attachments.eye_to_hand):

@@ -26,7 +26,7 @@ class Target:
         T_link_target: (4, 4) how, None where unknown. [m]
         sigma: (6,) how well that is known, standard deviations of a small motion x y z rx ry rz of the target in its
             own frame, 0 exactly; None where it is only a guess to start from. [m, rad]
-        scale_sigma: of the share that its print may be too large by; None where it is as given.
+        scale_sigma: of the share that its lengths may be given too long by; None where nothing is said.
     """
 
     name: str
@@ -41,7 +41,7 @@ class Target:
         keep(self, name=str(self.name))
         check_place(self, "T_link_target", where, exact=True)
         if self.scale_sigma is not None:
-            keep(self, scale_sigma=finite_number(self.scale_sigma, "scale.sigma", where, zero=False))
+            keep(self, scale_sigma=finite_number(self.scale_sigma, "scale.sigma", where, zero=True))
 
     @property
     def point_names(self) -> tuple[str, ...]:

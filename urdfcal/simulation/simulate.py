@@ -154,11 +154,10 @@ def simulate(
     outlined = nominal.outlined()
     checker, warnings = load_collision_checker(outlined, rig)
     noise = rig.noise if not pixel else replace(rig.noise, pixel=pixel)
-    pixel = rig.noise.of(Detections) if pixel is None else pixel
     measured: Measurement
     if rig.places:
-        spread = rig.noise.of(Contacts)
-        readings, touched = touch_places(rig, true, offsets, poses, spread, pose_rng, checker, progress)
+        spread, outlying = rig.noise.of(Contacts), np.zeros(0, dtype=np.intp)
+        readings, measured = touch_places(rig, true, offsets, poses, spread, pose_rng, checker, progress)
     else:
         readings = sample_poses(outlined, checker, poses, pose_rng, progress)
     planned = Positions(
@@ -169,11 +168,9 @@ def simulate(
     )
     joint_errors = draw_joint_errors(rig.errors, planned, seed)
     q = true_joint_values(planned, joint_errors)
-    if rig.places:
-        measured, outlying = touched, np.zeros(0, dtype=np.intp)
-    else:
-        views = np.tile(np.arange(len(true.cameras)), (poses, 1))
-        levels = pixel, noise.of(Detections)
+    pixel = rig.noise.of(Detections) if pixel is None else pixel
+    if not rig.places:
+        views, levels = np.tile(np.arange(len(true.cameras)), (poses, 1)), (pixel, noise.of(Detections))
         measured, outlying = simulate_detections(true, q, views, levels, outliers, noise_rng, outlier_rng)
     session = planned.measured((measured,), q=noisy_values(rig, planned.q, joint_rng))
     truth = Truth(
@@ -244,8 +241,8 @@ def _truth_to_dict(simulated: Simulated) -> dict[str, Any]:
         **({"targets": dict(zip(targets, truth.targets.tolist(), strict=True))} if targets else {}),
         "T_cam_frame": dict(zip(cameras, truth.T_cam_frame.tolist(), strict=True)),
         **({"time_offsets": offsets} if offsets else {}),
-        **({"joint_errors": joint_errors_to_dicts(session, truth.joint_errors)} if truth.joint_errors else {}),
         **({"places": places} if places else {}),
+        **({"joint_errors": joint_errors_to_dicts(session, truth.joint_errors)} if truth.joint_errors else {}),
         "outliers": [
             {
                 "pose": session.label(int(detections.pose[row])),

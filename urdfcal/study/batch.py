@@ -151,7 +151,7 @@ def calibrate_one(job: Job) -> Ended:
         calibration = calibrate(session, **options, force=True)
         validation = calibration.document.validation
         figures = {
-            "poses": len(session.poses),
+            "poses": calibration.document.fit.poses,
             "rms_nominal_mm": validation.rms_nominal_mm,
             "rms_mm": validation.rms_mm,
             "tip_mm": 1e3 * calibration.evidence.tip.interval[1],

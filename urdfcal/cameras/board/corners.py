@@ -1,13 +1,16 @@
-"""Corners where four squares of a board meet, to a hundredth of a pixel, each with its covariance."""
+"""Corners of squares, where four meet or of one alone, to a hundredth of a pixel, each with its covariance."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from urdfcal.arrays import Bools, Floats
     from urdfcal.cameras.board.board import Board
     from urdfcal.images.files import Image
@@ -74,9 +77,42 @@ def refine(image: Image, board: Board, uv: Floats) -> Corners:
         board: what is seen.
         uv: (N, 2) px, right to about a pixel and to the blur; NaN where a corner was not seen.
     """
+    return _refined(image, uv, partial(_squares, board), partial(_weights, board), 0.0)
+
+
+def refine_marker(image: Image, uv: Floats, modules: int) -> Corners:
+    """Find the four corners of a black marker on white paper near ``uv``.
+
+    As :func:`refine`, with 1 + erf for erf: one of the four quadrants is dark. Their meeting point itself does not
+    count: where edges are not at right angles to each other, its blur is no product of theirs.
+
+    Args:
+        image: (h, w) grey levels.
+        uv: (4, 2) px, right to about a pixel and to the blur, clockwise from the top left.
+        modules: along a side, the black border included.
+    """
+    return _refined(image, uv, _sides, partial(_marker_weights, modules), 1.0)
+
+
+def _refined(
+    image: Image,
+    uv: Floats,
+    directions: Callable[[Floats], Floats],
+    weigh: Callable[[Floats, Floats], Floats],
+    lone: float,
+) -> Corners:
+    """Fit the corners near ``uv`` (N, 2) at the image's own size, and soft ones at smaller sizes.
+
+    Args:
+        image: (h, w) grey levels.
+        uv: (N, 2). [px]
+        directions: gives for corners (N, 2) the directions (N, 2, 2) of their two edges.
+        weigh: gives for directions (n, 2, 2) and places (n, K, 2) about a corner the weights (n, K) of pixels.
+        lone: 0 where four squares meet, 1 for the corner of one.
+    """
     import cv2
 
-    best = _read(image, board, uv)
+    best = _read(image, uv, directions(uv), weigh, lone)
     for factor in _COARSER:
         if best.found.sum() > _ENOUGH * np.isfinite(uv[:, 0]).sum() and np.nanmedian(best.blur) < _SOFT * factor / 2:
             break
@@ -84,7 +120,8 @@ def refine(image: Image, board: Board, uv: Floats) -> Corners:
         small = cv2.resize(image[:height, :width], None, fx=1 / factor, fy=1 / factor, interpolation=cv2.INTER_AREA)
         # The middle of a small pixel is that of the pixels it was made of.
         shift = 0.5 * (factor - 1)
-        coarse = _read(small, board, (uv - shift) / factor)
+        shrunk = (uv - shift) / factor
+        coarse = _read(small, shrunk, directions(shrunk), weigh, lone)
         values = factor * coarse.uv + shift, factor**2 * coarse.covariance, factor * coarse.blur
         better = ~(np.trace(best.covariance, axis1=1, axis2=2) <= np.trace(values[1], axis1=1, axis2=2))
         for ours, theirs in zip((best.uv, best.covariance, best.blur), values, strict=True):
@@ -92,9 +129,10 @@ def refine(image: Image, board: Board, uv: Floats) -> Corners:
     return best
 
 
-def _read(image: Image, board: Board, uv: Floats) -> Corners:
+def _read(
+    image: Image, uv: Floats, directions: Floats, weigh: Callable[[Floats, Floats], Floats], lone: float
+) -> Corners:
     """Fit the corners near ``uv`` at the image's own size."""
-    directions = _squares(board, uv)
     at = np.flatnonzero(np.isfinite(directions).all(axis=(1, 2)))
     height, width = image.shape
     margin = _REACH + 1
@@ -104,14 +142,14 @@ def _read(image: Image, board: Board, uv: Floats) -> Corners:
     n = len(uv)
     found = Corners(np.full((n, 2), np.nan), np.full((n, 2, 2), np.nan), np.full(n, np.nan))
     offsets = np.stack(np.meshgrid(*[np.arange(-_REACH, _REACH + 1)] * 2), axis=-1).reshape(-1, 2).astype(float)
-    weights = _weights(board, directions[at], offsets - (uv[at] - origin)[:, None])
+    weights = weigh(directions[at], offsets - (uv[at] - origin)[:, None])
     enough = weights.sum(axis=1) >= _FEWEST_PIXELS
     at, origin, weights = at[enough], origin[enough], weights[enough]
     if not at.size:
         return found
     pixels = origin[:, None] + offsets.astype(int)
     windows = image[pixels[..., 1], pixels[..., 0]].astype(float)
-    parameters, covariance, good = _fit(windows, weights, offsets, uv[at] - origin, directions[at])
+    parameters, covariance, good = _fit(windows, weights, offsets, uv[at] - origin, directions[at], lone)
     blur = parameters[:, 4:6].max(axis=1)
     good &= np.linalg.norm(parameters[:, :2] - (uv[at] - origin), axis=1) < np.maximum(_FARTHEST_STEP, blur)
     found.uv[at[good]] = origin[good] + parameters[good, :2]
@@ -149,8 +187,26 @@ def _weights(board: Board, directions: Floats, d: Floats) -> Floats:
     return np.asarray(shown.astype(float))
 
 
+def _sides(uv: Floats) -> Floats:
+    """(4, 2, 2) the sides of a marker at each corner, along both of which dark lies to the right."""
+    return np.stack([np.roll(uv, -1, axis=0) - uv, uv - np.roll(uv, 1, axis=0)], axis=1)
+
+
+def _marker_weights(modules: int, directions: Floats, d: Floats) -> Floats:
+    """(n, K) which pixels of each window show the marker's border and the white around it, and nothing else."""
+    inward = d @ np.linalg.inv(directions) * [1.0, -1.0]
+    away = np.linalg.norm(d, axis=-1)
+    size = np.linalg.norm(directions, axis=2).min(axis=1)[:, None]
+    module = np.maximum(1.0 / modules - 2.0 * _BLUR / size, 0.5 / modules)
+    shown = (away <= _REACH) & (away > 2.0 * _BLUR)
+    shown &= (
+        (inward < _SHARE).all(axis=-1) & (inward.min(axis=-1) < module) & (inward > -module[..., None]).all(axis=-1)
+    )
+    return np.asarray(shown.astype(float))
+
+
 def _fit(
-    windows: Floats, weights: Floats, offsets: Floats, start: Floats, directions: Floats
+    windows: Floats, weights: Floats, offsets: Floats, start: Floats, directions: Floats, lone: float
 ) -> tuple[Floats, Floats, Bools]:
     """Damped Gauss-Newton for all corners at once.
 
@@ -161,14 +217,14 @@ def _fit(
     angles = np.arctan2(directions[..., 1], directions[..., 0])
     p = np.concatenate([start, angles, np.full((n, 2), _BLUR), np.zeros((n, 2))], axis=1)
     # m and h enter linearly.
-    shape = _model(p, offsets)[1][..., 7]
+    shape = _model(p, offsets, lone)[1][..., 7]
     total = weights.sum(axis=1)
     mean, middle = (weights * windows).sum(axis=1) / total, (weights * shape).sum(axis=1) / total
     spread = (weights * (shape - middle[:, None]) ** 2).sum(axis=1)
     p[:, 7] = (weights * (shape - middle[:, None]) * windows).sum(axis=1) / np.maximum(spread, 1e-12)
     p[:, 6] = mean - p[:, 7] * middle
 
-    value, J = _model(p, offsets)
+    value, J = _model(p, offsets, lone)
     cost = (weights * (windows - value) ** 2).sum(axis=1)
     damping = np.full(n, 1e-3)
     step = np.full((n, 2), np.inf)
@@ -180,7 +236,7 @@ def _fit(
         move = np.linalg.solve(H, g[..., None])[..., 0]
         trial = p + move
         trial[:, 4:6] = np.clip(trial[:, 4:6], _SHARPEST, _SOFTEST)
-        new_value, new_J = _model(trial, offsets)
+        new_value, new_J = _model(trial, offsets, lone)
         new_cost = (weights * (windows - new_value) ** 2).sum(axis=1)
         better = new_cost <= cost
         p[better], value[better], J[better] = trial[better], new_value[better], new_J[better]
@@ -199,7 +255,7 @@ def _fit(
     return p, covariance, good
 
 
-def _model(p: Floats, offsets: Floats) -> tuple[Floats, Floats]:
+def _model(p: Floats, offsets: Floats, lone: float) -> tuple[Floats, Floats]:
     """The image (n, K) of corners ``p`` (n, 8) and its derivative (n, K, 8)."""
     from scipy.special import erf
 
@@ -209,7 +265,7 @@ def _model(p: Floats, offsets: Floats) -> tuple[Floats, Floats]:
         c, s = np.cos(p[:, 2 + i, None]), np.sin(p[:, 2 + i, None])
         blur = p[:, 4 + i, None]
         across = (c * d[..., 1] - s * d[..., 0]) / blur
-        sides.append(erf(across / np.sqrt(2.0)))
+        sides.append(lone + erf(across / np.sqrt(2.0)))
         slopes.append(np.sqrt(2.0 / np.pi) * np.exp(-0.5 * across**2) / blur)
         along.append((across, c * d[..., 0] + s * d[..., 1], c, s))
     shape = sides[0] * sides[1]

@@ -29,7 +29,7 @@ def target_key(target: str) -> Key[Floats]:
 
 
 def print_key(target: str) -> Key[Floats]:
-    """Key of the share (1,) that a target is printed too large by."""
+    """Key of the share (1,) that a target's lengths are given too long by."""
     return Key(f"{target}.print")
 
 
@@ -74,7 +74,7 @@ class TargetBlock(Block[Floats]):
 
 
 class PrintBlock(VectorBlock):
-    """The share that a target is printed too large by, known to a standard deviation."""
+    """The share that a target's lengths are given too long by: its print, known to a standard deviation."""
 
     order: ClassVar[int] = 3
 
@@ -87,6 +87,7 @@ class PrintBlock(VectorBlock):
             units=("1",),
             nominal=np.zeros(1),
             sigma=np.array([target.scale_sigma or np.inf]),
+            fixed={0: "it is given as exact"} if target.scale_sigma == 0.0 else {},
             phrase=f"the scale of {target.name}",
         )
 
@@ -112,6 +113,12 @@ def point_places(attachments: Attachments, state: State) -> Floats:
     leds, points = state[LEDS], attachments.target_points
     if not len(points):
         return leds
-    scales = [1.0 + float(state[key][0]) if (key := print_key(name)) in state else 1.0 for name in attachments.targets]
+    scales = [print_scale(name, state) for name in attachments.targets]
     own = attachments.led[len(leds) :] - attachments.first_target
-    return np.concatenate([leds, points * np.array(scales)[own, None]])
+    return np.concatenate([leds, points / np.array(scales)[own, None]])
+
+
+def print_scale(target: str, state: State) -> float:
+    """Return the factor that a target's lengths are given too long by; 1 where it is no unknown."""
+    own = print_key(target)
+    return 1.0 + float(state[own][0]) if own in state else 1.0

@@ -13,12 +13,12 @@ from urdfcal.estimation.blocks.base_pose import BaseBlock, base_keys
 from urdfcal.estimation.blocks.cameras import CameraPoseBlock, LensBlock, camera_poses, camera_values
 from urdfcal.estimation.blocks.leds import LEDS, LedsBlock
 from urdfcal.estimation.blocks.scale import ScaleBlock
-from urdfcal.estimation.blocks.targets import target_blocks
+from urdfcal.estimation.blocks.targets import PrintBlock, target_blocks
 from urdfcal.estimation.linearize import Tangent
 from urdfcal.estimation.noise import with_noise
 from urdfcal.estimation.parameters import Parameters
 from urdfcal.estimation.robust import norm_quantile
-from urdfcal.estimation.whitening import JointNoise, joint_covariance
+from urdfcal.estimation.whitening import Whitening, joint_noise
 from urdfcal.session.knowledge import Led
 from urdfcal.session.target import Target
 
@@ -52,13 +52,13 @@ class Part:
         observed: N poses of m slots of D numbers.
         at: residuals, and derivatives by ``parameters`` and the joint values.
         parameters: base, LEDs, scale, and the pose and lens of every camera, all active.
-        W: (N, m D, m D) whitens whole poses.
+        W: whitens whole poses.
     """
 
     observed: Observations
     at: Linearization
     parameters: Parameters
-    W: Floats
+    W: Whitening
 
     @property
     def pose(self) -> Ints:
@@ -90,8 +90,7 @@ class Part:
 
     def whitened(self, columns: Floats) -> Floats:
         """Return columns (N, m D, k) in standard deviations."""
-        result: Floats = self.W @ columns
-        return result
+        return self.W(columns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,10 +139,10 @@ class Unexplained:
                 at = Tangent.at(thinned, observed, fit.state, everything).linearise()
                 J = Tangent.at(thinned, observed, fit.state, fit.parameters).linearise().J
                 sigma, chain = less_joint * thinned.joint_sigma, thinned.arm.chain
-                joint = joint_covariance(at, chain.reading_jacobian, sigma)
+                joint = joint_noise(at, chain.reading_jacobian, sigma)
                 limit = norm_quantile(observed.dimension, _BOUNDED)
                 weight = np.where(outlier[some], (limit / np.maximum(norm[some], limit)) ** 2, 1.0)
-                W = JointNoise.of(covariance, joint).whitening(covariance, weight)
+                W = Whitening.of(covariance / weight[..., None, None], joint)
                 part = Part(observed, at, everything, W)
                 N, m, D = at.residual.shape
                 rs.append(part.whitened(at.residual.reshape(N, m * D, 1)).ravel())
@@ -230,11 +229,12 @@ def solve_score(gram: Floats, score: Floats, scale: Floats) -> tuple[float, Floa
 
 
 def _everything(session: Session, state: State) -> Parameters:
-    """Base, LEDs, targets, scale, and the pose and the lens of every camera, all of them free."""
+    """Base, LEDs, targets and their prints, scale, and the pose and the lens of every camera, all of them free."""
     leds = [Led(led.name) for led in session.leds]
     blocks: list[Block[Any]] = [BaseBlock.of(fixed=None, key=key) for key in base_keys(session.parts)]
     blocks.append(LedsBlock.of(leds, state[LEDS], priors=False))
     blocks += target_blocks([Target(of.name, of.pattern) for of in session.targets], state, priors=False)
+    blocks += [PrintBlock.of(of) for of in session.targets if of.point_names]
     blocks.append(ScaleBlock.of(np.inf))
     attachments, free = session.attachments, np.full(6, np.inf)
     lenses, poses = camera_values(attachments, state), camera_poses(attachments, state)

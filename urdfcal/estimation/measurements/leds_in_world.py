@@ -58,7 +58,7 @@ class LedPositions(Measurement):
         E, predicted = np.zeros((world.size, self.dimension, 3)), np.zeros((world.size, self.dimension))
         R_world_base = np.swapaxes(links.R[0], 1, 2)[slots // world.shape[1]]
         E[slots], predicted[slots] = by_point @ R_world_base, self.measured(p_world, index, state)
-        put_leds(J, observed, links, E)
+        put_leds(J, observed, links, E, lever, state)
         for key, values in own.items():
             J.put(key, values, slots)
         led_frame = links.attachments.led[observed.index["led"]]

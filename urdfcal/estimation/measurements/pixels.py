@@ -112,7 +112,7 @@ class Detections(Measurement):
             else:
                 E[seen] = d_point @ (T_cam_view[:3, :3] @ np.swapaxes(R[seen // m], 1, 2))
             self._put_poses(J, c, d_point, p_cam, seen, attachments, state)
-        put_leds(J, observed, links, E)
+        put_leds(J, observed, links, E, lever, state)
         led_frame, view_frame = attachments.led[observed.index["led"]], _view_frame(observed, attachments)
         by_frame = by_frames(links, E, lever, p_base, led_frame, view_frame)
         return ByFrame(predicted.reshape(*observed.row.shape, 2), by_frame)
@@ -197,13 +197,11 @@ class Detections(Measurement):
         attachments, views = at.session.attachments, Views(at, self, state)
         T_cam_frame = list(attachments.T_cam_frame)
         leds, bases = point_places(attachments, state), base_keys(attachments.parts)
-        unplaced = any(key not in state for key in bases)
         for k, here in self.by_part(at.session.part).items():
             if bases[k] not in state and here.defines_world(attachments):
                 state = state.replace({bases[k]: replace(views, detections=here).base(T_cam_frame, leds)})
-        if unplaced:
-            state = place_targets(at, [self], state)
-            views = Views(at, self, state)
+        state = place_targets(at, [self], state)
+        leds, views = point_places(attachments, state), Views(at, self, state)
         T_world_base = np.array([state[key] if key in state else np.eye(4) for key in bases])[at.session.part]
         for c, T in enumerate(T_cam_frame):
             if T is None:

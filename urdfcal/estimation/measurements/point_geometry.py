@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.estimation.blocks.leds import LEDS
-from urdfcal.estimation.blocks.targets import point_places, print_key
+from urdfcal.estimation.blocks.targets import point_places, print_key, print_scale
 
 if TYPE_CHECKING:
     from urdfcal.arrays import Bools, Floats, Ints
@@ -93,7 +93,7 @@ def by_frames(
     return tuple(result)
 
 
-def put_leds(J: Jacobian, observed: Observations, links: Links, E: Floats) -> None:
+def put_leds(J: Jacobian, observed: Observations, links: Links, E: Floats, lever: Floats, state: State) -> None:
     """Put the derivatives by the LEDs' positions in their frames, and by the scale of targets' prints.
 
     Args:
@@ -101,8 +101,10 @@ def put_leds(J: Jacobian, observed: Observations, links: Links, E: Floats) -> No
         observed: which points.
         links: where the frames are.
         E: (K, D, 3) derivative by the position in the base link.
+        lever: (N, m, 3) as of :func:`led_points`. [m]
+        state: where to differentiate.
     """
-    _put_prints(J, observed, links, E)
+    _put_prints(J, observed, links, E, lever, state)
     if not J.wants(LEDS):
         return
     led = observed.index["led"]
@@ -115,15 +117,16 @@ def put_leds(J: Jacobian, observed: Observations, links: Links, E: Floats) -> No
     J.put(LEDS, parts.reshape(N * m, E.shape[1], -1))
 
 
-def _put_prints(J: Jacobian, observed: Observations, links: Links, E: Floats) -> None:
-    """Put the derivatives by the scales of targets' prints: points move along their own positions on the target."""
-    attachments, led = links.attachments, observed.index["led"]
+def _put_prints(J: Jacobian, observed: Observations, links: Links, E: Floats, lever: Floats, state: State) -> None:
+    """Put the derivatives by the scales of targets' prints: points shrink towards their target's origin."""
+    attachments = links.attachments
+    frame = attachments.led[observed.index["led"]]
     for k, name in enumerate(attachments.targets, attachments.first_target):
-        if J.wants(print_key(name)):
-            mine = (attachments.led[led] == k) & observed.valid
-            nominal = attachments.target_points[np.where(mine, led - len(attachments.led), 0)]
-            along = (links.R[k][:, None] @ nominal[..., None])[..., 0] * mine[..., None]
-            J.put(print_key(name), E @ along.reshape(-1, 3, 1))
+        key = print_key(name)
+        if J.wants(key):
+            mine = (frame == k) & observed.valid
+            along = -np.where(mine[..., None], lever, 0.0) / print_scale(name, state)
+            J.put(key, E @ along.reshape(-1, 3, 1))
 
 
 def carry(matrices: Floats, right: Floats) -> Floats:

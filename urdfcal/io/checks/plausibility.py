@@ -228,6 +228,13 @@ def _check_led_units(inputs: Inputs) -> None:
         if led.sigma is not None and led.sigma > inputs.scale:
             what = f"a sigma of {led.sigma:g} m looks like millimetres: {inputs.reach}"
             raise inputs.wrong(what, "Write metres.", "leds", led.name, "sigma")
+    for target in inputs.positions.targets:
+        if target.T_link_target is None:
+            continue
+        farthest, origin = (_TOO_WIDE, "world's origin") if target.link == WORLD else (_TOO_FAR, target.link or "tip")
+        if (away := np.linalg.norm(target.T_link_target[:3, 3])) > farthest * inputs.scale:
+            what = f"{away:g} m from the {origin} looks like millimetres: {inputs.reach}"
+            raise inputs.wrong(what, "Write metres.", "targets", target.name, "position")
 
 
 def _check_mount_units(inputs: Inputs) -> None:

@@ -1,0 +1,82 @@
+"""A board before one camera, from its pictures to the corrected robot, on the command line."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+import yaml
+
+from urdfcal.cli import run
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("board") / "session"
+    assert run(["simulate", "panda_handeye", "-o", str(folder), "--images", "--poses", "16", "--seed", "1"]) == 0
+    return folder
+
+
+def test_pictures_of_a_board_by_a_camera_in_the_hand_calibrate_the_arm(
+    pictures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["calibrate", str(pictures), "-o", str(tmp_path / "out")]) == 0
+    assert "looking for" in capsys.readouterr().out
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {
+        "panda_calibrated.urdf", "calibration.json", "calibration.rrd", "report.html",
+    }  # fmt: skip
+    document = json.loads((tmp_path / "out" / "calibration.json").read_text())
+    truth = json.loads((pictures / "truth.json").read_text())
+    found = document["targets"]["board"]
+    assert found["link"] == "world"
+    np.testing.assert_allclose(found["T_link_target"], truth["targets"]["board"], atol=1e-3)
+    assert all(0.0 < sigma < 1e-3 for sigma in found["sigma"])
+    assert document["fit"]["rms_px"] < 0.3 < document["fit"]["rms_nominal_px"]
+    assert document["scale"]["tip_mm_per_permille"] > 0.1
+    assert "target board fixed in the world" in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_detections_are_written_over_by_force_alone(pictures: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    detections = pictures / "detections.csv"
+    if not detections.exists():
+        assert run(["detect", str(pictures)]) == 0
+    detections.write_text("mine")
+    assert run(["detect", str(pictures)]) == 2
+    assert "there are detections already. Use --force" in capsys.readouterr().err
+    assert detections.read_text() == "mine"
+    drawings = pictures.parent / "drawings"
+    assert run(["detect", str(pictures), "--force", "--debug-images", str(drawings)]) == 0
+    assert detections.read_text().startswith("pose,camera,led,u,v,sigma\n01,hand,board:0,")
+    assert len(list(drawings.glob("hand/*.png"))) == 16
+
+
+def test_another_board_than_the_one_named_is_said_with_what_was_seen(
+    pictures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    content = yaml.safe_load((pictures / "session.yaml").read_text())
+    content["targets"]["board"]["dictionary"] = "DICT_6X6_250"
+    (tmp_path / "session.yaml").write_text(yaml.safe_dump(content))
+    for name in ("cameras.yaml", "joints.csv", "images"):
+        (tmp_path / name).symlink_to(pictures / name)
+    assert run(["detect", str(tmp_path)]) == 2
+    said = capsys.readouterr().err
+    assert "target 'board' is found in 0 of 16 images" in said
+    assert "markers of DICT_5X5 up to number 16 were found, DICT_6X6_250 asked for" in said
+    assert not (tmp_path / "detections.csv").exists()
+
+
+def test_a_board_that_looks_the_same_turned_around_is_refused(
+    pictures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    content = yaml.safe_load((pictures / "session.yaml").read_text())
+    content["targets"]["board"] = {"kind": "chessboard", "size": [8, 6], "square": 0.04, "link": "world"}
+    (tmp_path / "session.yaml").write_text(yaml.safe_dump(content))
+    for name in ("cameras.yaml", "joints.csv", "images"):
+        (tmp_path / name).symlink_to(pictures / name)
+    assert run(["detect", str(tmp_path)]) == 2
+    assert "target 'board' looks the same turned around" in capsys.readouterr().err

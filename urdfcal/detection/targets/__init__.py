@@ -1,0 +1,1 @@
+"""Boards, tags and grids of dots in images."""

@@ -1,0 +1,110 @@
+"""From a session's images to the points of its targets, and what is seen where they are not."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from urdfcal.arrays import evenly
+from urdfcal.detection.targets.alternatives import other_print
+from urdfcal.detection.targets.find import Found, find_target
+from urdfcal.errors import SessionError
+from urdfcal.estimation.measurements import Detections
+from urdfcal.images.files import in_parallel
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+    from urdfcal.cameras.camera import Camera
+    from urdfcal.detection.image_index import ImageIndex
+    from urdfcal.images.files import Image, SequenceImage
+    from urdfcal.session.model import Positions
+
+# What calibration is told of the best corners: paper is not flat, and ink not sharp, to better. [px]
+_LEAST_SIGMA = 5e-3
+# A target that is found in less of the images may be another one; some images decide.
+_RARE, _LOOKED_AT = 0.25, 6
+
+
+@dataclass(frozen=True, eq=False)
+class TargetSightings:
+    """What a session's images show of its targets.
+
+    Attributes:
+        detections: of their points; None if there are none.
+        rejected: pose, camera, target and reason of every image in which one was not found.
+        warnings: targets that are seldom found, and what is seen instead.
+        images: how many were looked at.
+    """
+
+    detections: Detections | None
+    rejected: tuple[tuple[str, str, str, str], ...]
+    warnings: tuple[str, ...]
+    images: int
+
+
+def find_targets(
+    positions: Positions, index: ImageIndex, progress: Callable[[int], object] | None = None
+) -> TargetSightings:
+    """Look for the targets in the images of an index that show them.
+
+    Args:
+        positions: the session without its measurements.
+        index: its images.
+        progress: called with the number of images looked at since the last call.
+
+    Raises:
+        SessionError: a target's points cannot be told apart.
+        CameraError: an image cannot be read, or has another size than its camera.
+    """
+    targets, first = positions.targets, len(positions.leds)
+    for target in targets:
+        if target.pattern.ambiguous:
+            what = f"target {target.name!r} looks the same turned around: its points cannot be told apart in pictures"
+            remedy = (
+                "Use a ChArUco board, a chessboard with one odd and one even number of corners, or an asymmetric grid "
+                "of an odd number of rows; or write detections.csv yourself, the points in one order."
+            )
+            raise SessionError(what, where=f"targets.{target.name}", remedy=remedy)
+    ends = first + np.cumsum([0, *(len(target.points) for target in targets)])
+    parts, rejected, images = [], [], 0
+    seen: Counter[str] = Counter()
+
+    def look(task: tuple[Camera, SequenceImage]) -> list[Found]:
+        camera, shown = task
+        image = shown.lit(camera.resolution)
+        return [find_target(image, target, camera) for target in targets]
+
+    for c, camera in enumerate(positions.rig.cameras):
+        files: Iterable[SequenceImage] = index.picture_files[c]
+        found_in = in_parallel(look, ((camera, shown) for shown in files), progress=progress)
+        for pose, found in zip(index.pictures[c], found_in, strict=True):
+            images += 1
+            for t, (target, of) in enumerate(zip(targets, found, strict=True)):
+                if not target.point_names:
+                    continue
+                if of.reason:
+                    rejected.append((positions.label(pose), camera.name, target.name, of.reason))
+                    continue
+                seen[target.name] += 1
+                points = np.flatnonzero(np.isfinite(of.uv[:, 0]))
+                sigma = np.maximum(_LEAST_SIGMA, of.sigma[points])
+                index_of = np.full(len(points), pose), np.full(len(points), c), ends[t] + points
+                parts.append((*index_of, of.uv[points], sigma))
+    detections = Detections(*(np.concatenate(column) for column in zip(*parts, strict=True))) if parts else None
+    rare = [target for target in targets if target.point_names and seen[target.name] < _RARE * images]
+    sample = list(_sample(positions, index)) if rare else []
+    warnings = []
+    for target in rare:
+        instead = other_print(target, sample)
+        warnings.append(f"target {target.name!r} is found in {seen[target.name]} of {images} images{instead}")
+    return TargetSightings(detections, tuple(rejected), tuple(warnings), images)
+
+
+def _sample(positions: Positions, index: ImageIndex) -> Iterator[tuple[Camera, Image]]:
+    for camera, pictures in zip(positions.rig.cameras, index.picture_files, strict=True):
+        for k in evenly(np.arange(len(pictures)), _LOOKED_AT).tolist():
+            yield camera, pictures[k].lit(camera.resolution)
