@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import csv
+import json
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,7 @@ import pytest
 import urdfcal
 from urdfcal.cli import run
 from urdfcal.cli.results import _errors
+from urdfcal.errors import OutputError
 from urdfcal.robot.chain import Tree
 from urdfcal.robot.kinematics import link_poses, tip_poses
 from urdfcal.robot.urdf.packages import package_roots
@@ -136,3 +138,31 @@ def test_links_fixed_to_the_base_link_have_no_error_to_report() -> None:
     tree = Tree.from_urdf(ur5, ["tool0", "base"], "base_link")
     q = tree.random_values(3, np.random.default_rng(3))
     assert _errors(SimpleNamespace(chain=tree, calibrated=tree), q, q) == {"tool0": 0.0}
+
+
+def test_commands_outside_what_was_measured_are_counted(
+    calibrated: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    document = json.loads((calibrated("elbow3r") / "result" / "calibration.json").read_text())
+    document["domain"]["joints"] |= {"joint_2": [-0.3, 0.4]}
+    narrow = tmp_path / "calibration.json"
+    narrow.write_text(json.dumps(document))
+    loaded = urdfcal.Calibration.load(narrow)
+    low, high = np.array(list(loaded.document.domain.joints.values())).T
+    q = np.linspace(low, high, 5)
+    q[:2, 1] = [-0.1, -0.5]
+    np.testing.assert_array_equal(loaded.in_domain(q), [True, False, True, True, True])
+    assert loaded.in_domain(q[0]).item() is True
+
+    given = write(tmp_path / "given.csv", loaded.chain, q)
+    assert run(["compensate", str(narrow), str(given), "-o", str(tmp_path / "out.csv")]) == 0
+    said = capsys.readouterr().out
+    assert "1 of 5 poses lie outside the measured domain" in said
+    assert "joint_2 was calibrated from -0.30 to 0.40 rad: a pose is outside" in said
+    assert run(["compensate", str(narrow), str(write(given, loaded.chain, q[2:])), "-o", str(tmp_path / "o.csv")]) == 0
+    assert "lie outside" not in capsys.readouterr().out
+
+    del document["domain"]  # as files of earlier versions
+    narrow.write_text(json.dumps(document))
+    with pytest.raises(OutputError, match="does not hold the measured domain"):
+        urdfcal.Calibration.load(narrow).in_domain(q)

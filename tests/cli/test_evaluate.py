@@ -86,3 +86,24 @@ def test_a_table_has_a_row_for_each_quantity(folder: Path, capsys: pytest.Captur
     printed = capsys.readouterr().out
     for quantity in ("position (mm)", "orientation (mrad)", "position unaligned (mm)", "orientation unaligned (mrad)"):
         assert quantity in printed
+
+
+def test_poses_outside_what_a_result_has_measured_are_counted(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    session, result = folder / "session", folder / "result"
+    own, urdf = evaluated(capsys, result, session), evaluated(capsys, result / "elbow3r_calibrated.urdf", session)
+    assert own["residual_px"]["rms"] == pytest.approx(urdf["residual_px"]["rms"], rel=1e-3)  # the LED held or fitted
+    assert (own["poses_outside_domain"], own["outside_domain"]) == (0, [])
+    assert urdf["poses_outside_domain"] is None  # no calibration was given
+
+    document = json.loads((result / "calibration.json").read_text())
+    low, high = document["domain"]["joints"]["joint_2"]
+    document["domain"]["joints"]["joint_2"] = [low, (low + high) / 2]
+    (tmp_path / "calibration.json").write_text(json.dumps(document))
+    values = [float(line.split(",")[2]) for line in (session / "joints.csv").read_text().splitlines()[1:]]
+    count = sum(value > (low + high) / 2 + 0.05 for value in values)
+    assert run(["evaluate", str(tmp_path), str(session), "--json"]) == 0
+    captured = capsys.readouterr()
+    assert json.loads(captured.out)["poses_outside_domain"] == count > 0
+    assert f"- {count} of {len(values)} poses lie outside the measured domain" in captured.err

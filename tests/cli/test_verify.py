@@ -120,7 +120,9 @@ def test_poses_outside_the_calibrated_ranges_are_said(
     document["domain"]["joints"] = {"joint_2": [low, high - 0.2]}
     narrow = tmp_path / "calibration.json"
     narrow.write_text(json.dumps(document))
-    (one,) = verified(capsys, narrow, new, "--limit", "5mm")["outside_domain"]
+    data = verified(capsys, narrow, new, "--limit", "5mm")
+    (one,) = data["outside_domain"]
+    assert data["poses_outside_domain"] == one["poses"]
     assert (one["joint"], one["unit"]) == ("joint_2", "rad")
     assert one["beyond"] == pytest.approx(0.2)
     assert run(["verify", str(narrow), str(new), "--limit", "5mm"]) == 0

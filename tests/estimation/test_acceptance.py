@@ -8,7 +8,7 @@ import pytest
 
 from tests.worlds import repeated, with_detections
 from urdfcal.errors import RobotError, SessionError
-from urdfcal.estimation.acceptance import Acceptance, _numbers, _taken_away, accept, outside
+from urdfcal.estimation.acceptance import Acceptance, _numbers, _taken_away, accept
 from urdfcal.estimation.evaluation import explain
 from urdfcal.estimation.measurements import Detections, Points
 from urdfcal.estimation.problem import Problem
@@ -166,28 +166,3 @@ def test_outliers_do_not_count_and_are_counted(simulated: Callable) -> None:
 def test_another_robots_session_is_refused(simulated: Callable) -> None:
     with pytest.raises(RobotError, match="the arm's joints are joint_1"):
         accept(simulated("elbow3r").session.chain, simulated("ur5").session, 1e-3)
-
-
-def test_joints_outside_what_was_calibrated_are_named(simulated: Callable) -> None:
-    session = simulated("elbow3r").session
-    q = np.array(session.q)
-    q[:] = 0.5
-    q[3:5, 1] = [1.3, -0.21]
-    q[6, 2] = 0.5 + 2.0 * np.pi  # the same place
-    q[7, 0] = 1.04  # repeats what was measured
-    session = replace(session, q=q)
-    domain = {"joint_1": [0.0, 1.0], "joint_2": [0.0, 1.0], "joint_3": [0.0, 1.0]}
-    (one,) = outside(session, domain)
-    assert (one.joint, one.poses, one.unit) == ("joint_2", 2, "rad")
-    assert one.beyond == pytest.approx(0.3)
-    assert str(one) == "joint_2 was calibrated from 0.00 to 1.00 rad: 2 poses are outside, by up to 0.3 rad"
-    assert outside(session, {}) == ()
-
-
-def test_a_sliding_joint_does_not_turn(simulated: Callable) -> None:
-    session = simulated("stanford").session
-    (slides,) = [joint.name for joint in session.chain.joints if joint.prismatic]
-    q = session.chain.readings(session.q)[:, session.chain.actuated.index(slides)]
-    turn = 2.0 * np.pi
-    (one,) = outside(session, {slides: [float(q.min()) - turn, float(q.max()) - turn]})
-    assert (one.unit, one.poses) == ("m", len(q))

@@ -15,7 +15,9 @@ from urdfcal.cameras.rig import Rig
 from urdfcal.estimation.measurements import Detections
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
+from urdfcal.output.figures import _map
 from urdfcal.output.findings import Overview, headline, look_up
+from urdfcal.output.palette import UNMEASURED
 from urdfcal.output.report import write_report
 from urdfcal.output.scene import sample_workspace
 from urdfcal.pipeline import calibrate
@@ -187,6 +189,25 @@ def test_the_workspace_forgives_where_the_base_stands(calibration):
     )
     np.testing.assert_allclose(sample_workspace(moved).before, found.before, atol=1e-12)
     assert 1e-4 < np.median(found.before) < 1e-2
+
+
+def test_the_map_is_grey_where_nothing_was_measured(calibration):
+    workspace = sample_workspace(calibration)
+    inside = calibration.in_domain(
+        calibration.chain.readings(
+            calibration.chain.random_values(len(workspace.tip), np.random.default_rng(calibration.seed))
+        )
+    )
+    np.testing.assert_array_equal(workspace.measured, inside)
+    assert 0 < inside.sum() < len(inside)
+    below = replace(workspace, measured=workspace.tip[:, 2] < np.median(workspace.tip[:, 2]))
+    grey, known = _map("nominal", below, 1e3 * below.before).marks
+    assert (grey.name, grey.color) == ("not measured", UNMEASURED)
+    assert len(grey.x) > 0 < len(known.x) == len(known.color)
+    assert np.mean(grey.y) > np.mean(known.y)
+    assert (
+        len(_map("nominal", replace(below, measured=np.zeros(len(inside), dtype=bool)), below.before).marks[1].x) == 0
+    )
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")

@@ -15,6 +15,7 @@ import pytest
 from tests.worlds import scaled
 from urdfcal.cli import run
 from urdfcal.errors import OutputError, UrdfcalError
+from urdfcal.io.folder import read_session
 from urdfcal.io.writing import write_session
 from urdfcal.study import batch as module
 from urdfcal.study.batch import JOURNAL, TABLE, batch, distinct_names
@@ -80,7 +81,7 @@ def test_what_is_done_is_kept_until_an_input_or_an_option_changes(
     assert again[0] == first[0]
     batch(sessions, out, **QUICK, seed=1)
     assert done[1:] == [out / "a", out / "b"]
-    shutil.rmtree(out / "a")
+    next((out / "a").glob("*.urdf")).unlink()
     batch(sessions, out, **QUICK, seed=1)
     assert done[3:] == [out / "a"]
 
@@ -129,18 +130,43 @@ def dying(task: tuple[int, str]) -> int:
 
 
 def mortal(task: int) -> int:
-    os.kill(os.getpid(), signal.SIGKILL)
+    if task == 1:
+        os.kill(os.getpid(), signal.SIGKILL)
     return task
+
+
+def lost(task: object) -> int:
+    del task
+    return -1
 
 
 def test_a_worker_that_is_killed_loses_nothing(tmp_path: Path) -> None:
     tasks = [(number, str(tmp_path / "mark")) for number in range(8)]
-    assert dict(each(dying, tasks, processes=2)) == {number: number**2 for number in range(8)}
+    assert dict(each(dying, tasks, lost, processes=2)) == {number: number**2 for number in range(8)}
 
 
-def test_workers_that_die_again_and_again_end_the_run() -> None:
-    with pytest.raises(UrdfcalError, match="its workers died 4 times"):
-        list(each(mortal, [1, 2], processes=2))
+def test_what_kills_its_worker_each_time_stops_no_other() -> None:
+    assert dict(each(mortal, list(range(6)), lost, processes=2)) == {k: -1 if k == 1 else k for k in range(6)}
+
+
+def test_a_session_that_kills_its_process_is_told(fleet: list[Path], tmp_path: Path) -> None:
+    job = module.Job("a", fleet[0], tmp_path, {"seed": 0}, False, None)
+    assert module._killed(job).level == "failed"
+    assert "its process was killed" in module._killed(job).sentence
+
+
+def test_a_defect_in_one_session_stops_no_other(
+    fleet: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(path: Path) -> None:
+        if path.name == "a":
+            raise ZeroDivisionError("0 / 0")
+        return read_session(path)
+
+    monkeypatch.setattr("urdfcal.io.folder.read_session", broken)
+    a, b = batch(fleet[:2], tmp_path / "out", **QUICK)
+    assert (a.level, b.level) == ("failed", "good")
+    assert "ZeroDivisionError: 0 / 0" in a.sentence
 
 
 @pytest.mark.parametrize("engine", ["dask", "ray"])
@@ -150,7 +176,7 @@ def test_an_engine_that_is_not_there_is_named(engine: str) -> None:
     with pytest.raises(
         UrdfcalError, match=rf"{engine} is not installed. Install it: pip install 'urdfcal\[{engine}\]'"
     ):
-        list(each(abs, [1], engine))
+        list(each(abs, [1], lost, engine))
 
 
 @pytest.mark.parametrize("engine", ["dask", "ray"])
@@ -166,4 +192,4 @@ def test_every_engine_has_the_same_numbers(engine: str, fleet: list[Path], tmp_p
 def test_a_scheduler_that_does_not_answer_is_named() -> None:
     pytest.importorskip("distributed", reason="urdfcal[dask] is not installed")
     with pytest.raises(UrdfcalError, match=r"tcp://127\.0\.0\.1:1: no scheduler answers"):
-        list(each(abs, [1], "dask", scheduler="tcp://127.0.0.1:1"))
+        list(each(abs, [1], lost, "dask", scheduler="tcp://127.0.0.1:1"))

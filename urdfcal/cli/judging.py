@@ -7,7 +7,7 @@ import re
 from dataclasses import asdict
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
@@ -16,6 +16,7 @@ from urdfcal.cli.console import PATH, json_option, seed_option, sheet, status_li
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from urdfcal.arrays import Floats
     from urdfcal.estimation.acceptance import Acceptance
     from urdfcal.result.calibration import Calibration
     from urdfcal.result.changes import ArmChanges, ParameterChange
@@ -65,7 +66,7 @@ def verify(
 
     Exit code 0: the 95 % interval is within the limit; 1: it is not, or that cannot be told.
     """
-    from urdfcal.estimation.acceptance import accept, outside
+    from urdfcal.estimation.acceptance import accept
     from urdfcal.io.folder import read_session
     from urdfcal.result.calibration import Calibration
 
@@ -79,9 +80,8 @@ def verify(
     with status_line() as say:
         say("fitting base, LEDs and cameras")
         found = accept(chain, measured, limit, seed)
-    domain = None if calibration is None else calibration.document.domain
     new = calibration is None or not _calibrated_with(calibration, measured)
-    beyond = outside(measured, domain.joints) if domain else ()
+    domain = domain_of(calibration, measured.chain, measured.chain.readings(measured.q))
     if as_json:
         shown = {
             "rms_mm": 1e3 * found.rms,
@@ -92,16 +92,37 @@ def verify(
             "measurements": found.measurements,
             "outliers": found.outliers,
             "new": new,
-            "outside_domain": None if domain is None else [asdict(joint) for joint in beyond],
+            **domain.data,
         }
         click.echo(json.dumps(shown, indent=2))
     else:
         click.echo(_verdict(found))
         if not new:
             click.echo("- these are the measurements that it was calibrated with: others will be further off")
-        for remark in (*_left_out(found), *map(str, beyond)):
+        for remark in (*_left_out(found), *domain.remarks):
             click.echo(f"- {remark}")
     ctx.exit(0 if found.within else 1)
+
+
+class Excursions(NamedTuple):
+    """Which poses leave the measured domain of a calibration, as data and in words; empty where it is not known."""
+
+    data: dict[str, Any]
+    remarks: tuple[str, ...]
+
+
+def domain_of(calibration: Calibration | None, mechanism: Mechanism, readings: Floats) -> Excursions:
+    """Find the readings (N, k) of a mechanism's actuated joints that a calibration has not measured. [rad or m]."""
+    from urdfcal.session.domain import beyond, outside
+
+    domain = None if calibration is None else calibration.document.domain
+    if domain is None:
+        return Excursions({"poses_outside_domain": None, "outside_domain": None}, ())
+    found = outside(mechanism, readings, domain.joints)
+    count = int(beyond(mechanism, readings, domain.joints).any(axis=1).sum())
+    what = f"{count} of {len(readings)} poses lie outside the measured domain: the calibration is extrapolated there"
+    data = {"poses_outside_domain": count, "outside_domain": [asdict(joint) for joint in found]}
+    return Excursions(data, (what, *map(str, found)) if found else ())
 
 
 def is_urdf(reference: str) -> bool:

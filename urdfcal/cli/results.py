@@ -55,10 +55,11 @@ def compensate(result: Path, trajectory: Path, output: Path) -> None:
     For a tree of joints this is the session's tip link; the errors of the other tip links are reported.
 
     OUT is a folder that calibrate has written, or its calibration.json. Columns are joint names, in rad and m; others,
-    such as time, are kept.
+    such as time, are kept. Poses outside the measured domain are counted, with the joints that leave it.
     """
     import numpy as np
 
+    from urdfcal.cli.judging import domain_of
     from urdfcal.output.trajectory import CommandTable
     from urdfcal.result.calibration import Calibration
     from urdfcal.robot.compensation import Compensation
@@ -77,6 +78,8 @@ def compensate(result: Path, trajectory: Path, output: Path) -> None:
     files.write_text(output, given.with_commands(found.q))
     before, after = (_errors(calibration, given.q, commands) for commands in (given.q, found.q))
     _print_errors(output, given, found, next(iter(before.values())))
+    for remark in domain_of(calibration, calibration.chain, given.q).remarks:
+        click.echo(remark)
     for link in list(before)[1:]:
         click.echo(
             f"{link} is not compensated: {1e3 * before[link]:.3g} mm rms with the nominal commands, "

@@ -45,7 +45,8 @@ def evaluate(
 
     With a session, base pose, LED positions and what else it does not know (camera poses, places) are fitted; the arm
     is A's. Of a RESULT, a folder that calibrate has written or its calibration.json, arm and LEDs are as calibrated.
-    Known distances of places take no part: they are shown beside those that come out.
+    Poses outside its measured domain are counted. Known distances of places take no part: they are shown beside those
+    that come out.
     """
     if Path(other).is_dir() or other.endswith((".yaml", ".yml")):
         if tip or base or poses:
@@ -84,7 +85,7 @@ def compared(a: str, b: str, tip: str, base: str | None, poses: int, seed: int) 
 def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
     import numpy as np
 
-    from urdfcal.cli.judging import arm_of, is_urdf
+    from urdfcal.cli.judging import arm_of, domain_of, is_urdf
     from urdfcal.estimation.blocks.places import PLACES
     from urdfcal.estimation.evaluation import explain
     from urdfcal.io.folder import read_points, read_session
@@ -128,7 +129,10 @@ def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
             }
             for of in session.place_distances
         ]
-    return result
+    domain = domain_of(calibration, session.chain, session.chain.readings(session.q))
+    for remark in domain.remarks:
+        click.echo(f"- {remark}", err=True)
+    return result | domain.data
 
 
 def _spread(values: Floats, scale: float) -> dict[str, float]:

@@ -12,12 +12,11 @@ from urdfcal.errors import RobotError, SessionError
 from urdfcal.estimation.assessment import MANY_OUTLIERS
 from urdfcal.estimation.evaluation import explain
 from urdfcal.estimation.validation import rms_interval
-from urdfcal.session.trajectory import REPEAT
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
-    from urdfcal.arrays import Bools, Floats, Ints
+    from urdfcal.arrays import Bools, Ints
     from urdfcal.estimation.observations import Observations
     from urdfcal.estimation.solver import Progress
     from urdfcal.robot.mechanism import Mechanism
@@ -132,58 +131,3 @@ def _numbers(observations: Sequence[Observations], kept: Sequence[Bools], unit: 
         for one, led, *_ in np.unique(np.stack(keys, axis=1), axis=0).tolist():
             seen[one, led] = seen.get((one, led), 0) + observed.dimension
     return sum(min(count, 3) for count in seen.values())
-
-
-@dataclass(frozen=True)
-class OutsideDomain:
-    """A joint that poses take where its calibration has not measured it.
-
-    Attributes:
-        joint: its name.
-        unit: of its values, rad or m.
-        low: least value that was measured in the calibration. [unit]
-        high: largest one. [unit]
-        beyond: how far the farthest pose is outside. [unit]
-        poses: how many are.
-    """
-
-    joint: str
-    unit: str
-    low: float
-    high: float
-    beyond: float
-    poses: int
-
-    def __str__(self) -> str:
-        counted = "a pose is" if self.poses == 1 else f"{self.poses} poses are"
-        return (
-            f"{self.joint} was calibrated from {self.low:.2f} to {self.high:.2f} {self.unit}: {counted} outside, "
-            f"by up to {self.beyond:.2g} {self.unit}"
-        )
-
-
-def outside(session: Session, domain: Mapping[str, Sequence[float]]) -> tuple[OutsideDomain, ...]:
-    """Find the joints that a session's poses take out of the ranges that a calibration has measured.
-
-    Args:
-        session: new poses.
-        domain: least and largest value of each joint; of others nothing is said. [rad or m]
-    """
-    found = []
-    values = session.chain.readings(session.q)
-    for joint, q in zip(session.chain.actuated_joints, values.T, strict=True):
-        if joint.name in domain:
-            low, high = domain[joint.name]
-            beyond = _beyond(q, low, high, turns=not joint.prismatic)
-            far = beyond > REPEAT  # what is nearer repeats what was measured
-            if far.any():
-                size, count = float(beyond.max()), int(np.count_nonzero(far))
-                found.append(OutsideDomain(joint.name, joint.unit, low, high, size, count))
-    return tuple(found)
-
-
-def _beyond(q: Floats, low: float, high: float, *, turns: bool) -> Floats:
-    """How far values are from a range; the arm is the same where a joint has turned once more."""
-    shifted = q + 2.0 * np.pi * np.array([-1.0, 0.0, 1.0])[:, None] if turns else q[None]
-    result: Floats = np.maximum(np.maximum(low - shifted, shifted - high), 0.0).min(axis=0)
-    return result

@@ -124,7 +124,7 @@ def _workspace(root: str, parent: str, overview: Overview) -> rrb.Container:
         ("calibrated", "Calibrated: predicted standard deviation", workspace.after),
     )
     smallest, largest = (1e3 * limit for limit in workspace.range)
-    scale = f"violet {smallest:.2g}, yellow {largest:.2g} mm"
+    scale = f"violet {smallest:.2g}, yellow {largest:.2g} mm; small: not measured"
     views = [
         rrb.Spatial3DView(
             origin=root,

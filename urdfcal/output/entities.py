@@ -176,9 +176,13 @@ def _log_ellipsoids(layer: Layer, scene: CalibrationScene) -> None:
 
 
 def log_workspace(layer: Layer, workspace: Workspace) -> None:
-    """Log the tip's places over the workspace, coloured by how far it is off, on one scale before and after."""
+    """Log the tip's places over the workspace, coloured by how far it is off, on one scale before and after.
+
+    Where the configuration was not measured, the dot is small.
+    """
     smallest, largest = workspace.range
     scale = Scale(max(smallest, _SMALLEST), max(largest, 2.0 * _SMALLEST), logarithmic=True)
+    radii = np.where(workspace.measured, _DOT, _SMALL_DOT)
     for name, error in (("nominal", workspace.before), ("calibrated", workspace.after)):
         colors = viridis(scale.share(np.maximum(error, _SMALLEST)))
-        layer.at(name).fixed(rr.Points3D(workspace.tip, colors=colors, radii=_SMALL_DOT))
+        layer.at(name).fixed(rr.Points3D(workspace.tip, colors=colors, radii=radii))

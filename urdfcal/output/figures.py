@@ -8,7 +8,7 @@ import numpy as np
 
 from urdfcal.output import charts
 from urdfcal.output.chart import Chart, Mark, Scale
-from urdfcal.output.palette import FAINT, OUTLIER, by_sigma, viridis
+from urdfcal.output.palette import FAINT, OUTLIER, UNMEASURED, by_sigma, viridis
 from urdfcal.output.scene import image_range
 from urdfcal.output.svg import svg
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from urdfcal.arrays import Floats
     from urdfcal.output.findings import Overview
     from urdfcal.output.fitted import ResidualTable
-    from urdfcal.output.scene import CalibrationScene
+    from urdfcal.output.scene import CalibrationScene, Workspace
 
 _CELLS = 24
 # A portrait image as wide as half the page would fill it.
@@ -33,7 +33,7 @@ def draw(overview: Overview) -> dict[str, str]:
     corrections = charts.parameter_charts(overview.calibration)
     cost, _, step, *_ = charts.convergence_charts(overview.calibration)
     maps = [
-        _map(name, workspace.tip, 1e3 * error)
+        _map(name, workspace, 1e3 * error)
         for name, error in (("nominal", workspace.before), ("calibrated", workspace.after))
     ]
     figures = {
@@ -48,23 +48,27 @@ def draw(overview: Overview) -> dict[str, str]:
     return figures
 
 
-def _map(name: str, tip: Floats, error: Floats) -> Chart:
-    """The median tip error over the distance from the base's axis and the height."""
-    radius, height = np.hypot(tip[:, 0], tip[:, 1]), tip[:, 2]
+def _map(name: str, workspace: Workspace, error: Floats) -> Chart:
+    """The median tip error over the distance from the base's axis and the height, grey where nothing was measured."""
+    radius, height = np.hypot(workspace.tip[:, 0], workspace.tip[:, 1]), workspace.tip[:, 2]
     size = max(np.ptp(radius), np.ptp(height)) / _CELLS
     column, row = ((values - values.min()) // size for values in (radius, height))
     cells, cell = np.unique(np.stack([column, row], axis=1), axis=0, return_inverse=True)
     order = np.argsort(cell, kind="stable")
     groups = np.split(error[order], np.cumsum(np.bincount(cell))[:-1])
     median = np.array([np.median(group) for group in groups])
-    colors = Scale.holding(median, room=0.0)
+    known = np.bincount(cell, workspace.measured) > 0
+    colors = Scale.holding(median[known], room=0.0)
     x, y = radius.min() + (cells[:, 0] + 0.5) * size, height.min() + (cells[:, 1] + 0.5) * size
     return Chart(
         name,
         f"{name} [mm]",
         Scale(float(x.min() - size), float(x.max() + size)),
         Scale(float(y.min() - size), float(y.max() + size)),
-        [Mark("cells", "error", x, y, viridis(colors.share(median)), size)],
+        [
+            Mark("cells", "not measured", x[~known], y[~known], UNMEASURED, size),
+            Mark("cells", "error", x[known], y[known], viridis(colors.share(median[known])), size),
+        ],
         x_label="from the base's z axis [m]",
         equal=True,
         colors=colors,

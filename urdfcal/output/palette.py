@@ -20,6 +20,8 @@ FAINT = (150, 150, 120)
 INK = (150, 150, 150)
 """Of labels, which the viewer writes on dark or light ground as the user likes it."""
 GRID = (48, 50, 54)
+UNMEASURED = (205, 205, 205)
+"""Of cells on paper where nothing was measured."""
 BACKGROUND = (13, 14, 16)
 COMPONENTS = ((90, 200, 250), (255, 170, 80), (200, 140, 255))
 """u and v, or x, y and z."""

@@ -13,7 +13,7 @@ from urdfcal import files
 from urdfcal.estimation.blocks.arm import LENGTHS
 from urdfcal.output import charts, figures
 from urdfcal.output.findings import HEADLINE, Overview, claims, look_up
-from urdfcal.output.palette import SIGMA_LEGEND
+from urdfcal.output.palette import SIGMA_LEGEND, UNMEASURED
 from urdfcal.output.texts import MOUNTS, fastening_sentences, fixed_parameters, listed
 from urdfcal.robot.tree_dh import MOUNT
 from urdfcal.session.exclusion import summary
@@ -66,6 +66,8 @@ def write_report(
         misfit=_misfit(document["fit"]["reduced_chi2"]),
         figures={name: Markup(svg) for name, svg in svgs.items()},  # noqa: S704  # made by us, labels escaped
         sigma_legend=SIGMA_LEGEND,
+        unmeasured=f"rgb{UNMEASURED}",
+        share=f"{100.0 * overview.workspace.measured.mean():.0f} %",
         rows=_rows(document),
         columns=[
             f"{charts.SYMBOLS.get(c, c)} [{'mm' if c in LENGTHS else 'mrad'}]" for c in calibration.geometry.columns

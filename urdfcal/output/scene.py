@@ -265,11 +265,13 @@ class Workspace:
         tip: (M, 3) of the calibrated arm in the base link's frame. [m]
         before: (M,) distance of the nominal arm's tip, after the best rigid alignment at the base. [m]
         after: (M,) predicted standard deviation of the calibrated tip's place, aligned likewise. [m]
+        measured: (M,) whether the joint values lie in the measured domain.
     """
 
     tip: Floats
     before: Floats
     after: Floats
+    measured: Bools
 
     @property
     def range(self) -> tuple[float, float]:
@@ -286,4 +288,5 @@ def sample_workspace(calibration: FittedCalibration) -> Workspace:
     nominal = tip_poses(chain, q)[:, :3, 3]
     T = kabsch(nominal, tip)
     before = np.linalg.norm(nominal @ T[:3, :3].T + T[:3, 3] - tip, axis=1)
-    return Workspace(frozen(tip), frozen(before), frozen(calibration.tip_sigma(q)))
+    measured = calibration.in_domain(chain.readings(q))
+    return Workspace(frozen(tip), frozen(before), frozen(calibration.tip_sigma(q)), measured)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from urdfcal import files
-from urdfcal.arrays import Floats, frozen
+from urdfcal.arrays import Bools, Floats, frozen
 from urdfcal.errors import OutputError
 from urdfcal.robot.apply import apply_to_model, apply_to_urdf
 from urdfcal.robot.chain import Chain, Tree
@@ -21,6 +21,7 @@ from urdfcal.robot.dh import PARAMETERS
 from urdfcal.robot.mechanism import BASE, Joint, Mechanism, Tip
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.robot.urdf.urdf import Mimic
+from urdfcal.session.domain import beyond
 
 if TYPE_CHECKING:
     import pinocchio as pin
@@ -152,6 +153,26 @@ class Calibration(ABC):
             RobotError: a joint is missing, or its origin is not the nominal one that was calibrated.
         """
         return apply_to_urdf(urdf, self.chain, self.placements)
+
+    def in_domain(self, q: ArrayLike) -> Bools:
+        """Tell which configurations lie in the measured domain: every joint within the values that were measured.
+
+        Outside, the accuracy that the result claims is an extrapolation. Inside it may be, too: ranges do not say which
+        values were measured together.
+
+        Args:
+            q: (..., k) values of the actuated joints, in the order of ``chain.actuated``. [rad or m]
+
+        Returns:
+            (...).
+
+        Raises:
+            OutputError: the result's file is of a version that did not store the domain.
+        """
+        if self.document.domain is None:
+            raise OutputError("the result does not hold the measured domain", remedy="Calibrate its session again.")
+        result: Bools = np.all(beyond(self.chain, q, self.document.domain.joints) == 0.0, axis=-1)
+        return result
 
     def compensate(self, q: ArrayLike) -> Compensation:
         """Find joint commands for a controller that keeps its nominal kinematics.

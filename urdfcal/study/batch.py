@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from dataclasses import asdict, dataclass, field, fields
+from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 from urdfcal import files
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 
     from urdfcal.study.engine import Engine
 
+# What numbers that cannot be make libraries raise.
+_DEFECTS = (ArithmeticError, AttributeError, LookupError, MemoryError, OSError, RuntimeError, TypeError, ValueError)
 JOURNAL, TABLE = "batch.jsonl", "batch.csv"
 """Files, in the folder of the results: a line for each session that ended, and a table of all."""
 
@@ -117,7 +120,7 @@ def batch(
         for name, session in zip(names, sessions, strict=True)
     ]
     ended: dict[int, Ended] = {}
-    for k, one in each(calibrate_one, jobs, engine, processes=processes, scheduler=scheduler):
+    for k, one in each(calibrate_one, jobs, _killed, engine, processes=processes, scheduler=scheduler):
         ended[k] = one
         # One line at a time: of a run that is killed all that ended is known.
         with files.told(output / JOURNAL), (output / JOURNAL).open("a", encoding="utf-8") as journal:
@@ -135,7 +138,7 @@ def calibrate_one(job: Job) -> Ended:
     from urdfcal.output.recording import write_refused, write_results
     from urdfcal.pipeline import calibrate
 
-    start, how = time.perf_counter(), {**job.options, "report": job.report}
+    start, how = time.perf_counter(), {**job.options, "report": job.report, "urdfcal": version("urdfcal")}
     options = {name: value for name, value in job.options.items() if name != "force"}
 
     def end(level: str, sentence: str, **figures: Any) -> Ended:
@@ -146,7 +149,7 @@ def calibrate_one(job: Job) -> Ended:
     try:
         session = read_session(job.session)
         how["sha256"] = dict(session.sha256)
-        if job.before is not None and job.before.how == how and (not job.before.well or job.folder.is_dir()):
+        if job.before is not None and job.before.how == how and (not job.before.well or _is_whole(job)):
             return job.before
         calibration = calibrate(session, **options, force=True)
         validation = calibration.document.validation
@@ -163,7 +166,22 @@ def calibrate_one(job: Job) -> Ended:
         write_results(calibration, job.folder, pages=job.report)
     except UrdfcalError as error:
         return end("failed", str(error))
+    except _DEFECTS as error:  # in one session of a thousand, a defect of ours must not stop the others
+        what = f"{type(error).__name__}: {error}. `urdfcal calibrate {job.session}` shows where"
+        return end("failed", f"{what}: please report it")
     return end(calibration.assessment.level, "; ".join(calibration.assessment.reasons), **figures)
+
+
+def _is_whole(job: Job) -> bool:
+    """Whether the results of an earlier run are all there."""
+    there = {path.suffix for path in job.folder.iterdir()} if job.folder.is_dir() else set()
+    return {".json", ".urdf", *((".html", ".rrd") if job.report else ())} <= there
+
+
+def _killed(job: Job) -> Ended:
+    """How a session ended whose process was killed, though it had the machine to itself."""
+    what = "its process was killed, twice: it needs more memory than there is, or a library crashed"
+    return Ended(job.name, str(job.session), "failed", what, how={**job.options})
 
 
 def distinct_names(sessions: Sequence[Path]) -> list[str]:
