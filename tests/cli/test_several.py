@@ -129,6 +129,6 @@ def test_names_are_as_long_as_they_must(folders: Path, tmp_path: Path) -> None:
         write_session(tmp_path / day / "s", read_session(folders / name))
     one = read_sessions([tmp_path / "monday" / "s", tmp_path / "tuesday" / "s"], exclude_poses=["tuesday/s/31-33"])
     assert one.parts == ("monday/s", "tuesday/s")
-    assert sum("before" not in label for label in one.poses) == 57
+    assert len(one.poses) == 57
     assert one.excluded.poses == ("tuesday/s/31", "tuesday/s/32", "tuesday/s/33")
     assert read_sessions([folders / "before"]).parts == ("",)

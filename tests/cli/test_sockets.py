@@ -128,7 +128,6 @@ def test_kinds_of_one_unit_are_told_together_and_apart(tmp_path: Path, capsys: p
         poses=tuple(f"{k}" for k in range(len(contacts.poses) + len(planes.poses))),
         q=np.vstack([contacts.q, planes.q]),
         previous=None,
-        part=np.zeros(0, int),
         measurements=(*contacts.measurements, replace(table, pose=table.pose + len(contacts.poses))),
         noise=replace(contacts.noise, other={"contact": 1e-4, "plane": 1e-4}),
     )

@@ -145,9 +145,10 @@ def test_torques_that_cannot_be_are_refused_with_their_place(tmp_path: Path, cha
     assert message in refused(tmp_path, "torques: torques.csv\n", torques=change(torques_of(list(range(POSES)))))
 
 
-def test_an_arm_on_its_way_has_no_torques(tmp_path: Path) -> None:
-    message = refused(tmp_path, "frames: frames.csv\ntorques: torques.csv\n")
-    assert "torques belong to an arm that stands still" in message
+def test_an_arm_on_its_way_has_neither_torques_nor_poses_before(tmp_path: Path) -> None:
+    for name in ("torques", "previous"):
+        message = refused(tmp_path, f"frames: frames.csv\n{name}: {name}.csv\n")
+        assert f"{name} belongs to an arm that stands still" in message
 
 
 def test_poses_in_which_nothing_was_measured_are_where_the_arm_came_from(tmp_path: Path) -> None:
@@ -168,6 +169,17 @@ def test_poses_in_which_nothing_was_measured_are_where_the_arm_came_from(tmp_pat
     assert np.isfinite(left.came_from).all()
 
 
+def test_where_the_arm_came_from_may_be_said_of_some_poses(tmp_path: Path) -> None:
+    said = joints(["4,0.4,0.2,0.1,1", "0,-0.4,0.2,0.1,1"])
+    session = session_with(tmp_path / "a", "previous: previous.csv\n", previous=said)
+    came = session.chain.readings(session.came_from)
+    assert came[[0, 4]].tolist() == [[-0.4, 0.2, 0.1, 1.0], [0.4, 0.2, 0.1, 1.0]]
+    np.testing.assert_array_equal(session.came_from[[1, 2, 3, 5]], session.q[[0, 1, 2, 4]])
+    assert "previous.csv" in session.sha256
+    message = refused(tmp_path / "b", "previous: previous.csv\n", previous=said.replace("\n4,", "\n9,"))
+    assert "previous.csv:2:1: there is no pose '9'" in message
+
+
 def test_time_tells_the_order_where_there_is_one(tmp_path: Path) -> None:
     time = np.array([3.0, 1.0, 0.0, 2.0, 7.0, 6.0, 5.0, 4.0])
     rows = [f"{row},{t}" for row, t in zip(rows_of(list(range(POSES))), time, strict=True)]
@@ -183,7 +195,8 @@ def test_some_poses_are_written_with_where_the_arm_came_from(tmp_path: Path, tim
     some = session_with(tmp_path / "a", joints=joints(rows, *["time"] * timed)).at(np.array([1, 2, 5, 7]))
     write_session(tmp_path / "b", some)
     read = read_session(tmp_path / "b")
-    at = [read.poses.index(pose) for pose in some.poses]
-    np.testing.assert_array_equal(read.came_from[at], some.came_from)
-    np.testing.assert_array_equal(read.q[at], some.q)
-    assert all(pose.startswith("before ") for pose in set(read.poses) - set(some.poses))
+    assert read.poses == some.poses
+    np.testing.assert_array_equal(read.came_from, some.came_from)
+    whole = session_with(tmp_path / "c", joints=joints(rows, *["time"] * timed))
+    write_session(tmp_path / "d", whole)
+    assert not (tmp_path / "d" / "previous.csv").exists()

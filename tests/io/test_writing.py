@@ -210,6 +210,7 @@ def test_every_key_that_is_read_is_written(tmp_path: Path, session: Session) -> 
         gravity=np.array([9.81, 0.0, 0.0]),
         gear_ratio={"roll": 121.0},
         torques=np.zeros(session.q.shape),
+        previous=session.q[::-1],
     )
     write_session(tmp_path / "out", full)
     written = yaml.safe_load((tmp_path / "out" / "session.yaml").read_text())

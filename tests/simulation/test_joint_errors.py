@@ -18,7 +18,7 @@ from urdfcal.errors import SessionError
 from urdfcal.estimation.blocks.arm import ARM
 from urdfcal.estimation.measurements import Detections
 from urdfcal.io.folder import read_rig, read_session
-from urdfcal.io.shipped_rigs import find_rig
+from urdfcal.io.shipped_rigs import find_rig, shipped_rigs
 from urdfcal.pipeline import calibrate
 from urdfcal.session.knowledge import Estimate, JointError, Payload
 from urdfcal.simulation.motion import MotionSettings, set_in_motion
@@ -125,6 +125,12 @@ def test_errors_that_an_arm_cannot_have_are_refused(rig: str, errors: dict[str, 
     with pytest.raises(SessionError) as caught:
         simulated_with(errors, rig, poses=3)
     assert re.search(message, str(caught.value)), caught.value
+
+
+def test_an_arm_that_touches_places_has_true_joints() -> None:
+    rig = next(rig for name in shipped_rigs() if (rig := read_rig(find_rig(name))).places)
+    with pytest.raises(SessionError, match=r"errors: joint errors are simulated before cameras alone"):
+        replace(rig, errors={"lag": 1e-3})
 
 
 def test_without_masses_nothing_bends() -> None:

@@ -16,7 +16,7 @@ from urdfcal.estimation.measurements import MEASUREMENTS, Detections, Points
 from urdfcal.files import Source
 from urdfcal.io.checks.content import unseen
 from urdfcal.io.checks.plausibility import Inputs, check, check_positions
-from urdfcal.io.tables import read_frames, read_joints, read_log, read_measurements, read_torques
+from urdfcal.io.tables import read_by_pose, read_frames, read_joints, read_log, read_measurements
 from urdfcal.names import check_known, suggest
 from urdfcal.robot.chain import read_mechanism
 from urdfcal.robot.urdf.urdf import Urdf, find_urdf
@@ -30,6 +30,8 @@ from urdfcal.session.rig_description import RigDescription, Stand
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from urdfcal.arrays import Floats, Ints
+    from urdfcal.io.csv_table import Table
     from urdfcal.io.schema import SessionFile, SetupFile
     from urdfcal.io.tables import JointTable
     from urdfcal.io.yaml_document import Document
@@ -103,8 +105,7 @@ def read_session(
     moved = {what: tuple(document.texts("moved", what)) for what in keys.moved}
     with document.placing():
         session = positions.measured(measurements, sha256=hashes, warnings=warnings, moved=moved)
-        if keys.torques is not None:
-            session = _with_torques(session, _file(document, "torques"), keys.torques, inputs.joints)
+        session = _with_torques(_with_previous(session, document, keys), document, keys, inputs.joints)
         return leave_out(session, excluded) if excluded else session
 
 
@@ -227,22 +228,37 @@ def read_points(path: str | Path, session: Session) -> tuple[Points, tuple[Led, 
     return table.measurements, tuple(Led(name) for name in table.names["led"])  # type: ignore[return-value]
 
 
-def _with_torques(session: Session, path: Path, name: str, joints: JointTable) -> Session:
-    """Return a session with torques; poses without are none of it, and those after them came from there.
+def _with_previous(session: Session, document: Document, keys: SessionFile) -> Session:
+    """Return a session with where the arm came from to some of the poses, as far as a file says it."""
+    if keys.previous is None:
+        return session
+    table, rows, readings = _read_by_pose(session, document, "previous")
+    previous = np.array(session.came_from)
+    previous[rows] = session.chain.joint_values(readings)
+    return replace(session, previous=previous, sha256={**session.sha256, keys.previous: table.source.sha256})
+
+
+def _with_torques(session: Session, document: Document, keys: SessionFile, joints: JointTable) -> Session:
+    """Return a session with torques, if a file has them; poses without are none of it, only where the arm came from.
 
     Raises:
         SessionError: something was measured in one of them.
     """
-    urdf_joints = () if session.urdf is None else session.urdf.joints
-    table, rows, torques = read_torques(path, session.chain, urdf_joints, session.poses)
+    if keys.torques is None:
+        return session
+    table, rows, torques = _read_by_pose(session, document, "torques")
     measured = np.unique(np.concatenate([of.pose for of in session.measurements]))
     for pose in np.setdiff1d(measured, rows)[:1].tolist():
         what = f"pose {session.poses[pose]!r} has no torques, and something was measured in it"
-        remedy = f"Add its row to {path}, or take out what was measured in it."
+        remedy = f"Add its row to {table.path}, or take out what was measured in it."
         raise joints.table.wrong(what, pose, "pose", remedy)
-    order = np.argsort(rows)
-    hashes = {**session.sha256, name: table.source.sha256}
-    return replace(session.at(rows[order]), torques=torques[order], sha256=hashes)
+    order, hashes = np.argsort(rows), {**session.sha256, keys.torques: table.source.sha256}
+    return replace(session.at(rows[order]), torques=session.chain.torques(torques[order]), sha256=hashes)
+
+
+def _read_by_pose(session: Session, document: Document, key: str) -> tuple[Table, Ints, Floats]:
+    robot_joints = () if session.urdf is None else session.urdf.joints
+    return read_by_pose(_file(document, key), session.chain, robot_joints, session.poses)
 
 
 def _excluded(document: Document, positions: Positions, poses: Sequence[str]) -> Excluded:

@@ -175,17 +175,9 @@ class Recorder:
             poses=tuple(self._readings),
             q=self._setup.chain.joint_values(np.array(list(self._readings.values())).reshape(len(self), -1)),
             time=np.array(self._times) if self._times else None,
-            torques=self._all_torques(),
+            torques=self._setup.chain.torques(np.array(self._torques)) if self._torques else None,
             measurements=tuple(measurements),
         )
-
-    def _all_torques(self) -> Floats | None:
-        """Those of all joints in all poses: of mimic joints none, their master's has them."""
-        own = [joint.mimic is None for joint in self._setup.chain.joints]
-        torques = np.zeros((len(self._torques), len(own)))
-        if self._torques:
-            torques[:, own] = self._torques
-        return torques if self._torques else None
 
     def _by_order(self, joints: Mapping[str, float], where: str) -> list[float]:
         """The chain's readings out of those of a whole robot."""

@@ -301,6 +301,7 @@ class SessionFile(_Tables):
     joints: Name
     frames: Name | None = None
     torques: Name | None = None
+    previous: Name | None = None
     exclude: ExcludeKeys = ExcludeKeys()
     moved: dict[Name, _Names] = Field(default_factory=dict)
 
@@ -318,8 +319,9 @@ class SessionFile(_Tables):
             if self.frames is not None and "camera" not in kind.keys:
                 both = f"frames and {kind.kind} are both named"
                 raise ValueError(f"{both}: {kind.kind} belong to an arm that stands still")
-        if self.frames is not None and self.torques is not None:
-            raise ValueError("frames and torques are both named: torques belong to an arm that stands still")
+        for name in ("torques", "previous"):
+            if self.frames is not None and getattr(self, name) is not None:
+                raise ValueError(f"frames and {name} are both named: {name} belongs to an arm that stands still")
         if self.scale is not None and self.tables and not any(kind.array for kind in self.tables):
             what = "scale says how well the lengths of what measures are known, and nothing here measures any"
             raise ValueError(f"{what}: place_distances have a sigma of their own")

@@ -24,9 +24,6 @@ if TYPE_CHECKING:
     from urdfcal.estimation.measurements import Measurement
     from urdfcal.robot.mechanism import Mechanism
 
-BEFORE = "before "
-"""Begins the labels of poses that are written because the arm came from there to the next one."""
-
 _MISSING = "Leave the row out where nothing was measured."
 # What is named elsewhere: in joints.csv, the camera file and session.yaml.
 _KNOWN = {"pose": "poses of joints.csv", "camera": "cameras", "led": "LEDs", "target": "targets"}
@@ -159,10 +156,10 @@ def read_joints(path: Path, chain: Mechanism, robot_joints: Collection[str], *, 
     return JointTable(table, frozen(table.numbers(chain.actuated)), warnings, poses, time)
 
 
-def read_torques(
+def read_by_pose(
     path: Path, chain: Mechanism, robot_joints: Collection[str], poses: Sequence[str]
 ) -> tuple[Table, Ints, Floats]:
-    """Read torques.csv.
+    """Read a table with a number for each joint in some poses: torques.csv or previous.csv.
 
     Args:
         path: the file.
@@ -171,8 +168,7 @@ def read_torques(
         poses: labels of joints.csv.
 
     Returns:
-        The table, the pose (R,) of each row, and its torques (R, n); of mimic joints none, their master's has them.
-        [N m or N]
+        The table, the pose (R,) of each row, and the numbers (R, k) of the actuated joints.
 
     Raises:
         SessionError: a pose is unknown or has two rows, or a number is none, with the place in the file.
@@ -182,9 +178,7 @@ def read_torques(
     for first, row in repeats(rows.tolist())[:1]:
         what = f"pose {poses[rows[row]]!r} is already in line {first + 2}"
         raise table.wrong(what, row, "pose", "Keep one.")
-    torques = np.zeros((len(rows), len(chain.joints)))
-    torques[:, [joint.mimic is None for joint in chain.joints]] = table.numbers(chain.actuated)
-    return table, rows, torques
+    return table, rows, table.numbers(chain.actuated)
 
 
 def read_measurements(

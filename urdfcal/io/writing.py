@@ -15,7 +15,6 @@ import numpy as np
 from urdfcal.errors import OutputError
 from urdfcal.estimation.measurements.points import SPREAD, CorrelatedPoints
 from urdfcal.files import told
-from urdfcal.io.tables import BEFORE
 from urdfcal.names import check_names
 from urdfcal.robot.gravity import STANDARD_GRAVITY
 from urdfcal.rotations import matrix_to_rpy
@@ -34,7 +33,7 @@ if TYPE_CHECKING:
     from urdfcal.session.target import Target
 
 _SESSION = "session.yaml"
-_CAMERAS, _JOINTS, _FRAMES, _TORQUES = "cameras.yaml", "joints.csv", "frames.csv", "torques.csv"
+_CAMERAS, _JOINTS, _FRAMES = "cameras.yaml", "joints.csv", "frames.csv"
 
 
 def write_session(folder: str | Path, session: Positions) -> None:
@@ -158,13 +157,19 @@ def _write_files(folder: Path, session: Positions, urdf: Urdf) -> None:
         columns = [[session.rig.names[c] for c in motion.camera], labels, motion.time.tolist()]
         write_table(folder / _FRAMES, ["camera", "frame", "time"], columns)
     else:
-        poses, readings, time = _with_moves(session)
-        own = {} if time is None else {"time": time.tolist()}
-        write_table(folder / _JOINTS, ["pose", *chain.actuated, *own], [poses, *readings.T.tolist(), *own.values()])
-    if session.torques is not None:
-        content["torques"] = _TORQUES
-        columns = [session.poses, *chain.readings(session.torques).T.tolist()]
-        write_table(folder / _TORQUES, ["pose", *chain.actuated], columns)
+        time = {} if session.time is None else {"time": session.time.tolist()}
+        columns = [session.poses, *session.readings.T.tolist(), *time.values()]
+        write_table(folder / _JOINTS, ["pose", *chain.actuated, *time], columns)
+        elsewhere = np.flatnonzero((session.came_from != before(session.q, session.time)).any(axis=1))
+        all_poses = np.arange(len(session.poses))
+        for name, values, of in (
+            ("torques", session.torques, all_poses),
+            ("previous", session.came_from if len(elsewhere) else None, elsewhere),
+        ):
+            if values is not None:
+                content[name] = f"{name}.csv"
+                columns = [[session.poses[k] for k in of], *chain.readings(values[of]).T.tolist()]
+                write_table(folder / content[name], ["pose", *chain.actuated], columns)
     if isinstance(session, Session):
         for table in session.measurements:
             content[table.kind] = f"{table.kind}.csv"
@@ -188,23 +193,6 @@ def _write_files(folder: Path, session: Positions, urdf: Urdf) -> None:
     content = {key: value for key, value in content.items() if value}
     text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None, width=110)
     (folder / _SESSION).write_text(text, encoding="utf-8")
-
-
-def _with_moves(session: Positions) -> tuple[list[str], Floats, Floats | None]:
-    """Return labels, readings and times of joints.csv's rows: poses, and where the arm came from if from no pose."""
-    poses, q, time = list(session.poses), session.q, session.time
-    from_elsewhere = np.flatnonzero((session.came_from != before(q, time)).any(axis=1))
-    if time is not None:
-        last = before(time, time)
-        came = np.where(last < time, (last + time) / 2.0, time - 1.0)
-        time = np.insert(time, from_elsewhere, came[from_elsewhere])
-    q = np.insert(q, from_elsewhere, session.came_from[from_elsewhere], axis=0)
-    for k in reversed(from_elsewhere.tolist()):
-        label = f"{BEFORE}{poses[k]}"
-        while label in poses:
-            label = f"{BEFORE}{label}"
-        poses.insert(k, label)
-    return poses, session.chain.readings(q), time
 
 
 def _said(**keys: Any) -> dict[str, Any]:

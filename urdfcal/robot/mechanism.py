@@ -250,6 +250,12 @@ class Mechanism:
         result: Floats = values[..., [joint.mimic is None for joint in self.joints]]
         return result
 
+    def torques(self, measured: Floats) -> Floats:
+        """Return torques (..., n) of all joints from measured ones (..., k): of mimic joints none, their master has them."""
+        result = np.zeros((*measured.shape[:-1], len(self.joints)))
+        result[..., [joint.mimic is None for joint in self.joints]] = measured
+        return result
+
     @cached_property
     def reading_jacobian(self) -> Floats:
         """The derivative (n, k) of all joints' values with respect to the actuated joints' readings."""

@@ -134,8 +134,7 @@ class FoundJointModels:
         chain = self.mechanism
         q, J = chain.joint_values(readings), chain.reading_jacobian
         came = None if previous is None else chain.joint_values(previous)
-        own = np.eye(len(chain.joints))[[joint.mimic is None for joint in chain.joints]]
-        tau = None if torques is None else np.asarray(torques, dtype=float) @ own
+        tau = None if torques is None else chain.torques(np.asarray(torques, dtype=float))
         each = np.arange(len(q))
         given = Readings(q, each, AT_REST, np.zeros_like(each), tau, came)
         true, slope = q, np.broadcast_to(np.eye(q.shape[1]), (*q.shape, q.shape[1]))

@@ -267,8 +267,7 @@ def unseen(inputs: Inputs) -> Iterator[str]:
     """Name poses without measurements, LEDs that were never measured, and cameras that see nothing."""
     tables, excluded = [table.measurements for table in inputs.tables.values()], inputs.excluded
     seen, labels = _named(tables, "pose"), inputs.positions.poses
-    named = (*excluded.poses, *inputs.ways)
-    blind = [pose for k, pose in enumerate(labels) if k not in seen and pose not in named]
+    blind = [pose for k, pose in enumerate(labels) if k not in seen and pose not in excluded.poses]
     if len(blind) > (_UNSEEN if inputs.frames is None else _MOST) * len(labels):
         path = (inputs.frames or inputs.joints).table.path
         yield f"{path}: {len(blind)} of {len(labels)} poses have no measurement: {listed(blind)}"

@@ -16,7 +16,6 @@ from urdfcal.estimation.blocks.arm import parameter_tolerance
 from urdfcal.estimation.measurements import Detections, Distances, Points, Poses
 from urdfcal.io.checks.content import check_images, check_names_by_rays, frozen_recording, told
 from urdfcal.io.csv_table import repeats
-from urdfcal.io.tables import BEFORE
 from urdfcal.names import listed
 from urdfcal.session.attachments import WORLD
 from urdfcal.session.knowledge import Excluded
@@ -79,11 +78,6 @@ class Inputs:
         if not self.joints.poses:  # an arm that moves: its readings are of no pose
             return np.arange(len(self.joints.readings))
         return np.flatnonzero(~np.isin(self.joints.poses, self.excluded.poses))
-
-    @property
-    def ways(self) -> tuple[str, ...]:
-        """Poses in which the arm only was before others, as sessions are written: nothing is measured in them."""
-        return tuple(label for label in self.joints.poses if label.startswith(BEFORE))
 
     @property
     def scale(self) -> float:
@@ -324,7 +318,6 @@ def _same_readings(inputs: Inputs) -> Iterator[str]:
     joints, rows = inputs.joints, inputs.counting
     if not joints.poses:  # an arm that moves may come back, or wait
         return
-    rows = rows[~np.isin(np.array(joints.poses)[rows], inputs.ways)]
     # Adding zero makes -0.0 the same bytes as 0.0.
     pairs = repeats(reading.tobytes() for reading in joints.readings[rows] + 0.0)
     for first, row in [(int(rows[a]), int(rows[b])) for a, b in pairs[:1]]:
