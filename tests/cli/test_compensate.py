@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 import urdfcal
+from tests.worlds import backlash
 from urdfcal.cli import run
 from urdfcal.cli.results import _errors
 from urdfcal.errors import OutputError
@@ -137,7 +139,8 @@ def test_links_fixed_to_the_base_link_have_no_error_to_report() -> None:
     ur5 = package_roots()[-1] / "example-robot-data" / "robots" / "ur_description" / "urdf" / "ur5_robot.urdf"
     tree = Tree.from_urdf(ur5, ["tool0", "base"], "base_link")
     q = tree.random_values(3, np.random.default_rng(3))
-    assert _errors(SimpleNamespace(chain=tree, calibrated=tree), q, q) == {"tool0": 0.0}
+    arm = SimpleNamespace(chain=tree, calibrated=tree, joint_values=tree.joint_values)
+    assert _errors(arm, q, q, {}) == {"tool0": 0.0}
 
 
 def test_commands_outside_what_was_measured_are_counted(
@@ -166,3 +169,59 @@ def test_commands_outside_what_was_measured_are_counted(
     narrow.write_text(json.dumps(document))
     with pytest.raises(OutputError, match="does not hold the measured domain"):
         urdfcal.Calibration.load(narrow).in_domain(q)
+
+
+@pytest.fixture(scope="module")
+def bending(simulated: Callable, tmp_path_factory: pytest.TempPathFactory) -> urdfcal.Calibration:
+    """An arm that sags and has play, calibrated with both."""
+    session = backlash(simulated("ur5", poses=40), 2e-3, share=0.4)
+    session = replace(session, joint_models={"compliance": True, "backlash": {"elbow_joint": True}})
+    folder = tmp_path_factory.mktemp("bending")
+    urdfcal.calibrate(session, force=True).save(folder / "calibration.json")
+    return urdfcal.Calibration.load(folder)
+
+
+def test_what_is_printed_of_an_arm_that_bends_is_of_its_full_model(
+    bending: urdfcal.Calibration, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    chain = bending.chain
+    q = chain.random_values(40, np.random.default_rng(5))
+    q = np.clip(q, -2.0, 2.0)
+    bending.save(tmp_path / "calibration.json")
+    given, written = write(tmp_path / "given.csv", chain, q), tmp_path / "out.csv"
+    assert run(["compensate", str(tmp_path / "calibration.json"), str(given), "-o", str(written)]) == 0
+    said = capsys.readouterr().out
+    came = np.concatenate([q[:1], q[:-1]])
+    commands = bending.compensate(q, previous=came)
+    np.testing.assert_array_equal(
+        np.array([row[1:-1][::-1] for row in [*csv.reader(written.open())][1:]], float), commands.q
+    )
+    miss = bending.forward(q, previous=came)[:, :3, 3] - positions(chain, q)
+    rigid = positions(bending.calibrated, q) - positions(chain, q)
+    of_model, of_rigid = (1e3 * np.sqrt(np.mean(np.sum(of**2, axis=1))) for of in (miss, rigid))
+    assert f"{of_model:.3g} mm rms with the nominal commands" in said
+    assert f"{of_model:.3g}" != f"{of_rigid:.3g}"
+    assert not np.array_equal(commands.q, bending.compensate(q).q)  # the play's side is that of the row before
+
+
+def test_a_compliance_under_measured_torques_takes_those_of_the_trajectory(
+    simulated: Callable, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    session = simulated("ur5", poses=30).session
+    tau = 20.0 * np.random.default_rng(0).normal(size=session.q.shape)
+    session = replace(session, torques=tau, joint_models={"compliance": True})
+    calibration = urdfcal.calibrate(session, force=True)
+    calibration.save(tmp_path / "calibration.json")
+    chain, q = calibration.chain, session.readings[:5]
+    given = write(tmp_path / "given.csv", chain, q)
+    call = ["compensate", str(tmp_path / "calibration.json"), str(given), "-o", str(tmp_path / "out.csv")]
+    assert run(call) == 2
+    assert "--torques FILE.csv" in capsys.readouterr().err
+    assert not (tmp_path / "out.csv").exists()
+    torques = write(tmp_path / "torques.csv", chain, tau[:5])
+    assert run([*call, "--torques", str(torques)]) == 0
+    commands = np.array([row[1:-1][::-1] for row in [*csv.reader((tmp_path / "out.csv").open())][1:]], float)
+    came = np.concatenate([q[:1], q[:-1]])
+    np.testing.assert_array_equal(commands, calibration.compensate(q, torques=tau[:5], previous=came).q)
+    assert run([*call, "--torques", str(write(torques, chain, tau[:3]))]) == 2
+    assert "torques.csv: it has 3 rows, the trajectory 5" in capsys.readouterr().err

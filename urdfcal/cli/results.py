@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -49,13 +49,20 @@ def apply(result: Path, urdf: str, output: Path | None) -> None:
 @result_argument
 @click.argument("trajectory", type=PATH, metavar="TRAJECTORY.csv")
 @click.option("-o", "--output", type=PATH, required=True, help="CSV file to write.")
-def compensate(result: Path, trajectory: Path, output: Path) -> None:
+@click.option(
+    "--torques",
+    type=PATH,
+    metavar="FILE.csv",
+    help="Joint torques of the same rows, for a compliance under measured ones.",
+)
+def compensate(result: Path, trajectory: Path, output: Path, torques: Path | None) -> None:
     """Correct the joint commands of TRAJECTORY.csv so that the real tip goes where the nominal one would.
 
     For a tree of joints this is the session's tip link; the errors of the other tip links are reported.
 
     OUT is a folder that calibrate has written, or its calibration.json. Columns are joint names, in rad and m; others,
-    such as time, are kept. Poses outside the measured domain are counted, with the joints that leave it.
+    such as time, are kept. Rows follow each other: an arm with backlash comes from the row before. Poses outside the
+    measured domain are counted, with the joints that leave it.
     """
     import numpy as np
 
@@ -69,14 +76,18 @@ def compensate(result: Path, trajectory: Path, output: Path) -> None:
     if output.exists() and output.samefile(trajectory):
         remedy = "Name another file: nothing is corrected twice."
         raise OutputError("this is the trajectory itself", where=str(output), remedy=remedy)
+    under: dict[str, Any] = {"previous": np.concatenate([given.q[:1], given.q[:-1]])}
+    if torques is not None:
+        under["torques"] = given.beside(torques, calibration.chain)
     parts = []
     with progress_bar("compensating", len(given.q)) as advance:
         for first in range(0, len(given.q), _BLOCK):
-            parts.append(calibration.compensate(given.q[first : first + _BLOCK]))
+            rows = slice(first, first + _BLOCK)
+            parts.append(calibration.compensate(given.q[rows], **{name: of[rows] for name, of in under.items()}))
             advance(len(parts[-1].q))
     found = Compensation(*(np.concatenate([getattr(p, name) for p in parts]) for name in ("q", "position", "angle")))
     files.write_text(output, given.with_commands(found.q))
-    before, after = (_errors(calibration, given.q, commands) for commands in (given.q, found.q))
+    before, after = (_errors(calibration, given.q, commands, under) for commands in (given.q, found.q))
     _print_errors(output, given, found, next(iter(before.values())))
     for remark in domain_of(calibration, calibration.chain, given.q).remarks:
         click.echo(remark)
@@ -87,15 +98,20 @@ def compensate(result: Path, trajectory: Path, output: Path) -> None:
         )
 
 
-def _errors(calibration: Calibration, nominal_commands: Floats, commands: Floats) -> dict[str, float]:
-    """Distances (rms, m) of the calibrated tip links with commands (N, k) from the nominal ones with theirs (N, k)."""
+def _errors(
+    calibration: Calibration, nominal_commands: Floats, commands: Floats, under: Mapping[str, Any]
+) -> dict[str, float]:
+    """Distances (rms, m) of the calibrated tip links with commands (N, k) from the nominal ones with theirs (N, k).
+
+    ``under`` is what joint models depend on beside the commands.
+    """
     from urdfcal.robot.kinematics import link_poses
     from urdfcal.robot.mechanism import BASE
 
     chain = calibration.chain
     tips = [chain.tips[0], *(tip for tip in chain.tips[1:] if tip.joint != BASE)]
     nominal = link_poses(chain, chain.joint_values(nominal_commands), tips)
-    real = link_poses(calibration.calibrated, chain.joint_values(commands), tips)
+    real = link_poses(calibration.calibrated, calibration.joint_values(commands, **under), tips)
     return {tip.link: _rms_length(T[:, :3, 3] - S[:, :3, 3]) for tip, T, S in zip(tips, real, nominal, strict=True)}
 
 

@@ -63,6 +63,18 @@ class CommandTable:
             )
         return cls(table, chain.actuated, q)
 
+    def beside(self, path: Path, chain: Mechanism) -> Floats:
+        """Read a number for each actuated joint (N, k), such as a torque, in a table with a row for each command.
+
+        Raises:
+            SessionError: the file cannot be read, a joint has no column, a number is none, or rows are missing.
+        """
+        values = Table.read(path, chain.actuated, ignored=None).numbers(chain.actuated)
+        if len(values) != len(self.q):
+            what = f"it has {len(values)} rows, the trajectory {len(self.q)}"
+            raise SessionError(what, where=str(path), remedy="Give each pose of the trajectory its row.")
+        return values
+
     def line(self, pose: int) -> int:
         """The line of the file, counted from 1, that holds a pose."""
         return pose + 2

@@ -251,7 +251,7 @@ class Mechanism:
         return result
 
     def torques(self, measured: Floats) -> Floats:
-        """Return torques (..., n) of all joints from measured ones (..., k): of mimic joints none, their master has them."""
+        """Return torques (..., n) of all joints from measured ones (..., k); mimic joints have none."""
         result = np.zeros((*measured.shape[:-1], len(self.joints)))
         result[..., [joint.mimic is None for joint in self.joints]] = measured
         return result

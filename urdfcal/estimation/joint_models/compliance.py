@@ -77,7 +77,7 @@ class Compliance(LinearJointModel):
             raise SessionError(
                 "the compliance is that under measured torques, and these readings have none",
                 where="torques",
-                remedy="Give the torques of every pose.",
+                remedy="Give the torques of every pose (`urdfcal compensate --torques FILE.csv`).",
             )
         carried: Floats = -(tau @ self.mechanism.reading_jacobian)[:, self.joints]
         return carried
