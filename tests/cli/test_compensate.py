@@ -225,3 +225,14 @@ def test_a_compliance_under_measured_torques_takes_those_of_the_trajectory(
     np.testing.assert_array_equal(commands, calibration.compensate(q, torques=tau[:5], previous=came).q)
     assert run([*call, "--torques", str(write(torques, chain, tau[:3]))]) == 2
     assert "torques.csv: it has 3 rows, the trajectory 5" in capsys.readouterr().err
+
+
+def test_that_a_urdf_holds_the_rigid_part_alone_is_said_where_it_is_written(
+    bending: urdfcal.Calibration, calibrated: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bending.save(tmp_path / "calibration.json")
+    urdf = package_roots()[-1] / "example-robot-data" / "robots" / "ur_description" / "urdf" / "ur5_robot.urdf"
+    for result, bends in ((tmp_path / "calibration.json", True), (calibrated("ur5") / "result", False)):
+        assert run(["apply", str(result), str(urdf), "-o", str(tmp_path / f"{bends}.urdf")]) == 0
+        said = capsys.readouterr().out
+        assert ("a URDF cannot hold compliance, backlash; compensate and the library do" in said) is bends

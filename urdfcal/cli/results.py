@@ -43,6 +43,8 @@ def apply(result: Path, urdf: str, output: Path | None) -> None:
     calibration = Calibration.load(result)
     files.write_bytes(output, calibration.apply_to_urdf(Urdf.read(urdf)))
     click.echo(output)
+    if models := dict.fromkeys(name for of in calibration.document.joint_models.values() for name in of):
+        click.echo(f"- it is the rigid part: a URDF cannot hold {', '.join(models)}; compensate and the library do")
 
 
 @click.command("compensate")
