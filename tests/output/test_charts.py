@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.output.chart import Scale
 from urdfcal.output.charts import all_charts, parameter_charts, residual_charts
 from urdfcal.output.findings import Overview
+from urdfcal.output.scene import measurements_of
 from urdfcal.pipeline import calibrate
 from urdfcal.simulation.simulate import simulate
 
@@ -89,3 +92,18 @@ def test_a_scale_may_hold_its_values_without_room_beside_them():
     flat = Scale.holding([0.0, 0.0], room=0.0)
     assert np.isfinite(flat.share([0.0])).all()
     assert flat.ticks()
+
+
+def test_what_charts_call_the_declared_noise_is_what_the_estimate_weighs_by(simulated):
+    """Joint noise of 1 mrad outweighs that of pixels: residuals in units of what was declared still have length 1."""
+    data = simulated("ur5", poses=40)
+    q = data.session.q + 1e-3 * np.random.default_rng(0).normal(size=data.session.q.shape)
+    session = replace(data.session, q=q, noise=replace(data.session.noise, joint=1e-3))
+    calibration = calibrate(session, force=True)
+    (table,) = measurements_of(calibration)
+    assert np.median(table.spread) > 3.0 * np.median(table.sigma)
+    np.testing.assert_allclose(np.sqrt(np.mean(table.sigmas(table.predicted) ** 2)), 1.0, atol=0.35)
+    by_length = np.sqrt(np.mean(np.sum(table.sigmas(table.predicted) ** 2, axis=1) / 2.0))
+    np.testing.assert_allclose(by_length, np.sqrt(np.mean(table.size[table.used] ** 2)), rtol=0.15)
+    (still,) = measurements_of(calibrate(replace(data.session, noise=replace(data.session.noise, joint=0.0))))
+    np.testing.assert_allclose(still.spread, np.repeat(still.sigma[:, None], 2, axis=1))

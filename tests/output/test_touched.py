@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def test_a_contact_is_measured_where_its_place_is() -> None:
-    session = replace(touched(Contacts, 40).session, estimate=Estimate("none"))
+    session = replace(touched(Contacts, 40, joint=0.0).session, estimate=Estimate("none"))
     calibration = calibrate(session, force=True)
     scene = Overview.of(calibration).scene
     (table,) = session.measurements

@@ -9,6 +9,8 @@ import numpy as np
 
 from urdfcal.arrays import Bools, Floats, Ints, inverse
 from urdfcal.cameras.rig import Rig
+from urdfcal.estimation.linearize import Tangent
+from urdfcal.estimation.whitening import joint_noise
 from urdfcal.output.placing import PlacedRows, RobotPoses
 from urdfcal.rotations import matrix_to_rotation_vector, rotation_vector_to_matrix
 
@@ -64,7 +66,8 @@ class ResidualTable(Residuals):
         by_camera: whether cameras measured.
         in_world: whether the numbers are a position in the world.
         camera: (S,) index of the camera; -1 for points.
-        sigma: (S,) standard deviation of each component.
+        sigma: (S,) standard deviation of each component, by the measurement alone.
+        spread: (S, D) the same with the noise of the joint readings, as the estimate weighs it.
     """
 
     unit: str
@@ -74,15 +77,16 @@ class ResidualTable(Residuals):
     in_world: bool
     camera: Ints
     sigma: Floats
+    spread: Floats
 
     @property
     def noise(self) -> float:
         """The declared noise as the rms length of a residual, in ``unit``."""
-        return float(self.scale * np.sqrt(len(self.components)) * np.median(self.sigma))
+        return float(self.scale * np.median(np.linalg.norm(self.spread, axis=1)))
 
     def sigmas(self, predicted: Floats) -> Floats:
         """Residuals (used, D) of a prediction (S, D) in units of the declared noise, outliers left out."""
-        return ((predicted - self.measured) / self.sigma[:, None])[self.used]
+        return ((predicted - self.measured) / self.spread)[self.used]
 
     def rms_by(self, index: Ints, predicted: Floats) -> tuple[Ints, Floats]:
         """The indices (of poses, of cameras) that have residuals, and their root mean square length in ``unit``.
@@ -107,6 +111,10 @@ def measurements_of(calibration: FittedCalibration) -> tuple[ResidualTable, ...]
         size, size_nominal = (
             solution.norms[index][rows] / np.sqrt(block.dimension) for solution in (fit, calibration.nominal_fit)
         )
+        at = Tangent.at(problem, block, fit.state, fit.parameters).linearise()
+        joint = joint_noise(at, problem.arm.chain.reading_jacobian, problem.joint_sigma)
+        variance = np.sum(joint.reshape(*block.value.shape, -1) ** 2, axis=-1)
+        variance += np.diagonal(block.covariance, axis1=-2, axis2=-1)
         tables.append(
             ResidualTable(
                 unit=unit,
@@ -119,6 +127,7 @@ def measurements_of(calibration: FittedCalibration) -> tuple[ResidualTable, ...]
                 camera=block.index.get("camera", np.full_like(block.row, -1))[rows],
                 measured=measured,
                 sigma=np.sqrt(block.covariance[rows][:, 0, 0]),
+                spread=np.sqrt(variance[rows][:, lengths]),
                 predicted=measured + problem.residual(block, fit.state)[rows][:, lengths],
                 nominal=measured + problem.residual(block, calibration.nominal_fit.state)[rows][:, lengths],
                 size=size,
