@@ -11,7 +11,7 @@ from urdfcal.estimation.assessment import assess
 from urdfcal.estimation.blocks.arm import no_offsets
 from urdfcal.estimation.blocks.cameras import without_cameras
 from urdfcal.estimation.diagnosis.trials import suspect
-from urdfcal.estimation.evidence import gather, widened
+from urdfcal.estimation.evidence import gather
 from urdfcal.estimation.joint_models.time_offset import time_offsets
 from urdfcal.estimation.measurements.pixels import Detections, triangulate
 from urdfcal.estimation.model_selection import compare_models, with_fit
@@ -121,8 +121,10 @@ def _calibrate(
         kept = solutions[0].solution if solutions[0].kept else None
         if kept is not None and kept is not comparison.chosen.fit:
             comparison = with_fit(comparison, kept, problem, seed)
-    comparison = widened(problem, comparison)
     evidence = gather(session, problem, comparison, seed, undeclared, progress)
+    if evidence.spread is not None:
+        chosen = comparison.chosen
+        comparison = comparison.with_chosen(replace(chosen, fit=replace(chosen.fit, spread=evidence.spread)))
     assessment = assess(session, problem, comparison, evidence)
     calibration = FittedCalibration(
         session=session.with_time_offsets(time_offsets(comparison.chosen.fit.state)),

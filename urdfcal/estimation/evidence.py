@@ -19,10 +19,10 @@ from urdfcal.estimation.noise import find_noise
 from urdfcal.estimation.regions import joint_regions, tip_regions
 from urdfcal.estimation.scale import find_scale
 from urdfcal.estimation.uncertainty import rigid_loss, tip_error
-from urdfcal.estimation.validation import hold_out, jackknife, region_interval, rms_samples
+from urdfcal.estimation.validation import hold_out, region_interval, rms_samples
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Collection
 
     from urdfcal.arrays import Bools, Floats
     from urdfcal.estimation.diagnosis.doctor import Finding
@@ -82,6 +82,7 @@ class Evidence:
         bends: what the joints do that no URDF can hold, one sentence for each joint model; none of a rigid arm.
         rigid_loss: how far the rigid arm's tip is off for that at the measured poses, root mean square. [m]
         improvement: 95 % interval of the nominal arm's rms error on held-out poses less the calibrated one's. [m]
+        spread: (count, count) covariance of the estimate over regions left out, where there is a misfit; else None.
         undone: that a correction which the session's URDF has is taken back; None where none is.
         suspicion: the change of the session that would make it fit; None where it fits, or no single one does.
     """
@@ -94,6 +95,7 @@ class Evidence:
     bends: tuple[str, ...]
     rigid_loss: float
     improvement: tuple[float, float]
+    spread: Floats | None
     undone: str | None
     suspicion: Suspicion | None
 
@@ -121,7 +123,10 @@ def gather(
     unexplained = Unexplained.of(session, problem, fit, noise)
     # What is not modelled scatters unevenly, too: only where nothing of the kind is found is it the noise.
     findings = diagnose(session, unexplained) or scatter(session, problem, fit)
-    regions = _regions(problem, comparison)
+    regions, spread = _regions(problem, comparison)
+    # A misfit is no white noise: with the covariance scaled by the reduced chi-square, 95 % intervals of the parameters
+    # of simulated arms that sag or whose encoders err hold 61 to 83 %; with that over regions 82 to 94 %.
+    fit = replace(fit, spread=spread) if fit.misfit else fit
     cut, kept = fit.counts
     # Then something about the session may be wrong: it is looked for by trial, which takes seconds.
     absurd = fit.reduced_chi2 > MISFIT_CHI2 or cut > MANY_OUTLIERS * (cut + kept)
@@ -138,6 +143,7 @@ def gather(
         bends=bends,
         rigid_loss=rigid_loss(problem, fit.state) if bends else 0.0,
         improvement=_improvement(problem, comparison, seed),
+        spread=fit.spread,
         undone=undone(session, calibrated, tip.rms),
         suspicion=suspect(session, progress) if absurd else None,
     )
@@ -150,39 +156,23 @@ def _tip(problem: Problem, fit: Solution, regions: Regions, *, holds: bool) -> T
     return TipError(max(expected, regions.rms), (low, max(high, regions.interval[1])))
 
 
-def widened(problem: Problem, comparison: Comparison) -> Comparison:
-    """Return the comparison with the chosen estimate's covariance widened by regions left out, if there is a misfit.
-
-    A misfit is no white noise: scaled by the reduced chi-square, 95 % intervals of the parameters of simulated arms
-    that sag or whose encoders err hold 61 to 83 %; with the jackknife over regions 82 to 94 %.
-    """
-    fit = comparison.chosen.fit
-    if not fit.misfit:
-        return comparison
-    thinned, (thin,) = _thinned(problem, [fit])
-    wide = replace(fit, spread=jackknife(thinned, thin, joint_regions(thinned)))
-    return comparison.with_chosen(replace(comparison.chosen, fit=wide))
-
-
-def _thinned(problem: Problem, fits: Sequence[Solution]) -> tuple[Problem, list[Solution]]:
-    """An even selection of the poses."""
+def _regions(problem: Problem, comparison: Comparison) -> tuple[Regions, Floats]:
+    """What left-out regions show, and the covariance of the chosen estimate over those of joint space."""
     even = [observed.even(_MOST_POSES) for observed in problem.observations]
     problem = problem.with_observations([of.at(some) for of, some in zip(problem.observations, even, strict=True)])
-    return problem, [
-        replace(fit, kept=tuple(kept[some] for kept, some in zip(fit.kept, even, strict=True))) for fit in fits
+    fits = [
+        replace(trial.fit, kept=tuple(kept[some] for kept, some in zip(trial.fit.kept, even, strict=True)))
+        for trial in (comparison.chosen, comparison.nominal_arm)
     ]
-
-
-def _regions(problem: Problem, comparison: Comparison) -> Regions:
-    problem, fits = _thinned(problem, [trial.fit for trial in (comparison.chosen, comparison.nominal_arm)])
-    found = []
+    found, spreads = [], []
     for divide in (joint_regions, tip_regions):
         region = divide(problem)
         chosen, nominal = (hold_out(problem, fit, region) for fit in fits)
         kept = fits[0].kept
         interval = region_interval(problem.observations, kept, chosen.distance, region)
         found.append(Regions(chosen.folds, _rms(chosen.distance, kept), interval, _rms(nominal.distance, kept)))
-    return max(found, key=lambda of: of.interval[1])
+        spreads.append(chosen.spread)
+    return max(found, key=lambda of: of.interval[1]), spreads[0]
 
 
 def _improvement(problem: Problem, comparison: Comparison, seed: int) -> tuple[float, float]:

@@ -103,7 +103,8 @@ class Comparison:
         """Return the same with another trial of the chosen model."""
         old = self.chosen
         attempts = tuple(trial if attempt is old else attempt for attempt in self.attempts)
-        return replace(self, attempts=attempts, best=trial if self.best is old else self.best, chosen=trial)
+        best, nominal_arm = (trial if of is old else of for of in (self.best, self.nominal_arm))
+        return replace(self, attempts=attempts, best=best, chosen=trial, nominal_arm=nominal_arm)
 
 
 def compare_models(

@@ -28,16 +28,31 @@ class HeldOut:
     """Predictions of left-out poses, each by an estimate from the other folds.
 
     Attributes:
-        folds: number of folds.
+        steps: (folds, count) from the full estimate's active parameters to those without each fold.
         norms: for each kind of measurement (N, m): whitened residual norm of each one.
         residual: for each kind (N, m): length of the residual. [unit of the measurement]
         distance: for each kind (N, m): how far the LED is off, for pixels across the ray. [m]
     """
 
-    folds: int
+    steps: Floats
     norms: tuple[Floats, ...]
     residual: tuple[Floats, ...]
     distance: tuple[Floats, ...]
+
+    @property
+    def folds(self) -> int:
+        """Number of folds."""
+        return len(self.steps)
+
+    @property
+    def spread(self) -> Floats:
+        """Covariance (count, count) of the active parameters, from how far each fold moves them.
+
+        Delete-a-group jackknife (Shao and Wu, Ann. Statist. 17, 1989): where errors are no noise, it shows how far the
+        estimate depends on where was measured.
+        """
+        covariance: Floats = (self.folds - 1) / self.folds * self.steps.T @ self.steps
+        return covariance
 
 
 def loss(norms: Sequence[Floats], observations: Sequence[Observations]) -> float:
@@ -67,9 +82,9 @@ def hold_out(problem: Problem, fit: Solution, fold_of_pose: Ints) -> HeldOut:
     """
     observations = problem.observations
     norms, residual, distance = ([np.zeros(observed.row.shape) for observed in observations] for _ in range(3))
-    folds = 0
+    steps = []
     for out, state in _without_each(problem, fit, fold_of_pose):
-        folds += 1
+        steps.append(fit.parameters.between(fit.state, state))
         unseen = problem.with_observations([of.at(left) for of, left in zip(observations, out, strict=True)])
         training = problem.with_observations([of.at(~left) for of, left in zip(observations, out, strict=True)])
         new, factors = _only_unseen(training, unseen, fit.parameters)
@@ -82,25 +97,7 @@ def hold_out(problem: Problem, fit: Solution, fold_of_pose: Ints) -> HeldOut:
             norms[k][left] = factor * norm
             residual[k][left] = factor * np.linalg.norm(unseen.residual(observed, state), axis=-1)
             distance[k][left] = factor * unseen.off(observed, state)
-    return HeldOut(folds, tuple(norms), tuple(residual), tuple(distance))
-
-
-def jackknife(problem: Problem, fit: Solution, fold_of_pose: Ints) -> Floats:
-    """Compute the covariance (count, count) of the active parameters from estimates without each of some folds.
-
-    Delete-a-group jackknife (Shao and Wu, Ann. Statist. 17, 1989): where errors are no noise, it shows how far the
-    estimate depends on where was measured.
-
-    Args:
-        problem: what was measured.
-        fit: the estimate from all of it.
-        fold_of_pose: (poses of the session,) the fold, or region, that each is left out with.
-    """
-    moved = np.array(
-        [fit.parameters.between(fit.state, state) for _, state in _without_each(problem, fit, fold_of_pose)]
-    )
-    result: Floats = (len(moved) - 1) / len(moved) * moved.T @ moved
-    return result
+    return HeldOut(np.array(steps), tuple(norms), tuple(residual), tuple(distance))
 
 
 def _without_each(problem: Problem, fit: Solution, fold_of_pose: Ints) -> Iterator[tuple[list[Bools], State]]:
