@@ -16,7 +16,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from urdfcal.arrays import Floats
+    from urdfcal.result.calibration import Calibration
     from urdfcal.robot.dh import Convention, DHTable
+    from urdfcal.session.model import Session
 
 # Points this many times farther apart than the arm reaches are in another unit.
 _FAR = 20.0
@@ -88,7 +90,6 @@ def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
     from urdfcal.cli.judging import arm_of, domain_of, is_urdf
     from urdfcal.estimation.blocks.places import PLACES
     from urdfcal.estimation.evaluation import explain
-    from urdfcal.estimation.measurements import Measurement
     from urdfcal.io.folder import read_points, read_session
     from urdfcal.result.calibration import Calibration
 
@@ -104,14 +105,8 @@ def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
             remedy = "Coordinates are in metres; these look like millimetres."
             raise SessionError(what, where=str(points), remedy=remedy)
         session = replace(session, measurements=(measured,), leds=leds, moved={})
-    # What touches places hardly tells where the ball is: it is as calibrated. Elsewhere LEDs are fitted, like the base.
-    tables = (table for table in session.measurements if isinstance(table, Measurement))
-    if calibration is not None and not any(table.defines_world(session.attachments) for table in tables):
-        known = {(name, led.link): np.array(led.position) for name, led in calibration.document.leds.items()}
-        keys = [(led.name, led.link or session.chain.tip_link) for led in session.leds]
-        fitted = zip(session.leds, keys, strict=True)
-        calibrated = (replace(led, position=known[key], sigma=0.0) if key in known else led for led, key in fitted)
-        session = replace(session, leds=tuple(calibrated))
+    if calibration is not None:
+        session = _leds_as_calibrated(session, calibration)
     bends = None if calibration is None else calibration.joint_models
     explained = explain(arm_of(urdf, calibration, session, folder), session, bends=bends)
     result: dict[str, Any] = {"a": urdf, "session": str(folder), "points": points and str(points)}
@@ -138,6 +133,22 @@ def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
     for remark in domain.remarks:
         click.echo(f"- {remark}", err=True)
     return result | domain.data
+
+
+def _leds_as_calibrated(session: Session, calibration: Calibration) -> Session:
+    """Hold LEDs where a calibration found them, if contacts alone are left to tell: they hardly say where a ball is."""
+    import numpy as np
+
+    from urdfcal.estimation.measurements import Measurement
+
+    tables = (table for table in session.measurements if isinstance(table, Measurement))
+    if any(table.defines_world(session.attachments) for table in tables):
+        return session
+    known = {(name, led.link): np.array(led.position) for name, led in calibration.document.leds.items()}
+    keys = [(led.name, led.link or session.chain.tip_link) for led in session.leds]
+    fitted = zip(session.leds, keys, strict=True)
+    held = (replace(led, position=known[key], sigma=0.0) if key in known else led for led, key in fitted)
+    return replace(session, leds=tuple(held))
 
 
 def _spread(values: Floats, scale: float) -> dict[str, float]:
