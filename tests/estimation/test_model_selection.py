@@ -7,11 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from tests.worlds import sagging
 from urdfcal.errors import CalibrationError
 from urdfcal.estimation.measurements import Detections
 from urdfcal.estimation.model_selection import Trial, _preferred, with_fit
 from urdfcal.estimation.model_spec import ModelSpec
 from urdfcal.estimation.problem import Problem
+from urdfcal.estimation.regions import joint_regions
+from urdfcal.estimation.validation import hold_out, loss
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.dh import DHTable
 from urdfcal.session.knowledge import Estimate
@@ -24,9 +27,9 @@ if TYPE_CHECKING:
 GIVEN, FREE = (ModelSpec("dh", (word,) * 2, ("fixed",) * 2) for word in ("fixed", "free"))
 
 
-def trial(spec: ModelSpec, logs: np.ndarray, loss: float = 0.0) -> SimpleNamespace:
+def trial(spec: ModelSpec, logs: np.ndarray, score: float = 0.0) -> SimpleNamespace:
     """A cross-validated model whose scores log(1 + norm^2) are given."""
-    return SimpleNamespace(spec=spec, loss=loss, held_out=SimpleNamespace(norms=(np.sqrt(np.expm1(logs)),)))
+    return SimpleNamespace(spec=spec, loss=score, judged=SimpleNamespace(norms=(np.sqrt(np.expm1(logs)),)))
 
 
 @pytest.mark.parametrize(
@@ -85,6 +88,26 @@ def test_held_out_scores_are_worse_than_those_of_poses_in_the_fit(open_choice: F
     trials = [attempt for attempt in open_choice.comparison.attempts if isinstance(attempt, Trial)]
     assert len(trials) >= 2
     assert all(each.loss > each.seen_loss for each in trials)
+
+
+def test_where_residuals_exceed_the_noise_models_are_compared_by_regions_left_out(
+    simulated: Callable, open_choice: FittedCalibration
+) -> None:
+    assert open_choice.comparison.chosen.elsewhere is None
+    data = simulated("panda", poses=15, seed=2)
+    rigid = dict.fromkeys(("compliance", "backlash", "harmonics", "gain", "lag"), False)
+    bent = calibrate(replace(sagging(data, 7e-5), joint_models=rigid), force=True)
+    comparison, observations = bent.comparison, bent.problem.observations
+    offsets, rows = (attempt for attempt in comparison.attempts[1:3] if isinstance(attempt, Trial))
+    for each in (offsets, rows):
+        assert each.loss == loss(each.elsewhere.norms, observations)
+        regions = hold_out(bent.problem, each.fit, joint_regions(bent.problem))
+        assert each.elsewhere.norms[0] == pytest.approx(regions.norms[0])
+    # Among the other poses DH rows predict better, and elsewhere they do not.
+    assert loss(rows.held_out.norms, observations) < loss(offsets.held_out.norms, observations)
+    assert comparison.chosen is offsets
+    again = with_fit(comparison, offsets.fit, bent.problem, bent.seed)
+    assert again.chosen.loss == pytest.approx(offsets.loss)
 
 
 def test_another_fit_takes_the_place_of_the_chosen_one(open_choice: FittedCalibration) -> None:

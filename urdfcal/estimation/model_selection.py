@@ -1,4 +1,4 @@
-"""Model selection: nested models, compared by how well they predict held-out poses (METHOD 13)."""
+"""Model selection: nested models, compared by how well they predict poses that they have not seen (METHOD 13)."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from urdfcal.estimation.identifiability import identify
 from urdfcal.estimation.joint_model_choice import Alternatives, without
 from urdfcal.estimation.model_spec import allowed, candidates, nominal
 from urdfcal.estimation.parameters import choose_parameters
+from urdfcal.estimation.regions import joint_regions
 from urdfcal.estimation.solver import solve
 from urdfcal.estimation.validation import hold_out, loss, random_folds
 
@@ -57,12 +58,19 @@ class Trial(Attempt):
     """One model, estimated and cross-validated.
 
     Attributes:
-        held_out: its predictions of held-out poses.
-        loss: of those, the lower the better.
+        held_out: its predictions of poses left out at random.
+        elsewhere: of regions left out, by which models are compared where the residuals are more than noise.
+        loss: of what models are compared by, the lower the better.
     """
 
     held_out: HeldOut
+    elsewhere: HeldOut | None
     loss: float
+
+    @property
+    def judged(self) -> HeldOut:
+        """The predictions that models are compared by."""
+        return self.elsewhere or self.held_out
 
     def residuals(self, what: Literal["residual", "distance"]) -> Floats:
         """Return the held-out residuals or distances of all measurements that are no outliers, (S,), in px or m."""
@@ -88,8 +96,8 @@ class Comparison:
     Attributes:
         nominal: the nominal arm and lenses; only base, LEDs and unknown camera poses fitted.
         attempts: every model, from simple to rich; those that could be the best are trials.
-        best: the one that predicts held-out poses best, whether the session allows it or not.
-        chosen: of those that the session allows, the one that predicts held-out poses best.
+        best: the one that predicts what it has not seen best, whether the session allows it or not.
+        chosen: of those that the session allows, the one that predicts what it has not seen best.
         nominal_arm: the chosen one's cameras with the nominal arm.
     """
 
@@ -118,6 +126,9 @@ def compare_models(
 ) -> Comparison:
     """Estimate every model in question, cross-validate those that could be the best, and choose.
 
+    Where even the model that explains the poses best leaves more than noise, poses left out at random cannot tell an
+    arm from one that is bent to explain something else: the models are compared by regions left out.
+
     Args:
         session: what was measured, and what it wants estimated.
         problem: of its measurements.
@@ -140,19 +151,22 @@ def compare_models(
             attempts[spec] = _estimate(session, problem, state, spec, seed if rich else None, progress)
         return attempts[spec]
 
+    ordered = sorted(models, key=lambda model: attempt(model).seen_loss)
+    by_regions = attempt(ordered[0]).fit.misfit
+
     def validated(spec: ModelSpec) -> Trial:
         tried = attempt(spec)
         if not isinstance(tried, Trial):
-            attempts[spec] = tried = validate(tried, problem, seed)
+            attempts[spec] = tried = validate(tried, problem, seed, by_regions=by_regions)
         return tried
 
     chosen: Trial | None = None
     best: Trial | None = None
-    for spec in sorted(models, key=lambda model: attempt(model).seen_loss):
+    for spec in ordered:
         permitted = allowed(session, spec)
         rival = chosen if permitted else best
         if rival is not None and attempt(spec).seen_loss >= rival.loss:
-            continue  # it explains the poses in its fit worse than the rival predicts held-out ones
+            continue  # it explains the poses in its fit worse than the rival predicts those that are not in its own
         trial = validated(spec)
         best = trial if best is None or trial.loss < best.loss else best
         if permitted and (chosen is None or _preferred(trial, chosen, problem)):
@@ -160,8 +174,8 @@ def compare_models(
     if chosen is None or best is None:
         raise CalibrationError("the session allows no model", remedy="Look at its estimate.")
     nominal_arm = validated(chosen.spec.nominal_arm)
-    ordered = tuple(attempts[spec] for spec in dict.fromkeys((*models, *attempts)))
-    return Comparison(nominal_fit, ordered, best, chosen, nominal_arm)
+    tried = tuple(attempts[spec] for spec in dict.fromkeys((*models, *attempts)))
+    return Comparison(nominal_fit, tried, best, chosen, nominal_arm)
 
 
 def _estimate(
@@ -184,13 +198,13 @@ def _estimate(
 
 
 def _preferred(trial: Trial, rival: Trial, problem: Problem) -> bool:
-    """Return whether a model predicts held-out poses better; given lenses are left only for a certain improvement."""
+    """Return whether a model predicts what it has not seen better; given lenses are left only for a certain improvement."""
     if trial.spec.intrinsics == rival.spec.intrinsics:
         return trial.loss < rival.loss
     difference = np.concatenate(
         [
             (np.log1p(a**2) - np.log1p(b**2))[of.valid]
-            for a, b, of in zip(trial.held_out.norms, rival.held_out.norms, problem.observations, strict=True)
+            for a, b, of in zip(trial.judged.norms, rival.judged.norms, problem.observations, strict=True)
         ]
     )
     certain = _CERTAIN * float(np.std(difference) / np.sqrt(len(difference)))
@@ -198,9 +212,17 @@ def _preferred(trial: Trial, rival: Trial, problem: Problem) -> bool:
     return float(np.mean(difference)) < (-certain if freer else certain)
 
 
-def validate(attempt: Attempt, problem: Problem, seed: int) -> Trial:
-    """Cross-validate an estimated model."""
+def validate(attempt: Attempt, problem: Problem, seed: int, *, by_regions: bool) -> Trial:
+    """Cross-validate an estimated model.
+
+    Args:
+        attempt: the model.
+        problem: what was measured.
+        seed: of the division into folds.
+        by_regions: whether it is compared by regions left out.
+    """
     held_out = hold_out(problem, attempt.fit, random_folds(problem, seed))
+    elsewhere = hold_out(problem, attempt.fit, joint_regions(problem)) if by_regions else None
     return Trial(
         attempt.spec,
         attempt.identifiability,
@@ -208,7 +230,8 @@ def validate(attempt: Attempt, problem: Problem, seed: int) -> Trial:
         attempt.seen_loss,
         attempt.joint_models,
         held_out,
-        loss(held_out.norms, problem.observations),
+        elsewhere,
+        loss((elsewhere or held_out).norms, problem.observations),
     )
 
 
@@ -216,4 +239,4 @@ def with_fit(comparison: Comparison, fit: Solution, problem: Problem, seed: int)
     """The same comparison with another estimate of the chosen model."""
     old = comparison.chosen
     attempt = Attempt(old.spec, old.identifiability, fit, loss(fit.norms, problem.observations), old.joint_models)
-    return comparison.with_chosen(validate(attempt, problem, seed))
+    return comparison.with_chosen(validate(attempt, problem, seed, by_regions=old.elsewhere is not None))

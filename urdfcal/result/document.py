@@ -229,7 +229,10 @@ class VerdictSection(Section):
 
 
 class ModelEntry(Section):
-    """One of the models that were compared; without a held-out loss where it could not be the best."""
+    """One of the models that were compared; without a held-out loss where it could not be the best.
+
+    The loss is of poses left out at random, or of regions left out where the residuals are more than noise.
+    """
 
     model: str
     parameters: int
