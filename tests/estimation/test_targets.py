@@ -10,10 +10,11 @@ import pinocchio as pin
 import pytest
 
 from tests.estimation.derivatives import assert_derivatives
-from urdfcal.arrays import inverse
+from urdfcal.arrays import inverse, rms
 from urdfcal.errors import CalibrationError, SessionError
 from urdfcal.estimation.blocks.arm import no_offsets
 from urdfcal.estimation.blocks.targets import TargetBlock, point_places, print_key, target_key
+from urdfcal.estimation.evaluation import compare
 from urdfcal.estimation.measurements import Detections, Points
 from urdfcal.estimation.model_spec import ModelSpec
 from urdfcal.estimation.parameters import choose_parameters
@@ -215,9 +216,24 @@ def test_a_target_far_from_where_the_session_puts_it_is_named(simulated: Callabl
     assert "from where the session puts it" in warning
 
 
-def test_sessions_with_targets_are_not_combined_and_their_points_do_not_move(simulated: Callable) -> None:
+def test_sessions_with_targets_are_combined(simulated: Callable) -> None:
+    data = simulated("ur5_charuco", poses=24)
+    halves = [
+        leave_out(data.session, Excluded(poses=some)) for some in (data.session.poses[12:], data.session.poses[:12])
+    ]
+    both = combine(dict(zip(("monday", "tuesday"), halves, strict=True)))
+    assert [target.name for target in both.targets] == ["monday/board", "tuesday/board"]
+    chain = data.session.chain
+    q = chain.random_values(200, np.random.default_rng(0))
+    true = chain.with_placements(data.truth.placements)
+    together, alone = (
+        rms(compare(chain.with_placements(calibrate(session).placements), true, q).position)
+        for session in (both, halves[0])
+    )
+    assert together < 0.8 * alone
+
+
+def test_points_of_targets_do_not_move(simulated: Callable) -> None:
     session = simulated("ur5_charuco", poses=6).session
-    with pytest.raises(SessionError, match=r"monday.*target 'board': sessions with targets are not combined"):
-        combine({"monday": session, "tuesday": session})
     with pytest.raises(SessionError, match="cannot have moved in a session with targets"):
         resolve_moves(replace(session, moved={"board:3": (session.poses[3],)}))

@@ -198,7 +198,7 @@ def _estimate(
 
 
 def _preferred(trial: Trial, rival: Trial, problem: Problem) -> bool:
-    """Return whether a model predicts what it has not seen better; given lenses are left only for a certain improvement."""
+    """Return whether a model predicts the unseen better; given lenses are left only for a certain improvement."""
     if trial.spec.intrinsics == rival.spec.intrinsics:
         return trial.loss < rival.loss
     difference = np.concatenate(

@@ -47,10 +47,6 @@ def combine(sessions: Mapping[str, Session]) -> Session:
     """
     if len(sessions) == 1:
         return next(iter(sessions.values()))
-    for name, session in sessions.items():
-        if session.targets:
-            what = f"it has the target {session.targets[0].name!r}: sessions with targets are not combined"
-            raise SessionError(what, where=name, remedy="Calibrate each session with targets on its own.")
     parts = {name: resolve_moves(session) for name, session in sessions.items()}
     every, first = list(parts.values()), next(iter(parts.values()))
     for (a, of_a), (b, of_b) in combinations(parts.items(), 2):

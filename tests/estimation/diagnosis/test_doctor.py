@@ -6,6 +6,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from tests.worlds import (
@@ -19,8 +20,10 @@ from tests.worlds import (
     jumped,
     other_lens,
     sagging,
+    seen,
     slipped,
 )  # fmt: skip
+from urdfcal.estimation.blocks.targets import target_key
 from urdfcal.estimation.diagnosis.doctor import diagnose
 from urdfcal.estimation.diagnosis.residuals import Unexplained
 from urdfcal.estimation.joint_models import JOINT_MODELS
@@ -172,6 +175,15 @@ def test_what_cannot_be_told_from_a_bump_is_mended_by_saying_so(make: Callable, 
     session = make(simulated("panda", poses=50), 2e-3)
     first, *_ = findings(session)
     assert f"; say that it moved (moved: {{base: [{session.poses[first.pose]}]}}), or leave out" in first.sentence
+
+
+def test_a_target_that_slipped_cannot_be_said_to_have_moved(simulated: Callable) -> None:
+    data = simulated("ur5_charuco", poses=50)
+    shift, key = pin.exp6(np.array([1e-3, 1e-3, 1e-3, 2e-3, -3e-3, 2e-3])).homogeneous, target_key("board")
+    session = seen(data, late=lambda state: state.replace({key: state[key] @ shift}))
+    first, *_ = findings(session)
+    assert "board" in first.name
+    assert "; leave out these poses (exclude: " in first.sentence
 
 
 def test_a_joint_that_jumped_is_no_other_thing(simulated: Callable) -> None:

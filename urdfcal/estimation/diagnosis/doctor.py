@@ -172,7 +172,9 @@ def _advice(session: Session, best: _Test, near: Sequence[_Test]) -> str:
         which, shorter = ("the poses before", labels[:split])
     parting = f"leave out {which} ({in_words('exclude', 'poses', shorter)})"
     here = (test.subject for test in (best, *near) if test.pose == best.pose and test.subject is not None)
-    movable = next((subject for subject in here if subject.kind != "joint"), None)
+    # Points are numbered through LEDs and targets: where there are targets, no LED can be another one from then on.
+    kinds = ("base", "camera") if session.targets else ("base", "camera", "led")
+    movable = next((subject for subject in here if subject.kind in kinds), None)
     if movable is not None:
         thing = BASE_LINK if movable.kind == "base" else movable.name.removeprefix(f"{name}/").partition("@")[0]
         parting = f"say that it moved ({in_words('moved', thing, labels[split : split + 1])}), or {parting}"
