@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import shutil
 from typing import TYPE_CHECKING
 
@@ -24,7 +25,13 @@ def test_a_regenerated_urdf_gets_the_calibrated_origins(
     for arguments, written in ([], tmp_path / "other_calibrated.urdf"), (["-o", str(tmp_path / "n.urdf")], None):
         assert run(["apply", str(folder / "result"), str(other), *arguments]) == 0
         path = written or tmp_path / "n.urdf"
-        assert capsys.readouterr().out == f"{path}\n"
+        first, domain = capsys.readouterr().out.splitlines()
+        assert first == str(path)
+        measured = json.loads((folder / "result" / "calibration.json").read_text())["domain"]["joints"]
+        low, high = measured["joint_2"]
+        assert domain.startswith("- it was measured with joint_1 ")
+        assert f"joint_2 {low:.2f} to {high:.2f} rad" in domain
+        assert domain.endswith("; elsewhere it is extrapolated")
         assert "made anew" in path.read_text()
         applied, corrected = (
             yourdfpy.URDF.load(str(p), load_meshes=False) for p in (path, folder / "result" / "elbow3r_calibrated.urdf")

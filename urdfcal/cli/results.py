@@ -45,6 +45,10 @@ def apply(result: Path, urdf: str, output: Path | None) -> None:
     click.echo(output)
     if models := dict.fromkeys(name for of in calibration.document.joint_models.values() for name in of):
         click.echo(f"- it is the rigid part: a URDF cannot hold {', '.join(models)}; compensate and the library do")
+    if domain := calibration.document.domain:
+        units = {joint.name: joint.unit for joint in calibration.chain.actuated_joints}
+        ranges = (f"{name} {low:.2f} to {high:.2f} {units[name]}" for name, (low, high) in domain.joints.items())
+        click.echo(f"- it was measured with {', '.join(ranges)}; elsewhere it is extrapolated")
 
 
 @click.command("compensate")
