@@ -88,7 +88,8 @@ class Solution:
         observations: scalar measurements used.
         history: accepted steps.
         converged: whether the last step was small.
-        spread: (count, count) covariance over regions left out, which a misfit shows in; None where it is not known.
+        spread: (count, count) covariance over regions left out, which what is not modelled shows in; None where it is
+            not known, or nothing of the kind is to be expected.
     """
 
     state: State
@@ -121,11 +122,12 @@ class Solution:
 
     @property
     def covariance(self) -> Floats:
-        """(count, count) of the active parameters, widened where there is a misfit: by its spread, if that is known."""
+        """(count, count) of the active parameters, widened by their spread, and for a misfit if that is not known."""
         scale = 1.0 / np.sqrt(np.diag(self.information))
         inverse: Floats = np.linalg.inv(self.information * np.outer(scale, scale)) * np.outer(scale, scale)
-        wide = inverse * self.reduced_chi2 if self.spread is None else inverse + self.spread
-        return wide if self.misfit else inverse
+        if self.spread is not None:
+            return inverse + self.spread
+        return inverse * self.reduced_chi2 if self.misfit else inverse
 
     @property
     def misfit(self) -> bool:
