@@ -48,7 +48,7 @@ from urdfcal.simulation.simulate import simulate  # noqa: E402
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-# A case takes a second at most; one that hangs is a finding. [s]
+# A case takes a second of the processor at most; one that hangs is a finding. [s]
 LIMIT = 60
 # Share of the sessions that can still be read that are calibrated, which takes most of the time.
 CALIBRATED = 0.15
@@ -267,7 +267,7 @@ def case(seed: int, only: str, keep: Path | None) -> tuple[str, str]:
         name = f"{seed} {kind}/{source.name} ({', '.join(what)})"
         if keep is not None:
             shutil.copytree(folder, keep / f"{seed}")
-        signal.alarm(LIMIT)
+        signal.setitimer(signal.ITIMER_PROF, LIMIT)
         try:
             CASES[kind](folder, rng)
         except UrdfcalError as error:
@@ -275,7 +275,7 @@ def case(seed: int, only: str, keep: Path | None) -> tuple[str, str]:
         except Exception:  # noqa: BLE001  # this is what is looked for
             return "other error", f"{name}\n{traceback.format_exc()}"
         finally:
-            signal.alarm(0)
+            signal.setitimer(signal.ITIMER_PROF, 0.0)
     return "read", ""
 
 
@@ -289,7 +289,7 @@ def timed_out(*_: object) -> None:
 
 
 def started() -> None:
-    signal.signal(signal.SIGALRM, timed_out)
+    signal.signal(signal.SIGPROF, timed_out)
     sys.stderr.flush()
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # what the URDF parser prints
 
