@@ -10,13 +10,14 @@ from tests.states import at_joint_values, points_of, state_of
 from urdfcal.cameras.rig import Rig
 from urdfcal.errors import CalibrationError
 from urdfcal.estimation.alignment import kabsch
-from urdfcal.estimation.blocks.arm import ARM
+from urdfcal.estimation.blocks.arm import ARM, no_offsets
 from urdfcal.estimation.evaluation import compare
 from urdfcal.estimation.measurements import Detections
-from urdfcal.estimation.model_spec import ModelSpec
+from urdfcal.estimation.model_spec import ModelSpec, nominal
 from urdfcal.estimation.parameters import choose_parameters
 from urdfcal.estimation.problem import Problem
-from urdfcal.estimation.solver import solve
+from urdfcal.estimation.solver import sketch, solve
+from urdfcal.estimation.start import first_state
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.dh import DHTable
 from urdfcal.session.knowledge import Estimate, Led, LedDistance, Noise
@@ -234,3 +235,18 @@ def test_a_solver_that_is_stopped_early_says_so(simulated: Callable, monkeypatch
     with pytest.raises(CalibrationError, match=r"did not settle in \d+ steps"):
         calibrate(session)
     assert not calibrate(session, force=True).fit.converged
+
+
+def test_a_sketch_ends_after_so_many_steps_and_arrives_where_a_few_suffice(simulated: Callable) -> None:
+    data = simulated("ur5")
+    session, table = data.session, DHTable.from_chain(data.session.chain)
+    problem = Problem.of(session, table)
+    start = first_state(session, table, no_offsets(table))
+    parameters = choose_parameters(session, problem, start, nominal(session, start))
+    steps: list[int] = []
+    sketch(problem, start, parameters, 2, lambda iteration, _: steps.append(iteration))
+    assert steps == [1, 2]
+    whole, enough = solve(problem, start, parameters), sketch(problem, start, parameters, 15)
+    sigma = np.sqrt(np.diag(whole.covariance))
+    before, after = (np.abs(parameters.between(whole.state, of) / sigma).max() for of in (start, enough))
+    assert after < 3.0 < before  # outliers are not cut

@@ -6,19 +6,18 @@ each measurement, and what is left far outside the noise is taken out at the end
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from urdfcal.arrays import one_blas_thread
 from urdfcal.errors import CalibrationError, CameraError
-from urdfcal.estimation.linearize import Tangent
+from urdfcal.estimation.least_squares import LeastSquares, Neighbourhood, NormalEquations
 from urdfcal.estimation.robust import REJECTED, HuberWeights, find_outliers, keep_weights, unit_weights
-from urdfcal.estimation.whitening import JointNoise, Whitening, joint_noise
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Sequence
 
     from urdfcal.arrays import Bools, Floats
     from urdfcal.estimation.observations import Observations
@@ -27,16 +26,10 @@ if TYPE_CHECKING:
     from urdfcal.estimation.robust import Weights
     from urdfcal.estimation.state import State
 
-# Poses evaluated at a time: large enough to hide Python's overhead, small enough that a block's Jacobian
-# (a few MB) stays in cache and memory does not grow with the session.
-_BLOCK = 1024
 # Ordinary sessions settle in ten; lenses that start a thousand pixels off need a hundred along a bent valley.
 _MAX_ITERATIONS, _MAX_CUTS = 300, 5
 # A session of more poses than this is first solved on an even selection of some: the rest then need few passes.
 _MANY, _SOME = 1000, 300
-# Within this distance (rad, m, focal lengths, s) derivatives are the same to one part in a few thousand: steps taken
-# with them shrink by as much each, and the estimate is off by less than that share of a standard deviation.
-_NEAR = 2e-4
 _FIRST_DAMPING, _MOST_DAMPING = 1e-3, 1e16
 # A step of this many standard deviations of the estimate is no step; the coarse one is for cross-validation.
 _CONVERGED, _CONVERGED_COARSE = 1e-6, 1e-2
@@ -153,12 +146,12 @@ def solve(problem: Problem, start: State, parameters: Parameters, progress: Prog
     """
     observations = problem.observations
     with one_blas_thread():
-        whole = _LeastSquares(problem, parameters)
+        whole = LeastSquares(problem, parameters)
         robust = whole
         if max(len(observed.pose) for observed in observations) > _MANY:
-            robust = _LeastSquares(problem.spread(_SOME), parameters)
+            robust = LeastSquares(problem.spread(_SOME), parameters)
         first, ones = robust.linearise(start), unit_weights(robust.problem.observations)
-        descent = _descend(robust, first, ones, HuberWeights(), _FIRST_DAMPING, robust.settled, progress)
+        descent = _descend(robust, first, ones, HuberWeights(), _FIRST_DAMPING, _settled(robust.problem), progress)
         history, at = list(descent.history), descent.at
         # Where the derivatives are no longer those of the start, the joint readings' noise may not be, either.
         if robust is not whole or at.J is not first.J:
@@ -188,6 +181,27 @@ def solve(problem: Problem, start: State, parameters: Parameters, progress: Prog
     )
 
 
+def sketch(
+    problem: Problem, start: State, parameters: Parameters, steps: int, progress: Progress | None = None
+) -> State:
+    """Estimate roughly, to see whether measurements fit at all: with Huber weights, in at most so many steps.
+
+    Args:
+        problem: what was measured, and of which arm.
+        start: first state.
+        parameters: what to estimate, with priors.
+        steps: after so many it ends where it is.
+        progress: called after every step.
+
+    Raises:
+        CalibrationError: the start puts an LED behind a camera.
+    """
+    with one_blas_thread():
+        robust = LeastSquares(problem, parameters)
+        at, ones = robust.linearise(start), unit_weights(problem.observations)
+        return _descend(robust, at, ones, HuberWeights(), _FIRST_DAMPING, _settled(problem), progress, steps).at.state
+
+
 def refit(problem: Problem, kept: Sequence[Bools], start: State, parameters: Parameters) -> State:
     """Estimate from some of the measurements, near a start that is already good.
 
@@ -199,119 +213,14 @@ def refit(problem: Problem, kept: Sequence[Bools], start: State, parameters: Par
     """
     weights = [np.where(keep, 1.0, REJECTED) for keep in kept]
     with one_blas_thread():
-        least_squares = _LeastSquares(problem, parameters)
+        least_squares = LeastSquares(problem, parameters)
         at = least_squares.linearise(start)
         return _descend(least_squares, at, weights, keep_weights, _FIRST_DAMPING, _CONVERGED_COARSE, None).at.state
 
 
 def residual_norms(problem: Problem, state: State, parameters: Parameters) -> tuple[Floats, ...]:
     """Return the whitened residual norm (N, m) of every measurement at a state: joint readings' noise counts, too."""
-    return _LeastSquares(problem, parameters).linearise(state).norms
-
-
-@dataclass(frozen=True, eq=False)
-class _NormalEquations:
-    """The normal equations at a state, the cost, and each measurement's whitened residual norm on its own."""
-
-    H: Floats
-    g: Floats
-    cost: float
-    norms: tuple[Floats, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class _Local:
-    """The residuals at a state, and what they do in its neighbourhood.
-
-    Attributes:
-        state: where.
-        residual: for each kind (N, m, D).
-        J: for each kind (N, m D, count) derivative, taken here or nearby.
-        drift: how far (rad, m, focal lengths, s) the state may be from where J was taken.
-        noise: for each kind, of the joint readings; taken where the descent began.
-    """
-
-    state: State
-    residual: tuple[Floats, ...]
-    J: tuple[Floats, ...]
-    drift: float
-    noise: tuple[JointNoise, ...]
-
-    @property
-    def norms(self) -> tuple[Floats, ...]:
-        """For each kind (N, m): whitened residual norm of every measurement on its own."""
-        return tuple(noise.norms(residual) for noise, residual in zip(self.noise, self.residual, strict=True))
-
-
-@dataclass(frozen=True, eq=False)
-class _LeastSquares:
-    """A problem and its parameters; evaluates states, knows nothing of the iteration."""
-
-    problem: Problem
-    parameters: Parameters
-
-    @property
-    def settled(self) -> float:
-        """The step below which weights are settled."""
-        return _SETTLED * float(np.sqrt(sum(observed.count for observed in self.problem.observations)))
-
-    def linearise(self, state: State, noise: tuple[JointNoise, ...] | None = None) -> _Local:
-        """Find residuals, derivatives, and the noise that the joint readings give at a state."""
-        problem, count, readings = self.problem, self.parameters.count, self.problem.arm.chain.reading_jacobian
-        residuals: list[Floats] = []
-        derivatives: list[Floats] = []
-        noises: list[JointNoise] = []
-        for observed in problem.observations:
-            tangent = Tangent.at(problem, observed, state, self.parameters)
-            N, m, D = observed.value.shape
-            residual, J = np.empty((N, m, D)), np.empty((N, m * D, count))
-            joint = np.zeros((N, m * D, readings.shape[1] if problem.joint_sigma > 0.0 else 0))
-            for poses in _chunks(N):
-                at = tangent.linearise(poses)
-                residual[poses], J[poses] = at.residual, at.J.reshape(-1, m * D, count)
-                if noise is None and problem.joint_sigma > 0.0:
-                    joint[poses] = joint_noise(at, readings, problem.joint_sigma)
-            residuals.append(residual)
-            derivatives.append(J)
-            if noise is None:
-                noises.append(JointNoise.of(observed.covariance, joint))
-        return _Local(state, tuple(residuals), tuple(derivatives), 0.0, noise or tuple(noises))
-
-    def step(self, at: _Local, step: Floats) -> _Local:
-        """Find the residuals a step of the active parameters further; derivatives anew only where it leads far.
-
-        Raises:
-            CameraError: a lens that is none.
-        """
-        state = self.parameters.retract(at.state, step)
-        scales = self.parameters.scales(at.state)[self.parameters.active]
-        drift = at.drift + float(np.abs(step / scales).max(initial=0.0))
-        if drift > _NEAR:
-            return self.linearise(state, at.noise)
-        residual = tuple(self.problem.residual(observed, state) for observed in self.problem.observations)
-        return replace(at, state=state, residual=residual, drift=drift)
-
-    def whitening(self, noise: Sequence[JointNoise], weights: Weights) -> tuple[Whitening, ...]:
-        """Return for each kind what gives the residuals of whole poses unit variance."""
-        return tuple(
-            own.whitening(observed.covariance, weight)
-            for observed, own, weight in zip(self.problem.observations, noise, weights, strict=True)
-        )
-
-    def evaluate(self, at: _Local, whitening: Sequence[Whitening]) -> _NormalEquations:
-        """Accumulate the normal equations over all poses, whole poses whitened."""
-        r, J = self.parameters.prior_residuals(at.state)
-        H, g, cost = J.T @ J, J.T @ r, float(r @ r)
-        for residual, J, W in zip(at.residual, at.J, whitening, strict=True):
-            N, m, D = residual.shape
-            for poses in _chunks(N):
-                whitened = W.at(poses)(np.concatenate([residual[poses].reshape(-1, m * D, 1), J[poses]], axis=2))
-                whitened = whitened.reshape(-1, 1 + J.shape[2])
-                r, J_poses = whitened[:, 0], whitened[:, 1:]
-                H += J_poses.T @ J_poses
-                g += J_poses.T @ r
-                cost += float(r @ r)
-        return _NormalEquations(H, g, cost, at.norms)
+    return LeastSquares(problem, parameters).linearise(state).norms
 
 
 @dataclass(frozen=True, eq=False)
@@ -326,21 +235,22 @@ class _Descent:
         converged: whether the last step was small.
     """
 
-    at: _Local
-    normal: _NormalEquations
+    at: Neighbourhood
+    normal: NormalEquations
     damping: float
     history: tuple[Iteration, ...]
     converged: bool
 
 
 def _descend(
-    least_squares: _LeastSquares,
-    at: _Local,
+    least_squares: LeastSquares,
+    at: Neighbourhood,
     weights: Weights,
     renew: Callable[[Sequence[Observations], Sequence[Floats], Weights], Weights],
     damping: float,
     tolerance: float,
     progress: Progress | None,
+    steps: int | None = None,
 ) -> _Descent:
     """Levenberg-Marquardt until steps are shorter than ``tolerance`` and stay so when weights are renewed.
 
@@ -354,8 +264,9 @@ def _descend(
         remedy = "Check the cameras' order and places, the units of the joint readings, and the tip link."
         raise CalibrationError("the start puts an LED behind a camera", remedy=remedy)
     history: list[Iteration] = []
+    most = _MAX_ITERATIONS if steps is None else steps
     growth, length, ahead, fresh = 2.0, np.inf, np.inf, False
-    while damping < _MOST_DAMPING and len(history) < _MAX_ITERATIONS:
+    while damping < _MOST_DAMPING and len(history) < most:
         if ahead < tolerance or not history:
             renewed = renew(observations, normal.norms, weights)
             same = all(np.array_equal(a, b) for a, b in zip(renewed, weights, strict=True))
@@ -390,13 +301,14 @@ def _descend(
     return _Descent(at, normal, damping, tuple(history), ahead < tolerance)
 
 
-def _damped_step(normal: _NormalEquations, damping: float) -> Floats:
+def _settled(problem: Problem) -> float:
+    """The step below which weights are settled."""
+    return _SETTLED * float(np.sqrt(sum(observed.count for observed in problem.observations)))
+
+
+def _damped_step(normal: NormalEquations, damping: float) -> Floats:
     """Solve the normal equations in column-scaled form, so that metres and radians weigh alike."""
     diagonal = np.diag(normal.H)
     scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
     H = normal.H * np.outer(scale, scale)
     return np.asarray(-scale * np.linalg.solve(H + damping * np.eye(len(H)), scale * normal.g))
-
-
-def _chunks(count: int) -> Iterator[slice]:
-    return (slice(first, min(first + _BLOCK, count)) for first in range(0, count, _BLOCK))

@@ -17,7 +17,7 @@ from urdfcal.estimation.measurements import Detections
 from urdfcal.estimation.model_spec import nominal
 from urdfcal.estimation.parameters import choose_parameters
 from urdfcal.estimation.problem import Problem
-from urdfcal.estimation.solver import solve
+from urdfcal.estimation.solver import sketch
 from urdfcal.estimation.start import first_state
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.tree_dh import rows_of
@@ -35,6 +35,8 @@ _POSES = 30
 _BETTER = 4.0
 # ... and the best of all changes by so many times less than the next: several equally good ones explain nothing.
 _CLEAR = 1.5
+# What fits does so within ten steps; what does not may creep for a hundred.
+_STEPS = 15
 # Rows of one table may be shifted against the other's by so many poses.
 _SHIFTS = (1, -1, 2, -2)
 
@@ -108,15 +110,13 @@ def _miss(session: Session, progress: Progress | None) -> float:
     try:
         start = first_state(session, arm, no_offsets(arm))
         problem = Problem.of(session, arm)
-        fit = solve(problem, start, choose_parameters(session, problem, start, nominal(session, start)), progress)
+        parameters = choose_parameters(session, problem, start, nominal(session, start))
+        state = sketch(problem, start, parameters, _STEPS, progress)
     except UrdfcalError:
         return np.inf
     observed = problem.observations[0]
-    return float(
-        np.median(
-            np.linalg.norm(problem.residual(observed, fit.state)[..., observed.table.lengths], axis=-1)[observed.valid]
-        )
-    )
+    residual = problem.residual(observed, state)[..., observed.table.lengths]
+    return float(np.median(np.linalg.norm(residual, axis=-1)[observed.valid]))
 
 
 def _trials(session: Session) -> Iterator[Mending]:
