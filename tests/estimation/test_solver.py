@@ -4,6 +4,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from tests.states import at_joint_values, points_of, state_of
@@ -11,6 +12,7 @@ from urdfcal.cameras.rig import Rig
 from urdfcal.errors import CalibrationError
 from urdfcal.estimation.alignment import kabsch
 from urdfcal.estimation.blocks.arm import ARM, no_offsets
+from urdfcal.estimation.blocks.base_pose import BASE
 from urdfcal.estimation.evaluation import compare
 from urdfcal.estimation.measurements import Detections
 from urdfcal.estimation.model_spec import ModelSpec, nominal
@@ -250,3 +252,14 @@ def test_a_sketch_ends_after_so_many_steps_and_arrives_where_a_few_suffice(simul
     sigma = np.sqrt(np.diag(whole.covariance))
     before, after = (np.abs(parameters.between(whole.state, of) / sigma).max() for of in (start, enough))
     assert after < 3.0 < before  # outliers are not cut
+
+
+@pytest.mark.parametrize("joint_noise", [0.0, 1e-4])
+def test_a_start_behind_the_cameras_is_refused(joint_noise: float, simulated: Callable) -> None:
+    session = simulated("ur5", poses=6).session.with_noise({"joint": joint_noise})
+    table = DHTable.from_chain(session.chain)
+    problem = Problem.of(session, table)
+    start = first_state(session, table, no_offsets(table))
+    behind = start.replace({BASE: pin.SE3(np.eye(3), np.array([0.0, 0.0, -9.0])).homogeneous})
+    with pytest.raises(CalibrationError, match="the start puts an LED behind a camera"):
+        solve(problem, behind, choose_parameters(session, problem, start, nominal(session, start)))

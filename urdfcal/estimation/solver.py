@@ -258,11 +258,12 @@ def _descend(
     joint readings' noise is that of the first state: a start may be another arm, but from there it hardly moves.
     """
     observations = least_squares.problem.observations
-    whitening = least_squares.whitening(at.noise, weights)
-    normal = least_squares.evaluate(at, whitening)
-    if not np.isfinite(normal.cost):
+    seen = zip(at.residual, observations, strict=True)
+    if not all(np.all(np.isfinite(residual[observed.valid])) for residual, observed in seen):
         remedy = "Check the cameras' order and places, the units of the joint readings, and the tip link."
         raise CalibrationError("the start puts an LED behind a camera", remedy=remedy)
+    whitening = least_squares.whitening(at.noise, weights)
+    normal = least_squares.evaluate(at, whitening)
     history: list[Iteration] = []
     most = _MAX_ITERATIONS if steps is None else steps
     growth, length, ahead, fresh = 2.0, np.inf, np.inf, False
