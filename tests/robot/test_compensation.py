@@ -8,8 +8,9 @@ import pinocchio as pin
 import pytest
 
 from urdfcal.errors import RobotError
-from urdfcal.robot.compensation import compensate
+from urdfcal.robot.compensation import compensate, compensate_one
 from urdfcal.robot.kinematics import tip_poses
+from urdfcal.robot.newton import AsTold, TipAtOnce
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -104,3 +105,42 @@ def test_commands_that_are_none_are_refused(expected: list[list[float]], message
     chain = simulated("ur5").session.chain
     with pytest.raises(RobotError, match=message):
         compensate(chain, chain, expected)
+
+
+def test_one_command_takes_the_tip_where_many_do(arms: tuple[Chain, Chain]) -> None:
+    """At singularities and limits, too: there plain steps do not do, and both take the same way."""
+    nominal, real = arms
+    expected = readings(nominal, 150)
+    expected[:10] = 0.0
+    lower, upper = nominal.limits
+    expected = np.clip(expected, lower, upper)
+    expected[10:20] = np.where(np.isfinite(upper), upper, expected[10:20])
+    tips = TipAtOnce(nominal), TipAtOnce(real)
+    quick = [compensate_one(*tips, q, AsTold(real)) for q in expected]
+    together = compensate(nominal, real, expected)
+    plain = np.array([k for k, one in enumerate(quick) if one is not None])
+    assert len(plain) > 0.8 * (len(expected) - 20)
+    commands = np.array([quick[k].q for k in plain])
+    tip, same = (tip_poses(real, real.joint_values(q))[:, :3, 3] for q in (commands, together.q[plain]))
+    np.testing.assert_allclose(tip, same, atol=1e-9)
+    position, angle = left(nominal, real, expected[plain], commands)
+    np.testing.assert_allclose([quick[k].position for k in plain], position, atol=1e-12)
+    np.testing.assert_allclose([quick[k].angle for k in plain], angle, atol=1e-7)
+    assert np.all((commands >= lower) & (commands <= upper))
+
+
+def test_the_tip_at_once_is_that_of_many(arms: tuple[Chain, Chain]) -> None:
+    _, real = arms
+    tip, q = TipAtOnce(real), readings(real, 5)
+    for one, T in zip(q, tip_poses(real, real.joint_values(q)), strict=True):
+        values = tip.told.values(one)
+        np.testing.assert_allclose(values, real.joint_values(one), atol=1e-15)
+        np.testing.assert_allclose(tip.pose(values).homogeneous, T, atol=1e-14)
+        same, J = tip.jacobian(values)
+        np.testing.assert_allclose(same.homogeneous, T, atol=1e-14)
+        for j in range(len(values)):
+            step = 1e-6 * np.eye(len(values))[j]
+            ahead, behind = tip.pose(values + step), tip.pose(values - step)
+            turned = pin.log3(ahead.rotation @ behind.rotation.T)
+            moved = np.concatenate([ahead.translation - behind.translation, turned])
+            np.testing.assert_allclose(J[:, j], moved / 2e-6, atol=1e-8)

@@ -14,10 +14,11 @@ from urdfcal.arrays import Bools, Floats, frozen
 from urdfcal.errors import OutputError, RobotError
 from urdfcal.robot.apply import apply_to_model, apply_to_urdf
 from urdfcal.robot.chain import Chain, Tree
-from urdfcal.robot.compensation import Compensation, compensate
+from urdfcal.robot.compensation import Compensation, compensate, compensate_one
 from urdfcal.robot.dh import PARAMETERS
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.robot.mechanism import BASE, Joint, Mechanism, Tip
+from urdfcal.robot.newton import TipAtOnce
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.robot.urdf.urdf import Mimic, Urdf
 from urdfcal.session.domain import beyond
@@ -286,14 +287,25 @@ class Calibration:
             SessionError: the torques are missing.
         """
         bends = self._carrying(payload)
+        commands, shape, given = self._given(q, torques=torques, previous=previous)
+        if not shape:
+            here = {name: values[0] for name, values in given.items()}
+            true = bends.of_one(**here) if bends.found else self._arms[1].told
+            one = compensate_one(*self._arms, commands[0], true)
+            if one is not None:
+                return one
         if not bends.found:
             return compensate(self.chain, self.calibrated, q)
-        *_, given = self._given(q, torques=torques, previous=previous)
 
-        def true(commands: Floats, some: Ints) -> tuple[Floats, Floats]:
+        def true_values(commands: Floats, some: Ints) -> tuple[Floats, Floats]:
             return bends.joint_values(commands, **{name: values[some] for name, values in given.items()})
 
-        return compensate(self.chain, self.calibrated, q, true)
+        return compensate(self.chain, self.calibrated, q, true_values)
+
+    @cached_property
+    def _arms(self) -> tuple[TipAtOnce, TipAtOnce]:
+        """The nominal arm and the calibrated one."""
+        return TipAtOnce(self.chain), TipAtOnce(self.calibrated)
 
     def _carrying(self, payload: Payload | None) -> FoundJointModels:
         return self.joint_models if payload is None else self.joint_models.carrying(payload)

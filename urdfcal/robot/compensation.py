@@ -10,6 +10,7 @@ import numpy as np
 from urdfcal.arrays import Bools, Floats, frozen
 from urdfcal.errors import RobotError
 from urdfcal.robot.kinematics import joint_axes, tip_motion, tip_poses
+from urdfcal.robot.newton import reach_pose
 from urdfcal.rotations import matrix_to_rotation_vector
 
 if TYPE_CHECKING:
@@ -19,20 +20,21 @@ if TYPE_CHECKING:
 
     from urdfcal.arrays import Ints
     from urdfcal.robot.mechanism import Mechanism
+    from urdfcal.robot.newton import TipAtOnce, TrueValuesOfOne
 
     TrueValues = Callable[[Floats, Ints], tuple[Floats, Floats]]
 
 # Away from singularities three steps arrive from centimetres off; beside one, or at a limit, steps shrink slowly and
 # what is left is reported.
 _STEPS = 20
-# Arrived: a nanometre at an arm's length of one metre.
-_ARRIVED = 1e-9
+# Arrived: a tenth of a nanometre at an arm's length of one metre.
+_ARRIVED = 1e-10
 # Damped least squares (Nakamura & Hanafusa, J. Dyn. Sys. 108, 1986) for directions that move the tip less than this a
 # radian, as a share of the reach: steps there shrink instead of growing without bound.
 _WEAK = 0.02
 # Damping of the projection onto the position's null space, on the same scale: only singular directions, not weak ones,
 # are left to the orientation.
-_SINGULAR = 1e-5
+_SINGULAR = 1e-7
 # No joint is taken further from its nominal command: a calibration's corrections are smaller, and beside a singularity
 # a hair's breadth at the tip is not worth turning the wrist over. [rad or m]
 _FURTHEST = 0.3
@@ -59,6 +61,26 @@ class Compensation:
     def __post_init__(self) -> None:
         for name in ("q", "position", "angle"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
+
+
+def compensate_one(nominal: TipAtOnce, calibrated: TipAtOnce, q: Floats, true: TrueValuesOfOne) -> Compensation | None:
+    """Find one joint command as :func:`compensate` does, in a tenth of the time; None where plain steps do not do.
+
+    Args:
+        nominal: the arm as the controller believes it is.
+        calibrated: the same arm with calibrated placements.
+        q: (k,) command of the actuated joints, made for the nominal arm. [rad or m]
+        true: what the joints do when they are told to be somewhere.
+    """
+    lower, upper = nominal.limits
+    if not ((q >= lower) & (q <= upper)).all():
+        return None
+    limits = np.maximum(lower, q - _FURTHEST), np.minimum(upper, q + _FURTHEST)
+    found = reach_pose(calibrated, nominal.pose(nominal.told.values(q)), q, limits, true, _WEAK)
+    if found is None:
+        return None
+    position, angle = (error @ error for error in np.split(found[1], 2))
+    return Compensation(found[0], np.sqrt(position), np.sqrt(angle))
 
 
 def compensate(nominal: Mechanism, calibrated: Mechanism, q: ArrayLike, true: TrueValues | None = None) -> Compensation:
@@ -159,9 +181,7 @@ def _step(J: Floats, error: Floats, free: Bools, reach: float) -> Floats:
 
 def _weakly_damped_inverse(J: Floats) -> Floats:
     """A pseudo-inverse (N, k, 3), damped as its least singular value nears zero."""
-    A = J @ np.swapaxes(J, 1, 2)
-    # l1 l2 <= (trace / 2)^2 of the two largest eigenvalues: a lower bound of the least without finding them.
-    least = 4.0 * np.linalg.det(A) / np.maximum(np.trace(A, axis1=1, axis2=2), 1e-100) ** 2
+    least = np.linalg.eigvalsh(J @ np.swapaxes(J, 1, 2))[:, 0]
     return _inverse(J, (_WEAK * np.clip(1.0 - least / _WEAK**2, 0.0, 1.0)) ** 2)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from urdfcal.arrays import Floats, frozen
+from urdfcal.robot.kinematics import Buffers
 from urdfcal.robot.mechanism import BASE, Tip
 
 if TYPE_CHECKING:
@@ -75,31 +76,28 @@ class Masses:
         Returns:
             (N, n) along each joint's axis. [N m or N]
         """
-        model, tau = self._model(gravity), np.empty(q.shape)
-        data = model.createData()
-        for k, values in enumerate(q):
-            tau[k] = pin.computeGeneralizedGravity(model, data, values)
+        tau = np.empty(q.shape)
+        with self._buffers as (model, data):
+            model.gravity.linear = np.array(gravity)
+            for k, values in enumerate(q):
+                tau[k] = pin.computeGeneralizedGravity(model, data, values)
         return tau
 
     def slopes(self, q: Floats, gravity: Floats = STANDARD_GRAVITY) -> Floats:
         """Compute the derivatives (N, n, n) of :meth:`torques` by the joint values. [N m/rad, N/m]."""
-        model, found = self._model(gravity), np.empty((*q.shape, q.shape[1]))
-        data = model.createData()
-        for k, values in enumerate(q):
-            found[k] = pin.computeGeneralizedGravityDerivatives(model, data, values)
+        found = np.empty((*q.shape, q.shape[1]))
+        with self._buffers as (model, data):
+            model.gravity.linear = np.array(gravity)
+            for k, values in enumerate(q):
+                found[k] = pin.computeGeneralizedGravityDerivatives(model, data, values)
         return found
 
-    def _model(self, gravity: Floats) -> pin.Model:
-        model = self._built.copy()
-        model.gravity.linear = np.array(gravity)
-        return model
-
     @cached_property
-    def _built(self) -> pin.Model:
+    def _buffers(self) -> Buffers:
         model = self.mechanism.build_model()
         for k, (mass, center) in enumerate(zip(self.mass, self.center, strict=True), start=1):
             model.inertias[k] = pin.Inertia(float(mass), np.array(center), np.zeros((3, 3)))
-        return model
+        return Buffers(model)
 
 
 def masses_of(urdf: Urdf, mechanism: Mechanism, payload: Body | None = None) -> Masses | None:

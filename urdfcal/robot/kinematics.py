@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from threading import Lock
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,6 +32,23 @@ class LinkMotion:
     R: Floats
     p: Floats
     regressor: Floats
+
+
+class Buffers:
+    """Pinocchio's model and what it computes into, for one thread at a time: ``with buffers as (model, data)``."""
+
+    def __init__(self, model: pin.Model) -> None:
+        """Make them for a model, which is then no one else's."""
+        self._both, self._lock = (model, model.createData()), Lock()
+
+    def __enter__(self) -> tuple[pin.Model, pin.Data]:
+        """Wait for the other threads."""
+        self._lock.acquire()
+        return self._both
+
+    def __exit__(self, *_: object) -> None:
+        """Let another thread go on."""
+        self._lock.release()
 
 
 def link_motions(mechanism: Mechanism, model: pin.Model, q: Floats, tips: Sequence[Tip]) -> tuple[LinkMotion, ...]:

@@ -293,3 +293,17 @@ def test_where_an_arm_came_from_is_the_pose_before_unless_it_is_said(simulated: 
     np.testing.assert_array_equal(some.came_from, session.q[[0, 1, 4]])
     said = replace(session, previous=session.q[::-1])
     np.testing.assert_array_equal(Readings.of(said).at(slice(2, 4)).previous, session.q[::-1][2:4])
+
+
+@pytest.mark.parametrize("kind", LINEAR)
+def test_one_pose_at_a_time_is_as_many(kind: type[LinearJointModel], simulated: Callable) -> None:
+    session = session_for(kind, simulated)
+    model = kind.of(session)
+    assert model is not None
+    readings, p = Readings.of(session), 1e-4 * np.random.default_rng(0).normal(size=len(model))
+    one, values, slopes = model.of_one(p), model.values(readings, p), model.derivative(readings, p)
+    slopes = np.broadcast_to(slopes, (*values.shape, values.shape[1]))
+    for k in range(3):
+        alone = readings.at(np.array([k]))
+        np.testing.assert_allclose(one.values(alone), values[k], atol=1e-15)
+        np.testing.assert_allclose(one.slopes(alone), slopes[k], atol=1e-15)

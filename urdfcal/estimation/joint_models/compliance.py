@@ -12,11 +12,11 @@ from urdfcal.estimation.joint_models.linear import LinearJointModel, Prior
 from urdfcal.robot.gravity import Masses, masses_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
-    from urdfcal.arrays import Floats
+    from urdfcal.arrays import Bools, Floats
     from urdfcal.estimation.joint_models.base import Readings
-    from urdfcal.estimation.joint_models.linear import Setting
+    from urdfcal.estimation.joint_models.linear import OneCommand, Setting
     from urdfcal.robot.mechanism import Joint
     from urdfcal.session.model import Positions
 
@@ -70,8 +70,7 @@ class Compliance(LinearJointModel):
         tau = readings.torques
         if self.masses:
             tau = np.empty_like(readings.q)
-            for part in np.unique(readings.part):
-                here = readings.part == part
+            for part, here in self._parts(readings):
                 tau[here] = self.masses[part].torques(readings.q[here], self.gravity)
         if tau is None:
             raise SessionError(
@@ -85,11 +84,25 @@ class Compliance(LinearJointModel):
     def slopes(self, readings: Readings) -> Floats:
         """Return those of the torques; measured ones do not follow the readings."""
         found = np.zeros((*readings.q.shape, readings.q.shape[1]))
-        for part in np.unique(readings.part) if self.masses else ():
-            here = readings.part == part
+        for part, here in self._parts(readings):
             found[here] = self.masses[part].slopes(readings.q[here], self.gravity)
         result: Floats = -(self.mechanism.reading_jacobian.T @ found)[:, self.joints]
         return result
+
+    def _parts(self, readings: Readings) -> Iterator[tuple[int, Bools | slice]]:
+        """The parts of the session that the arm carried something in, and which readings are of them."""
+        if len(self.masses) == 1:
+            yield 0, slice(None)
+            return
+        for part in np.unique(readings.part) if self.masses else ():
+            yield part, readings.part == part
+
+    def of_one(self, p: Floats) -> OneCommand:
+        """Take the torques straight from Pinocchio where gravity gives them."""
+        if len(self.masses) != 1:
+            return super().of_one(p)
+        yields = -(self._carry * p) @ self.mechanism.reading_jacobian.T[list(self.joints)]
+        return _Yielding(self.masses[0], self.gravity, yields)
 
     def sentence(self, joint: Joint, group: str, p: Floats) -> str:
         """Say how much it yields."""
@@ -99,3 +112,20 @@ class Compliance(LinearJointModel):
     def sentence_of_all(self, joints: str, most: float) -> str:
         """Say how much they yield."""
         return f"sag of {joints} under the arm's weight, by up to {most:.2g} mrad: the arm bends"
+
+
+@dataclass(frozen=True, eq=False)
+class _Yielding:
+    """What joints yield by in one pose: their torques times ``yields`` (n, n)."""
+
+    masses: Masses
+    gravity: Floats
+    yields: Floats
+
+    def values(self, readings: Readings) -> Floats:
+        result: Floats = self.yields @ self.masses.torques(readings.q, self.gravity)[0]
+        return result
+
+    def slopes(self, readings: Readings) -> Floats:
+        result: Floats = self.yields @ self.masses.slopes(readings.q, self.gravity)[0]
+        return result

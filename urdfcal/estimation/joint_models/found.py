@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from urdfcal.arrays import frozen
 from urdfcal.errors import RobotError
 from urdfcal.estimation.joint_models.base import Readings
 from urdfcal.estimation.joint_models.linear import LinearJointModel, Setting
 from urdfcal.estimation.joint_models.torque_basis import TorqueBasis
 from urdfcal.robot.gravity import place_of
+from urdfcal.robot.newton import AsTold
 from urdfcal.session.trajectory import AT_REST, Trajectory
 
 if TYPE_CHECKING:
@@ -21,9 +23,14 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from urdfcal.arrays import Floats
+    from urdfcal.estimation.joint_models.linear import OneCommand
     from urdfcal.robot.gravity import Body, Masses
     from urdfcal.robot.mechanism import Mechanism, Tip
     from urdfcal.session.model import Session
+
+
+# Of a single pose, its number and that of its part of the session.
+_FIRST = frozen(np.zeros(1, dtype=np.intp))
 
 
 class FoundModel(NamedTuple):
@@ -142,3 +149,58 @@ class FoundJointModels:
             true = true + model.values(given, of.values)
             slope = slope + model.derivative(given, of.values)
         return true, slope @ J
+
+    @cached_property
+    def _of_one(self) -> tuple[OneCommand, ...]:
+        return tuple(model.of_one(of.values) for model, of in zip(self.models, self.found, strict=True))
+
+    def of_one(self, torques: Floats | None = None, previous: Floats | None = None) -> TrueValuesOfCommand:
+        """Return what the joints do when one command is given.
+
+        Args:
+            torques: (k,) measured. [N m or N]
+            previous: (k,) readings where the arm came from. [rad or m]
+        """
+        chain = self.mechanism
+        return TrueValuesOfCommand(
+            self._of_one,
+            AsTold(chain),
+            None if torques is None else chain.torques(torques[None]),
+            None if previous is None else chain.joint_values(previous[None]),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class TrueValuesOfCommand:
+    """What joints do that are told to be somewhere: one command at a time, without what is made for many.
+
+    Attributes:
+        models: with their parameters.
+        told: where rigid joints would be.
+        torques: (1, n) measured, None where there are none. [N m or N]
+        previous: (1, n) where the joints came from, None where that is not known. [rad or m]
+    """
+
+    models: tuple[OneCommand, ...]
+    told: AsTold
+    torques: Floats | None
+    previous: Floats | None
+
+    def values(self, q: Floats) -> Floats:
+        """Compute for a command (k,) the true values (n,) of all joints. [rad or m]."""
+        told = self.told.values(q)
+        readings, result = self._readings(told), told
+        for model in self.models:
+            result = result + model.values(readings)
+        return result
+
+    def slopes(self, q: Floats) -> Floats:
+        """Compute the derivative (n, k) of :meth:`values`."""
+        readings, result = self._readings(self.told.values(q)), np.eye(len(self.told.mechanism.joints))
+        for model in self.models:
+            result = result + model.slopes(readings)
+        slopes: Floats = result @ self.told.slopes(q)
+        return slopes
+
+    def _readings(self, told: Floats) -> Readings:
+        return Readings(told[None], _FIRST, AT_REST, _FIRST, self.torques, self.previous)

@@ -6,7 +6,7 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
@@ -54,6 +54,16 @@ class Prior(NamedTuple):
     unit: str
     sigma: float
     scale: float = 1.0
+
+
+class OneCommand(Protocol):
+    """A joint model with its parameters, for one pose at a time."""
+
+    def values(self, readings: Readings) -> Floats:
+        """Return what it adds (n,) to the readings of one pose. [rad or m]."""
+
+    def slopes(self, readings: Readings) -> Floats:
+        """Return the derivative (n, n) of :meth:`values` by all joints' readings."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,6 +211,10 @@ class LinearJointModel(JointModel):
         result: Floats = self._carry @ (p[:, None] * self.slopes(readings))
         return result
 
+    def of_one(self, p: Floats) -> OneCommand:
+        """Return the model with its parameters, for one pose at a time."""
+        return _OfOne(self, p)
+
     def known_features(self, readings: Readings) -> Floats:
         """Return :meth:`features`, computed once."""
         return readings.once(self.name, self.features)
@@ -254,3 +268,17 @@ class LinearJointModel(JointModel):
         """Return entries of the joints that have it."""
         on = self.active
         return tuple(entry for entry, of in zip(super().document(value, sigma), on, strict=True) if of)
+
+
+@dataclass(frozen=True, eq=False)
+class _OfOne:
+    model: LinearJointModel
+    p: Floats
+
+    def values(self, readings: Readings) -> Floats:
+        result: Floats = self.model.values(readings, self.p)[0]
+        return result
+
+    def slopes(self, readings: Readings) -> Floats:
+        derivative = self.model.derivative(readings, self.p)
+        return derivative.reshape(derivative.shape[-2:])
