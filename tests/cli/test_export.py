@@ -1,7 +1,11 @@
 from __future__ import annotations
 
+import csv
 import hashlib
+import re
+import shutil
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -11,12 +15,12 @@ import yaml
 import yourdfpy
 
 from urdfcal.cli import run
+from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.result.calibration import Calibration
 from urdfcal.robot.urdf.urdf import Urdf
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
 
 @pytest.fixture
@@ -118,3 +122,83 @@ def test_without_mujoco_it_says_how_to_install_it(
     monkeypatch.setitem(sys.modules, "mujoco", None)
     assert run(["export", str(result), "--to", "mjcf", "--model", str(mujoco_model)]) == 2
     assert "pip install 'urdfcal[mjcf]'" in capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def bent(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a session of an arm that sags, and its result."""
+    folder = tmp_path_factory.mktemp("bent")
+    rig = folder / "rig"
+    shutil.copytree(find_rig("ur5"), rig)
+    with (rig / "rig.yaml").open("a") as file:
+        file.write("errors: {compliance: 5.0e-5}\n")
+    assert run(["simulate", str(rig), "-o", str(folder / "session"), "--poses", "40"]) == 0
+    assert run(["calibrate", str(folder / "session"), "-o", str(folder / "result"), "-q"]) == 0
+    return folder
+
+
+@pytest.mark.parametrize("workspace", ["", "0.2:0.6,-0.3:0.3,0.1:0.5", "path.csv", "session"])
+def test_the_urdf_of_an_arm_that_bends_is_the_nearest_for_a_workspace(
+    workspace: str, bent: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    calibration = Calibration.load(bent / "result")
+    joints = bent / "session" / "joints.csv"
+    (bent / "path.csv").write_text(joints.read_text())
+    named = str(bent / workspace) if (bent / workspace).exists() else workspace
+    arguments = ["--workspace", named] if workspace else []
+    assert run(["export", str(bent / "result"), "--to", "urdf", "-o", str(tmp_path), *arguments]) == 0
+    path, said = capsys.readouterr().out.splitlines()
+    assert path == str(tmp_path / "ur5_robot_calibrated_region.urdf")
+    found = re.search(r"in (\d+) configurations of (.*) its tip is ([\d.]+) mm rms off.*URDF's ([\d.]+) mm rms", said)
+    count, what, after, before = found.groups()
+    assert what == {"": "the measured domain"}.get(
+        workspace, named if "csv" in named or "ses" in named else f"the box {named}"
+    )
+    assert float(after) < 0.9 * float(before)
+    robots = [
+        yourdfpy.URDF.load(str(of), load_meshes=False)
+        for of in (Path(path), bent / "result" / "ur5_robot_calibrated.urdf")
+    ]
+    assert [joint.name for joint in robots[0].robot.joints] == [joint.name for joint in robots[1].robot.joints]
+    if named.endswith((".csv", "session")):  # the configurations that the figures are of
+        with joints.open() as file:
+            rows = list(csv.DictReader(file))
+        assert len(rows) == int(count)
+        q = np.array([[float(row[name]) for name in calibration.chain.actuated] for row in rows])
+        true = calibration.forward(q)[:, :3, 3]
+        for robot, figure in zip(robots, (after, before), strict=True):
+            tips = []
+            for values in q:
+                robot.update_cfg(dict(zip(calibration.chain.actuated, values, strict=True)))
+                tips.append(robot.get_transform("tool0", "base_link")[:3, 3])
+            off = 1e3 * np.sqrt(np.mean(np.sum((np.array(tips) - true) ** 2, axis=1)))
+            assert off == pytest.approx(float(figure), rel=0.06)  # printed with two digits
+
+
+@pytest.mark.parametrize(
+    ("workspace", "code", "message"),
+    [
+        ("nonsense", 2, "is no file, no folder, and no box: write x0:x1,y0:y1,z0:z1 in metres"),
+        ("1:0,0:1,0:1", 2, "is no file, no folder, and no box"),
+        ("5:6,0:1,0:1", 2, "Name a box that the measured poses reach"),
+        ("nowhere.csv", 2, "nowhere.csv"),
+    ],
+)
+def test_a_workspace_that_is_none_is_refused(
+    workspace: str, code: int, message: str, bent: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert run(["export", str(bent / "result"), "--to", "urdf", "-o", str(out), "--workspace", workspace]) == code
+    assert message in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_a_rigid_arm_s_urdf_is_the_corrected_one(
+    result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["export", str(result), "--to", "urdf", "-o", str(tmp_path)]) == 0
+    assert "this arm is rigid: it is the corrected URDF" in capsys.readouterr().out
+    same = (tmp_path / "elbow3r_calibrated_region.urdf").read_bytes()
+    assert same == (result / "elbow3r_calibrated.urdf").read_bytes()
+    assert run(["export", str(result), "--to", "dh-csv", "--workspace", "0:1,0:1,0:1"]) == 2
+    assert "--workspace goes with --to urdf" in capsys.readouterr().err

@@ -15,12 +15,14 @@ _LOOPBACK = "127.0.0.1"
 
 
 def find_recording(folder: Path) -> Path:
-    """The recording of a result folder, or the file itself.
+    """The recording of a result folder or of the calibration.json in it, or the file itself.
 
     Raises:
         OutputError: there is none.
     """
     recording = folder / RECORDING if folder.is_dir() else folder
+    if recording.suffix == ".json":
+        recording = recording.with_name(RECORDING)
     if not recording.is_file():
         raise OutputError(
             "there is no recording here", where=str(folder), remedy="Name the folder that urdfcal calibrate -o wrote."

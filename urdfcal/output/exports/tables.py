@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import yaml
 
+from urdfcal.arrays import inverse
 from urdfcal.errors import OutputError
 from urdfcal.output.trajectory import csv_text
 from urdfcal.result.calibration import Calibration, corrected_name
@@ -193,6 +194,25 @@ def joint_offsets(calibration: Calibration, urdf: Urdf) -> dict[str, bytes]:
         OFFSETS: csv_text(["joint", "unit", "offset", "sigma"], rows).encode(),
         f"{stem}_without_offsets.urdf": rewrite_origins(urdf, origins),
     }
+
+
+def region_urdf(calibration: Calibration, urdf: Urdf, placements: Floats) -> dict[str, str | bytes]:
+    """Write other placements than the calibrated ones into the corrected URDF: of the best rigid arm for a region.
+
+    Args:
+        calibration: the result.
+        urdf: the corrected one.
+        placements: (n, 4, 4) of the calibrated joints. [m]
+
+    Returns:
+        The URDF by its file name; that of the whole result where nothing differs.
+    """
+    each = zip(calibration.chain.names, calibration.placements, placements, strict=True)
+    origins = {
+        name: urdf.joints[name].T_parent_joint @ inverse(old) @ new for name, old, new in each if np.any(old != new)
+    }
+    stem = urdf.path.stem if urdf.path else urdf.name
+    return {f"{stem}_region.urdf": rewrite_origins(urdf, origins)}
 
 
 def zero_offsets(calibration: Calibration) -> Floats:

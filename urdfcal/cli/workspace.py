@@ -1,0 +1,80 @@
+"""Where an arm will be used: a box, a path, a session, or what was measured; ``--workspace``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import click
+
+if TYPE_CHECKING:
+    from urdfcal.arrays import Floats
+    from urdfcal.result.calibration import Calibration
+
+_AXES = 3
+
+
+class Configurations(NamedTuple):
+    """Joint readings in a workspace.
+
+    Attributes:
+        what: it is, in words.
+        q: (N, k) of the actuated joints. [rad or m]
+        torques: (N, k) measured, where there are any. [N m or N]
+        previous: (N, k) where the arm came from, where that is known. [rad or m]
+    """
+
+    what: str
+    q: Floats
+    torques: Floats | None = None
+    previous: Floats | None = None
+
+
+def configurations(calibration: Calibration, workspace: str | None) -> Configurations:
+    """Take configurations of a workspace.
+
+    Args:
+        calibration: whose joints they are of.
+        workspace: x0:x1,y0:y1,z0:z1 (m, in the base link's frame), a CSV file of joint readings, a session's folder or
+            file; None for what was measured.
+
+    Raises:
+        click.BadParameter: it is none of these.
+        OutputError: the box is hardly ever reached, or nothing is known of what was measured.
+        SessionError: the path or session cannot be read.
+    """
+    from urdfcal.result.rigid import draw_readings, measured_domain
+
+    if workspace is None:
+        q = draw_readings(calibration, measured_domain(calibration))
+        return Configurations("the measured domain", q)
+    path = Path(workspace)
+    if path.suffix == ".csv":
+        from urdfcal.output.trajectory import CommandTable
+
+        return Configurations(workspace, CommandTable.read(path, calibration.chain).q)
+    if path.exists():
+        from urdfcal.io.folder import read_session
+
+        session = read_session(path)
+        chain, torques = session.chain, session.torques
+        if chain.actuated != calibration.chain.actuated:
+            raise click.BadParameter(f"{workspace} is a session of other joints", param_hint="--workspace")
+        measured = None if torques is None else chain.readings(torques)
+        return Configurations(workspace, session.readings, measured, chain.readings(session.came_from))
+    q = draw_readings(calibration, measured_domain(calibration), _box(workspace))
+    return Configurations(f"the box {workspace}", q)
+
+
+def _box(text: str) -> Floats:
+    import numpy as np
+
+    try:
+        box = np.array([[float(end) for end in axis.split(":")] for axis in text.split(",")])
+    except ValueError:
+        box = np.zeros(0)
+    if box.shape != (_AXES, 2) or not np.all(box[:, 0] < box[:, 1]):
+        raise click.BadParameter(
+            f"{text!r} is no file, no folder, and no box: write x0:x1,y0:y1,z0:z1 in metres", param_hint="--workspace"
+        )
+    return box
