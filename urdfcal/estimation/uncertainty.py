@@ -59,7 +59,7 @@ def tip_change(problem: Problem, fit: Solution, step: Floats, seed: int = 0) -> 
         step: (count,) of its active parameters.
         seed: of the configurations that stand for the workspace.
     """
-    A, _ = _aligned(problem, fit, seed)
+    A = aligned_motion(problem, fit, seed)
     return float(np.sqrt(np.sum((A @ step) ** 2) / _WORKSPACE))
 
 
@@ -78,7 +78,7 @@ def tip_error(problem: Problem, fit: Solution, seed: int = 0) -> tuple[float, tu
     Returns:
         The expected rms, and its 95 % interval. [m]
     """
-    A, _ = _aligned(problem, fit, seed)
+    A = aligned_motion(problem, fit, seed)
     gram = np.einsum("nij,nik->jk", A, A) / _WORKSPACE
     normal = np.random.default_rng(seed).standard_normal((_DRAWS, len(gram))) ** 2
     ends = []
@@ -88,6 +88,20 @@ def tip_error(problem: Problem, fit: Solution, seed: int = 0) -> tuple[float, tu
         strengths = np.maximum(np.linalg.eigvalsh(factor.T @ gram @ factor), 0.0)
         ends.append(float(np.percentile(np.sqrt(normal @ strengths), percentile)))
     return float(np.sqrt(np.sum(strengths))), (ends[0], ends[1])
+
+
+def aligned_motion(problem: Problem, fit: Solution, seed: int = 0) -> Floats:
+    """Compute how the tip moves over the workspace with the active parameters, the base aligned as well as can be.
+
+    Args:
+        problem: the arm and its joint models.
+        fit: the estimate.
+        seed: of the configurations.
+
+    Returns:
+        (N, 3, count) derivative at N configurations. [m per unit of the parameter]
+    """
+    return _aligned(problem, fit, seed)[0]
 
 
 def rigid_loss(problem: Problem, state: State) -> float:

@@ -169,6 +169,13 @@ class Chart:
         return [line[np.isfinite(line).all(axis=1)] for line in lines], mark.color
 
 
+def bars(at: Floats, length: Floats, half: float) -> tuple[Floats, Floats]:
+    """Outlines (L, 4) of bars from zero: across, and along."""
+    zero = np.zeros_like(length)
+    across = np.stack([at - half, at - half, at + half, at + half], axis=-1)
+    return across, np.stack([zero, length, length, zero], axis=-1)
+
+
 def svg(rows: Sequence[Sequence[Chart]], height: float) -> str:
     """Draw charts beside and below each other.
 

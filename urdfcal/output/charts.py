@@ -9,7 +9,8 @@ import numpy as np
 
 from urdfcal.estimation.blocks.arm import LENGTHS
 from urdfcal.output import palette
-from urdfcal.output.chart import Chart, Mark, Scale, svg
+from urdfcal.output.chart import Chart, Mark, Scale, bars, svg
+from urdfcal.output.joint_charts import contribution_chart, joint_model_charts
 from urdfcal.output.scene import CalibrationScene, ResidualTable, image_range
 
 if TYPE_CHECKING:
@@ -26,6 +27,7 @@ _BINS = 8
 _CELLS = 24
 # A portrait image as wide as half the page would fill it.
 _TALLEST = 380.0
+_BAR_HEIGHT = 15
 SYMBOLS = {"theta": "\u03b8", "alpha": "\u03b1", "beta": "\u03b2"}
 
 RESIDUALS = """\
@@ -48,10 +50,17 @@ def all_charts(overview: Overview) -> list[Chart]:
     """Every chart of a recording."""
     return [
         *residual_charts(overview),
+        *joint_charts(overview.calibration),
         *parameter_charts(overview.calibration),
         *convergence_charts(overview.calibration),
         workspace_chart(overview.workspace),
     ]
+
+
+def joint_charts(calibration: FittedCalibration) -> list[Chart]:
+    """What was wrong with the arm by joint, and each joint model that was estimated."""
+    by_cause = contribution_chart(calibration)
+    return [*([] if by_cause is None else [by_cause]), *joint_model_charts(calibration)]
 
 
 def residual_charts(overview: Overview) -> list[Chart]:
@@ -93,7 +102,7 @@ def _by_camera(pixels: ResidualTable, names: list[str]) -> Chart:
     marks, tallest = [], 0.0
     for side, (name, predicted) in zip((-0.15, 0.15), pixels.by_arm.items(), strict=True):
         camera, rms = pixels.rms_by(pixels.camera, predicted)
-        marks.append(Mark("lines", name, *_bars(side + camera.astype(float), rms, 0.1), palette.OF_ARM[name]))
+        marks.append(Mark("lines", name, *bars(side + camera.astype(float), rms, 0.1), palette.OF_ARM[name]))
         tallest = max(tallest, float(np.nanmax(rms, initial=0.0)))
     return Chart(
         "by camera",
@@ -102,13 +111,6 @@ def _by_camera(pixels: ResidualTable, names: list[str]) -> Chart:
         Scale(0.0, 1.1 * tallest),
         marks,
     )
-
-
-def _bars(at: Floats, length: Floats, half: float) -> tuple[Floats, Floats]:
-    """Outlines (L, 4) of bars from zero: across, and along."""
-    zero = np.zeros_like(length)
-    across = np.stack([at - half, at - half, at + half, at + half], axis=-1)
-    return across, np.stack([zero, length, length, zero], axis=-1)
 
 
 def _spread(table: ResidualTable) -> Chart:
@@ -160,7 +162,7 @@ def parameter_charts(calibration: FittedCalibration) -> list[Chart]:
         value, margin = offsets[of_kind], 1.96 * sigmas[of_kind]
         y = np.arange(len(value), 0.0, -1.0)
         ends = np.stack([value - margin, value + margin], axis=-1)
-        across, along = _bars(y, value, 0.25)
+        across, along = bars(y, value, 0.25)
         names = [f"{labels[row]} {SYMBOLS.get(columns[k], columns[k])}" for row, k in np.argwhere(of_kind)]
         height = Scale(0.2, len(value) + 0.8, names=dict(zip(y.tolist(), names, strict=True)))
         charts.append(
@@ -240,6 +242,12 @@ def figures(overview: Overview) -> dict[str, str]:
         "workspace": svg([[*maps, workspace_chart(workspace)]], 250),
         "convergence": svg([[cost, step]], 180),
     }
+    by_cause, models = contribution_chart(overview.calibration), joint_model_charts(overview.calibration)
+    if by_cause is not None:
+        found["causes"] = svg([[by_cause]], 40 + _BAR_HEIGHT * len(by_cause.y.ticks()))
+    if models:
+        pairs = [models[first : first + 2] for first in range(0, len(models), 2)]
+        found["joint_models"] = svg([[*pair, *[_NOTHING] * (2 - len(pair))] for pair in pairs], 185)
     if corrections:
         found["corrections"] = svg([corrections], 100)
     if scene.pixels is not None:

@@ -13,6 +13,7 @@ from urdfcal.output.chart import Chart, Scale
 from urdfcal.output.charts import CONVERGENCE, PART_COLORS, RESIDUALS, all_charts, paths
 from urdfcal.output.findings import ELLIPSOID, HEADLINE, Overview, Workspace, headline, parameter_text, pose_texts
 from urdfcal.output.images import arm_in_images, compressed, find_photographs, finite_pieces
+from urdfcal.output.joint_charts import JOINTS
 from urdfcal.output.stream import CORNER, ITERATION, Layer
 from urdfcal.rotations import matrix_to_quaternion
 
@@ -275,6 +276,7 @@ def _log_texts(base: Layer, overview: Overview) -> None:
         ("parameters", parameter_text(overview.document)),
         ("residuals", RESIDUALS.format(parts=parts)),
         ("convergence", CONVERGENCE),
+        ("joints", JOINTS),
     ):
         texts.at(name).fixed(rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
     texts.at("poses").fixed(rr.AnyValues(poses=session.poses))

@@ -210,6 +210,7 @@ def layout(overview: Overview, active: int = 0) -> rrb.Blueprint:
         tabs.append(rrb.Grid(*_images(images, overview, scene.pixels), grid_columns=len(images), name="Pixels"))
     tabs += [
         _grid("convergence", charts.convergence_charts(calibration)),
+        *([_grid("joints", joints)] if (joints := charts.joint_charts(calibration)) else []),
         _parameters(overview),
         _grid("residuals", charts.residual_charts(overview)),
         _workspace(overview),

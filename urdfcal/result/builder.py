@@ -17,6 +17,7 @@ from urdfcal.estimation.blocks.leds import LEDS
 from urdfcal.estimation.blocks.places import PLACES
 from urdfcal.estimation.blocks.planes import PLANES
 from urdfcal.estimation.blocks.targets import target_key
+from urdfcal.estimation.contributions import contributions
 from urdfcal.estimation.joint_models.time_offset import TIME_OFFSETS
 from urdfcal.estimation.measurements.pixels import triangulate
 from urdfcal.estimation.model_selection import Trial
@@ -53,6 +54,21 @@ def build_document(of: FittedCalibration) -> ResultDocument:
         "validation": _validation(of),
         **_evidence(of),
         **joint_model_sections(of),
+        "joint_model_trials": [
+            {
+                "model": trial.term.model,
+                "joints": list(trial.term.joints),
+                "included": trial.included,
+                "log_evidence": trial.log_evidence,
+                "inside_mm": 1e3 * trial.inside,
+                "elsewhere_mm": 1e3 * trial.elsewhere,
+            }
+            for trial in of.comparison.chosen.joint_models
+        ],
+        "contributions": [
+            {"joint": each.joint, "what": each.what, "tip_mm": 1e3 * each.tip, "sigma_mm": 1e3 * each.sigma}
+            for each in contributions(of.problem, of.fit)
+        ],
         "models": [
             {
                 "model": str(attempt.spec),

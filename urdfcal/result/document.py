@@ -9,9 +9,11 @@ from pydantic import Field, ValidationError, model_validator
 
 from urdfcal.errors import OutputError
 from urdfcal.result.evidence_sections import (
+    ContributionEntry,
     DomainSection,
     FindingEntry,
     IdentifiabilitySection,
+    JointModelTrialEntry,
     NoiseEntry,
     RegionsSection,
     Row,
@@ -300,6 +302,8 @@ class ResultDocument(Section):
     findings: list[FindingEntry] = Field(default_factory=list)
     joint_models: dict[str, dict[str, JointModelEntry]] = Field(default_factory=dict)
     load: LoadSection | None = None
+    joint_model_trials: list[JointModelTrialEntry] = Field(default_factory=list)
+    contributions: list[ContributionEntry] = Field(default_factory=list)
     domain: DomainSection | None = None
     models: list[ModelEntry]
     identifiability: IdentifiabilitySection

@@ -106,6 +106,26 @@ class FindingEntry(Section):
     alike: list[str]
 
 
+class ContributionEntry(Section):
+    """How far a joint's geometry, or a joint model of it, moves the tip over the workspace, root mean square. [mm]."""
+
+    joint: str
+    what: str
+    tip_mm: float
+    sigma_mm: float
+
+
+class JointModelTrialEntry(Section):
+    """What a joint model of some joints brings, or would bring: of poses left out at random, and of regions. [mm]."""
+
+    model: str
+    joints: list[str]
+    included: bool
+    log_evidence: float
+    inside_mm: float
+    elsewhere_mm: float
+
+
 class DomainSection(Section):
     """The ranges of the joint values that were measured. [rad or m]."""
 

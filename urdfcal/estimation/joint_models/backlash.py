@@ -30,6 +30,7 @@ class Backlash(LinearJointModel):
 
     name: ClassVar[str] = "backlash"
     groups: ClassVar[Mapping[str, tuple[int, ...]]] = {"approach": (0,)}
+    over: ClassVar[tuple[str, str, str] | None] = ("side that it came from", "1", "1")
     revolute: ClassVar[Prior | None] = Prior("rad", 1e-4)
     prismatic: ClassVar[Prior | None] = Prior("m", 1e-5)
     certain: ClassVar[float] = 10.0  # the side a joint came from tells nothing of regions; measured rigid arms: up to 7

@@ -38,6 +38,7 @@ class Compliance(LinearJointModel):
 
     name: ClassVar[str] = "compliance"
     groups: ClassVar[Mapping[str, tuple[int, ...]]] = {"torque": (0,)}
+    over: ClassVar[tuple[str, str, str] | None] = ("torque on it", "N m", "N")
     revolute: ClassVar[Prior | None] = Prior("rad/(N m)", 5e-5, 0.05)
     prismatic: ClassVar[Prior | None] = Prior("m/N", 1e-6, 0.01)
     together: ClassVar[bool] = True

@@ -27,6 +27,7 @@ class Lag(LinearJointModel):
 
     name: ClassVar[str] = "lag"
     groups: ClassVar[Mapping[str, tuple[int, ...]]] = {"lag": (0,)}
+    over: ClassVar[tuple[str, str, str] | None] = ("way that it came", "rad", "m")
     revolute: ClassVar[Prior | None] = Prior("1", 1e-4)
     prismatic: ClassVar[Prior | None] = Prior("1", 1e-4)
     together: ClassVar[bool] = True

@@ -75,6 +75,8 @@ class LinearJointModel(JointModel):
         joints: (k,) index of the joint that each parameter belongs to, among those that have a reading.
         words: what a joint's parameters are called beside the model's name.
         groups: what residuals are tested for of a joint, each with the places of its parameters among the joint's.
+        over: what its one feature is, and its unit for a turning and a sliding joint; None where it depends on the
+            reading alone.
         revolute: unit and prior of a turning joint's parameters; None where it has none.
         prismatic: the same of a sliding joint.
         together: whether the joints have it or have it not together, and not each on its own.
@@ -88,6 +90,7 @@ class LinearJointModel(JointModel):
 
     words: ClassVar[tuple[str, ...]] = ("",)
     groups: ClassVar[Mapping[str, tuple[int, ...]]]
+    over: ClassVar[tuple[str, str, str] | None] = None
     revolute: ClassVar[Prior | None] = None
     prismatic: ClassVar[Prior | None] = None
     together: ClassVar[bool] = False

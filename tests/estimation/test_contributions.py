@@ -1,0 +1,51 @@
+"""What was wrong with an arm: the joint that was made wrong comes first, by as much as it moves the tip."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from tests.worlds import sagging, seen
+from urdfcal.arrays import rms
+from urdfcal.estimation.contributions import GEOMETRY, contributions
+from urdfcal.estimation.evaluation import compare
+from urdfcal.pipeline import calibrate
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+def test_the_joint_that_is_off_comes_first_by_as_much_as_it_moves_the_tip(simulated: Callable) -> None:
+    data = simulated("ur5", poses=50)
+    q = np.array(data.truth.q)
+    q[:, 2] += 2e-2  # the elbow's zero, far beyond what the others were built off by
+    calibration = calibrate(seen(data, q), force=True)
+    found = contributions(calibration.problem, calibration.fit)
+    assert (found[0].joint, found[0].what) == ("elbow_joint", GEOMETRY)
+    assert found[0].tip > 3.0 * found[1].tip
+    assert [of.tip for of in found] == sorted((of.tip for of in found), reverse=True)
+    chain, table = calibration.chain, calibration.table
+    offsets = np.zeros_like(calibration.dh_offsets)
+    row = table.labels.index("elbow_joint")
+    offsets[row] = calibration.dh_offsets[row]
+    workspace = chain.random_values(500, np.random.default_rng(1))
+    alone = compare(chain, chain.with_placements(table.placements(offsets)), workspace).position
+    assert found[0].tip == pytest.approx(rms(alone), rel=0.1)
+    assert 0.0 < found[0].sigma < 0.1 * found[0].tip
+
+
+def test_what_joints_do_beside_is_a_cause_of_its_own(simulated: Callable) -> None:
+    calibration = calibrate(sagging(simulated("ur5", poses=50), 7e-5))
+    found = contributions(calibration.problem, calibration.fit)
+    sag = [of for of in found if of.what == "compliance"]
+    assert sag[0].joint == "shoulder_lift_joint"  # it carries the whole arm
+    assert sag[0].tip > 5.0 * sag[0].sigma
+    assert {of.what for of in found} == {GEOMETRY, "compliance"}
+
+
+def test_an_arm_that_stays_nominal_has_nothing_wrong(simulated: Callable) -> None:
+    calibration = calibrate(simulated("elbow3r").session, force=True)
+    nominal = calibration.comparison.nominal_arm.fit
+    assert contributions(calibration.problem, nominal) == ()

@@ -1,0 +1,77 @@
+"""What each joint does, in charts of report and recording."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from tests.worlds import sagging
+from urdfcal.output.charts import all_charts, figures
+from urdfcal.output.findings import Overview, write_report
+from urdfcal.output.joint_charts import contribution_chart, joint_model_charts
+from urdfcal.output.recording import layout
+from urdfcal.pipeline import calibrate
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+
+@pytest.fixture(scope="module")
+def bent(simulated: Callable) -> Overview:
+    return Overview.of(calibrate(sagging(simulated("ur5", poses=40), 5e-5)))
+
+
+@pytest.fixture(scope="module")
+def rigid(simulated: Callable) -> Overview:
+    return Overview.of(calibrate(simulated("elbow3r").session))
+
+
+def test_causes_are_ranked_with_their_size_and_interval(bent: Overview) -> None:
+    chart = contribution_chart(bent.calibration)
+    listed = bent.document["contributions"]
+    names = list(chart.y.names.values())
+    assert names == [f"{each['joint']} {each['what']}" for each in listed[: len(names)]]
+    assert "shoulder_lift_joint compliance" in names
+    geometry, models, intervals = chart.marks
+    lengths = np.concatenate([np.max(mark.x, axis=1) for mark in (geometry, models)])
+    np.testing.assert_allclose(sorted(lengths)[::-1], [each["tip_mm"] for each in listed[: len(names)]])
+    half = (np.asarray(intervals.x)[:, 1] - np.asarray(intervals.x)[:, 0]) / 2.0
+    assert np.all(half <= 1.96 * np.array([each["sigma_mm"] for each in listed[: len(names)]]) + 1e-12)
+    assert chart.x.high > np.max(intervals.x)
+
+
+def test_a_joint_model_is_shown_with_what_is_seen_of_it(bent: Overview) -> None:
+    charts = {chart.name: chart for chart in joint_model_charts(bent.calibration)}
+    before, after, model = charts["compliance of shoulder_lift_joint"].marks
+    assert np.std(after.y) < 0.3 * np.std(before.y)
+    assert np.all(np.diff(model.x) >= 0.0)
+    slope, _ = np.polyfit(model.x, model.y, 1)
+    assert slope == pytest.approx(5e-2, rel=0.1)  # mrad/(N m)
+    # A wrist that carries nothing yields to nothing.
+    assert "compliance of wrist_3_joint" not in charts
+
+
+def test_report_and_recording_show_them_and_of_a_rigid_arm_what_models_would_bring(
+    bent: Overview, rigid: Overview, tmp_path: Path
+) -> None:
+    for overview, bends in ((bent, True), (rigid, False)):
+        assert ("joint_models" in figures(overview)) is bends
+        assert "causes" in figures(overview)
+        names = [chart.name for chart in all_charts(overview)]
+        assert "contributions" in names
+        assert any(name.startswith("compliance of") for name in names) is bends
+        write_report(tmp_path / "report.html", overview)
+        text = (tmp_path / "report.html").read_text()
+        assert text.index("What was wrong with this arm") < text.index("In numbers")
+        trials = overview.document["joint_model_trials"]
+        assert any(trial["included"] for trial in trials) is bends
+        assert text.count("<td>estimated</td>") == sum(trial["included"] for trial in trials)
+        for k in range(len(trials)):
+            for key in ("log_evidence", "inside_mm", "elsewhere_mm"):
+                assert f'data-key="joint_model_trials/{k}/{key}"' in text
+        assert "Joints" in [view.name for view in layout(overview).root_container.contents]
+    json.dumps(bent.document)
