@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import socket
 import subprocess
 import sys
 from pathlib import Path
 from typing import NoReturn
+from urllib.parse import quote
 
 from urdfcal.errors import OutputError
 
@@ -44,7 +46,7 @@ def open_recording(recording: Path) -> None:
 
 
 def serve_recording(recording: Path, port: int = 0) -> NoReturn:
-    """Become a server of a recording as a web page, to this machine only; it prints the address.
+    """Print an address and become the server of a recording as a web page there, to this machine only.
 
     This process is replaced, so that whatever ends it ends the server.
 
@@ -52,9 +54,21 @@ def serve_recording(recording: Path, port: int = 0) -> NoReturn:
         recording: the file.
         port: of the page; 0 takes a free one.
     """
-    sys.stdout.flush()
-    ports = ["--port", "0", "--web-viewer-port", str(port)]
-    os.execv(_rerun(), ["rerun", "--serve-web", "--bind", _LOOPBACK, *ports, str(recording)])  # noqa: S606
+    data = _free_port()
+    page = port or _free_port()
+    sent = quote(f"rerun+http://{_LOOPBACK}:{data}/proxy", safe="")
+    print(f"http://{_LOOPBACK}:{page}?url={sent}\nOpen it in a browser; ctrl+c ends it.", flush=True)
+    ports = ["--port", str(data), "--web-viewer-port", str(page)]
+    # What the viewer logs buries the address; what keeps it from serving does not.
+    quiet = {**os.environ, "RUST_LOG": os.environ.get("RUST_LOG", "error")}
+    os.execve(_rerun(), ["rerun", "--serve-web", "--bind", _LOOPBACK, *ports, str(recording)], quiet)  # noqa: S606
+
+
+def _free_port() -> int:
+    """A port that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind((_LOOPBACK, 0))
+        return int(probe.getsockname()[1])
 
 
 def _rerun() -> str:
