@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from urdfcal.output.palette import BACKGROUND, VERDICT_COLORS
 from urdfcal.output.scene import CalibrationScene, ResidualTable, image_range
 from urdfcal.output.stream import ITERATION, POSE
 from urdfcal.output.viewer import RECORDING
-from urdfcal.result.calibration import FILE_NAME
+from urdfcal.result.calibration import FILE_NAME, Calibration, corrected_name
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -58,7 +59,7 @@ def write_results(
     """
     urdf = calibration.calibrated_urdf()
     notes: tuple[str, ...] = ()
-    with files.staged(folder) as stage:
+    with files.staged(folder, _earlier(folder)) as stage:
         files.write_bytes(stage / calibration.urdf_name, urdf)
         calibration.save(stage / FILE_NAME)
         if overview is not None:
@@ -66,9 +67,16 @@ def write_results(
             notes = write_recording(stage / RECORDING, overview)
         names = sorted(path.name for path in stage.iterdir())
     _forget_refused(folder)
-    for name in (REPORT, RECORDING) if overview is None else ():
-        (folder / name).unlink(missing_ok=True)
     return tuple(folder / name for name in names), notes
+
+
+def _earlier(folder: Path) -> tuple[str, ...]:
+    """Names of the files that an earlier run's result has in a folder."""
+    result = [FILE_NAME, REPORT, RECORDING]
+    files.settle(folder)
+    with suppress(OutputError):  # there is none
+        result.append(corrected_name(Calibration.load(folder).document.robot.urdf))
+    return tuple(result)
 
 
 def write_refused(calibration: FittedCalibration, folder: Path) -> Path:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import NoReturn
 from urllib.parse import quote
 
+from urdfcal import files
 from urdfcal.errors import OutputError
 
 RECORDING = "calibration.rrd"
@@ -23,6 +24,7 @@ def find_recording(folder: Path) -> Path:
         OutputError: there is none.
     """
     recording = folder / RECORDING if folder.is_dir() else folder
+    files.settle(recording.parent)
     if not recording.is_file():
         raise OutputError(
             "there is no recording here", where=str(folder), remedy="Name the folder that urdfcal calibrate -o wrote."
