@@ -123,7 +123,7 @@ def run(
 
     view = None
     if live:
-        from urdfcal.output.recording import LiveView
+        from urdfcal.output.live import LiveView
 
         view = LiveView()
     with status_line(show=report != "nothing") as say:
@@ -151,12 +151,14 @@ def run(
                 click.echo(f"- {warning}", err=True)
             raise refusal(calibration, report_path)
         say("writing URDF, report and recording")
+        if view is not None:
+            view.say("writing URDF, report and recording")
         from urdfcal.output.recording import write_results
 
         overview = Overview.of(calibration)
         paths, remarks = write_results(calibration, output, overview)
-        if view is not None:
-            view.finish(overview)
+        if view is not None and not view.finish(overview):
+            remarks = (*remarks, f"the rerun viewer was closed: urdfcal view {output} shows the result")
     if report == "json":
         files = {path.suffix[1:]: str(path) for path in paths}
         click.echo(json.dumps({**overview.document, "files": files}, indent=2))

@@ -1,4 +1,4 @@
-"""The rerun recording of a calibration with its views, the folder of results, and a live view of the solver."""
+"""The rerun recording of a calibration with its views, and the folder of results."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from urdfcal.output.entities import chart_view, log_overview
 from urdfcal.output.findings import HEADLINE, Overview, headline, write_report
 from urdfcal.output.palette import BACKGROUND, VERDICT_COLORS
 from urdfcal.output.scene import CalibrationScene, ResidualTable, image_range
-from urdfcal.output.stream import ITERATION, POSE
+from urdfcal.output.stream import POSE
 from urdfcal.output.viewer import RECORDING
 from urdfcal.result.calibration import FILE_NAME, Calibration, corrected_name
 
@@ -146,45 +146,6 @@ def log_calibration(
         Warnings, such as meshes that were not found.
     """
     return log_overview(stream, Overview.of(calibration), entity_path)
-
-
-class LiveView:
-    """A viewer that shows the cost while the solver runs, and the whole calibration when it is done.
-
-    Raises:
-        OutputError: no viewer can be started.
-    """
-
-    def __init__(self, stream: RecordingStream | None = None) -> None:
-        """Start a viewer, or send to a stream that is already watched."""
-        waiting = rrb.Blueprint(
-            rrb.TimeSeriesView(origin="live", name="The solver at work: cost of every step"),
-            rrb.TimePanel(timeline=ITERATION, state="collapsed"),
-            collapse_panels=True,
-        )
-        self._steps = 0
-        self._stream = stream or rr.RecordingStream("urdfcal")
-        if stream is None:
-            try:
-                self._stream.spawn()
-            except RuntimeError as error:
-                raise OutputError(f"the rerun viewer does not start: {error}", remedy="Leave --live out.") from error
-        self._stream.send_blueprint(waiting)
-        self._stream.log("live/cost", rr.SeriesLines(names="cost"), static=True)
-
-    def step(self, iteration: int, cost: float) -> None:
-        """Show a step of the solver; several fits follow each other."""
-        del iteration  # starts anew with every fit
-        self._steps += 1
-        self._stream.set_time(ITERATION, sequence=self._steps)
-        self._stream.log("live/cost", rr.Scalars(cost))
-
-    def finish(self, overview: Overview) -> None:
-        """Show the result."""
-        self._stream.reset_time()
-        log_overview(self._stream, overview, ROOT)
-        self._stream.send_blueprint(layout(overview))
-        self._stream.flush()
 
 
 def layout(overview: Overview, active: int = 0) -> rrb.Blueprint:

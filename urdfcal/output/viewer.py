@@ -6,6 +6,9 @@ import os
 import socket
 import subprocess
 import sys
+import time
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
 from urllib.parse import quote
@@ -15,6 +18,10 @@ from urdfcal.errors import OutputError
 
 RECORDING = "calibration.rrd"
 _LOOPBACK = "127.0.0.1"
+# Any of these tells a program of Linux where its windows go.
+_SCREENS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
+# From a cold disk it starts in seconds; without a screen it stops 0.1 s after it listens. [s]
+_STARTING, _OPENING = 20.0, 0.5
 
 
 def find_recording(folder: Path) -> Path:
@@ -45,6 +52,58 @@ def open_recording(recording: Path) -> None:
             where=str(recording),
             remedy="It needs a screen; without one: urdfcal view --web, or --save and look at it elsewhere.",
         )
+
+
+@dataclass(frozen=True, eq=False)
+class Viewer:
+    """A rerun viewer that waits for data, from this machine only.
+
+    Attributes:
+        process: the viewer; it stays open when ours ends.
+        port: where it listens.
+    """
+
+    process: subprocess.Popen[bytes]
+    port: int
+
+    @classmethod
+    def start(cls) -> Viewer:
+        """Start it, and wait until it listens.
+
+        Raises:
+            OutputError: it is not installed, or cannot open a window.
+        """
+        remedy = "It needs a screen: leave --live out, and look at the result later: urdfcal view --web."
+        if sys.platform == "linux" and not any(os.environ.get(name) for name in _SCREENS):
+            raise OutputError(f"the rerun viewer does not start: none of {', '.join(_SCREENS)} is set", remedy=remedy)
+        port = _free_port()
+        command = [_rerun(), "--bind", _LOOPBACK, "--port", str(port), "--expect-data-soon"]
+        nowhere = subprocess.DEVNULL
+        process = subprocess.Popen(command, stdin=nowhere, stdout=nowhere, stderr=nowhere, start_new_session=True)  # noqa: S603
+        viewer = cls(process, port)
+        end = time.monotonic() + _STARTING
+        while viewer.open and time.monotonic() < end:
+            with socket.socket() as probe:
+                if probe.connect_ex((_LOOPBACK, port)) == 0:
+                    break
+            time.sleep(0.02)
+        # It listens a little before it opens its window.
+        with suppress(subprocess.TimeoutExpired):
+            viewer.process.wait(_OPENING)
+        if not viewer.open:
+            code = viewer.process.returncode
+            raise OutputError(f"the rerun viewer does not start: it stopped with code {code}", remedy=remedy)
+        return viewer
+
+    @property
+    def open(self) -> bool:
+        """Whether it runs."""
+        return self.process.poll() is None
+
+    @property
+    def address(self) -> str:
+        """Where to send data."""
+        return f"rerun+http://{_LOOPBACK}:{self.port}/proxy"
 
 
 def serve_recording(recording: Path, port: int = 0) -> NoReturn:
