@@ -1,12 +1,15 @@
 from __future__ import annotations
 
 import errno
+import signal
+import subprocess
+import sys
 from typing import TYPE_CHECKING
 
 import pytest
 
 from urdfcal.errors import OutputError
-from urdfcal.files import replacing, staged, write_text
+from urdfcal.files import replacing, settle, staged, write_text
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -61,3 +64,91 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
         pass
     with pytest.raises(OutputError, match="cannot write here"):
         write_text(tmp_path / "nowhere" / "a.txt", "a")
+
+
+def names(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir()}
+
+
+def killed(code: str, folder: Path) -> None:
+    """Run Python that works on ``folder`` and kills itself."""
+    text = f"import os, signal\nfrom pathlib import Path\nfrom urdfcal import files\nfolder = Path({str(folder)!r})\n"
+    kill = "\ndef kill(*_): os.kill(os.getpid(), signal.SIGKILL)\n"
+    assert subprocess.run([sys.executable, "-c", text + kill + code], check=False).returncode == -signal.SIGKILL
+
+
+WRITE = """
+with files.staged(folder, ["c"]) as stage:
+    for name in "ab":
+        (stage / name).write_text("new")
+"""
+
+
+def put(folder: Path, text: str, *of: str) -> None:
+    folder.mkdir(exist_ok=True)
+    for name in of:
+        (folder / name).write_text(text)
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_what_a_killed_process_has_begun_is_cleaned_up_by_the_next(there: bool, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    if there:
+        put(out, "old", "a", "b", "c", "mine")
+    killed(WRITE + "    kill()", out)
+    assert len(list(tmp_path.rglob(".*.partial"))) == 1
+    if there:
+        assert {path.read_text() for path in out.iterdir() if path.is_file()} == {"old"}
+    with staged(out) as stage:
+        (stage / "a").write_text("newest")
+    assert names(tmp_path) == {"out"}
+    assert names(out) == ({"a", "b", "c", "mine"} if there else {"a"})
+
+
+@pytest.mark.parametrize("calls", range(7))
+def test_a_process_killed_while_files_are_put_there_leaves_no_mixture(calls: int, tmp_path: Path) -> None:
+    """After so many of its three removals and two renames in the folder, and of its commit before them."""
+    out = tmp_path / "out"
+    put(out, "old", "a", "b", "c", "mine")
+    count = f"""
+left = [{calls}]
+for cls, method in ((Path, "unlink"), (Path, "replace"), (Path, "rename")):
+    def counting(self, *args, call=getattr(cls, method), **kw):
+        if not left[0]:
+            kill()
+        left[0] -= 1
+        return call(self, *args, **kw)
+    setattr(cls, method, counting)
+"""
+    killed(count + WRITE, out)
+    shown = [path for path in out.iterdir() if path.is_file() and path.name != "mine"]
+    assert len({path.read_text() for path in shown}) <= 1
+    whole = len(shown) == 3 if calls == 0 else None
+    settle(out)
+    assert names(out) - {"mine"} == ({"a", "b", "c"} if whole else {"a", "b"}) | {
+        path.name for path in out.glob(".*.partial")
+    }
+    assert {path.read_text() for path in out.iterdir() if path.is_file() and path.name != "mine"} == {
+        "old" if whole else "new"
+    }
+    with staged(out) as stage:
+        (stage / "d").write_text("d")
+    assert not list(out.glob(".*"))
+    assert (out / "mine").read_text() == "old"
+
+
+def test_what_a_living_process_writes_is_left_alone(tmp_path: Path) -> None:
+    with staged(tmp_path / "out") as first:
+        (first / "a").write_text("a")
+        with staged(tmp_path / "out") as second:
+            (second / "b").write_text("b")
+        assert first.exists()
+    assert names(tmp_path / "out") == {"a", "b"}
+
+
+def test_a_file_that_a_killed_process_was_writing_goes_with_the_next(tmp_path: Path) -> None:
+    killed("with files.replacing(folder / 'a.txt') as new:\n    new.write_text('half')\n    kill()", tmp_path)
+    put(tmp_path, "mine", ".a.txt", ".a.txt.12345678")
+    assert len(names(tmp_path)) == 3
+    write_text(tmp_path / "a.txt", "whole")
+    assert names(tmp_path) == {"a.txt", ".a.txt", ".a.txt.12345678"}

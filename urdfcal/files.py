@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import json
 import secrets
-import shutil
-import tempfile
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from urdfcal.errors import OutputError, SessionError
+from urdfcal.temporaries import alone_in, temporary
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
 
+# Names in a folder of what is being put there: files that are all written, and the list of those they replace.
+_OURS, _WHOLE, _GONE = "urdfcal", ".whole", ".replaced.json"
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
 
 
@@ -74,19 +76,21 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises:
         OutputError: the folder is not there, cannot be written, or is full.
     """
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}{path.suffix}")
-    with told(path):
-        temporary.touch(exist_ok=False)
-        try:
-            yield temporary
-            temporary.replace(path)
-        finally:
-            temporary.unlink(missing_ok=True)
+    with told(path), temporary(path.parent, path.name, lambda new: new.touch(exist_ok=False), path.suffix) as new:
+        yield new
+        new.replace(path)
 
 
 @contextmanager
-def staged(folder: Path) -> Iterator[Path]:
-    """Yield an empty folder; when the block succeeds, move its files into ``folder``, which is made if need be.
+def staged(folder: Path, replaced: Iterable[str] = ()) -> Iterator[Path]:
+    """Yield an empty folder; when the block succeeds, its files are those of ``folder``, which is made if need be.
+
+    A process that is killed leaves the old files or, at the very end, the new ones, which :func:`settle` finishes
+    putting there: never some of each. What killed ones left behind is cleaned up.
+
+    Args:
+        folder: where the files go.
+        replaced: names of files that go when the new ones come, beside those of the same names.
 
     Raises:
         OutputError: ``folder`` is a file, or it or its parent cannot be written, or is full.
@@ -94,18 +98,53 @@ def staged(folder: Path) -> Iterator[Path]:
     with told(folder):
         if folder.exists() and not folder.is_dir():
             raise NotADirectoryError(errno.ENOTDIR, "it is a file")
-        beside = folder if folder.exists() else folder.absolute().parent
-        stage = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=beside))
-        try:
+        settle(folder)
+        beside, stem = (folder, _OURS) if folder.exists() else (folder.absolute().parent, folder.name)
+        with temporary(beside, stem, Path.mkdir) as stage:
             yield stage
-            folder.mkdir(exist_ok=True)
-            for path in stage.iterdir():
-                if (folder / path.name).is_dir():
-                    raise IsADirectoryError(errno.EISDIR, f"{path.name} is a folder")
-            for path in stage.iterdir():
-                path.replace(folder / path.name)
-        finally:
-            shutil.rmtree(stage, ignore_errors=True)
+            if beside != folder and not folder.exists():
+                stage.rename(folder)
+                return
+            names = [path.name for path in stage.iterdir()]
+            for name in names:
+                if (folder / name).is_dir():
+                    raise IsADirectoryError(errno.EISDIR, f"{name} is a folder")
+            (stage / _GONE).write_text(json.dumps(sorted({*names, *replaced})), encoding="utf-8")
+            whole = folder / f".{_OURS}.{secrets.token_hex(4)}{_WHOLE}"
+            with alone_in(folder):
+                stage.rename(whole)
+                _put(whole, folder)
+
+
+def settle(folder: Path) -> None:
+    """Finish putting files into a folder where a process was killed while it did, so that all of them are there.
+
+    Args:
+        folder: where :func:`staged` puts files; or none.
+
+    Raises:
+        OutputError: the folder cannot be written.
+    """
+    if not any(folder.glob(f".{_OURS}.*{_WHOLE}")):
+        return
+    with told(folder), alone_in(folder):
+        for whole in sorted(folder.glob(f".{_OURS}.*{_WHOLE}")):
+            _put(whole, folder)
+
+
+def _put(whole: Path, folder: Path) -> None:
+    """Take old files away, then put the new ones there; begun again after a kill, it goes on where it was.
+
+    Between the two some files are missing, which any program that reads them notices, other than a mixture.
+    """
+    gone = whole / _GONE
+    if gone.exists():
+        for name in json.loads(gone.read_text(encoding="utf-8")):
+            (folder / name).unlink(missing_ok=True)
+        gone.unlink()
+    for path in list(whole.iterdir()):
+        path.replace(folder / path.name)
+    whole.rmdir()
 
 
 @contextmanager

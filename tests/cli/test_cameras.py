@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from tests.cameras.board.boards import CHARUCO, PAIR, errors, held
@@ -162,3 +163,21 @@ def test_help_names_both_ways(capsys: pytest.CaptureFixture[str]) -> None:
     assert "inner corners" in text
     assert all(suffix in text for suffix in (".png", ".jpg", ".jpeg", ".tif"))
     assert "--to" in text
+
+
+def test_a_pair_is_told_with_the_turn_between_its_cameras(
+    images: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cameras(images, "-o", tmp_path / "a.yaml", *CHARUCO_OPTIONS.split())
+    (row,) = [line.split() for line in capsys.readouterr().out.splitlines() if "turned against left (mrad)" in line]
+    T = read_kalibr(tmp_path / "a.yaml").T_cam_world[1]
+    assert float(row[-2]) == pytest.approx(1e3 * np.linalg.norm(pin.log3(T[:3, :3])), abs=1e-3)
+
+
+def test_what_kalibr_itself_does_not_read_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for count, said in ((4, False), (5, True)):
+        lens = {"distortion_model": "radtan", "distortion": np.array([0.1, 0.01, 0.001, 0.0, 0.02])[:count]}
+        rig = Rig((replace(PAIR.cameras[0], **lens),), (np.eye(4),))
+        write_kalibr(tmp_path / "a.yaml", rig)
+        cameras("convert", tmp_path / "a.yaml", tmp_path / f"{count}.yaml")
+        assert ("left: radtan with five coefficients" in capsys.readouterr().err) == said

@@ -36,6 +36,21 @@ def test_the_calibrated_arm_explains_its_session_better_than_the_nominal_one(
     assert found["median"] <= found["p95"] <= found["max"]
 
 
+def test_a_session_is_explained_by_the_nominal_arm_for_comparison(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    session = folder / "session"
+    found, nominal = (
+        evaluated(capsys, of, session)["residual_px"] for of in (folder / "result", session / "elbow3r.urdf")
+    )
+    assert found["rms"] < 0.5 * found["rms_nominal"]
+    assert found["rms_nominal"] == pytest.approx(nominal["rms"]) == nominal["rms_nominal"]
+    assert run(["evaluate", str(folder / "result"), str(session)]) == 0
+    printed = capsys.readouterr().out
+    assert "nominal rms" in printed
+    assert f"{nominal['rms']:.4f}" in printed
+
+
 def points(path: Path, scale: float) -> Path:
     rng = np.random.default_rng(0)
     rows = [f"{k:04d},led,{','.join(map(str, scale * rng.normal(size=3)))}" for k in range(1, 9)]
@@ -118,3 +133,15 @@ def test_an_arm_that_bends_holds_where_it_was_not_measured(
     capsys.readouterr()
     assert run(["evaluate", str(tmp_path / "out"), str(shared / f"ur10_{elsewhere}"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["residual_mm"]["rms"] < limit
+
+
+def test_arguments_in_the_wrong_order_are_told(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    session, result = folder / "session", folder / "result"
+    for first, second, message in (
+        (session, result, f"is a session, which comes second: urdfcal evaluate {result} {session}"),
+        (session / "session.yaml", session / "truth.urdf", "is a session, which comes second"),
+        (session / "truth.urdf", result, "is a result, which comes first"),
+        (session / "truth.urdf", result / "calibration.json", "is a result, which comes first"),
+    ):
+        assert run(["evaluate", str(first), str(second)]) == 2
+        assert message in capsys.readouterr().err.replace("\n", " ")

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import json
-import re
 import socket
 import subprocess
 import sys
@@ -96,7 +95,7 @@ def free_port() -> int:
 
 @pytest.fixture
 def served(result: Path) -> Iterator[tuple[int, str]]:
-    """A result served as a web page: its port, and what the server printed."""
+    """A result served as a web page: its port, and the first line printed."""
     port = free_port()
     process = subprocess.Popen(
         [sys.executable, "-m", "urdfcal", "view", str(result), "--web", "--port", str(port)],
@@ -105,16 +104,27 @@ def served(result: Path) -> Iterator[tuple[int, str]]:
         text=True,
     )
     try:
-        text = ""
         assert process.stdout is not None
-        while "Hosting a web-viewer" not in text or "gRPC" not in text:
-            line = process.stdout.readline()
-            assert line, text
-            text += line
-        yield port, text
+        address = process.stdout.readline().strip()
+        end = time.time() + 20
+        while not _answers(port):
+            assert process.poll() is None
+            assert time.time() < end
+            time.sleep(0.05)
+        yield port, address
     finally:
         process.terminate()
         assert process.wait(20) is not None
+
+
+def _answers(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
+
+
+def test_the_address_is_the_first_thing_that_is_printed(served: tuple[int, str]) -> None:
+    port, address = served
+    assert address.startswith(f"http://127.0.0.1:{port}?url=rerun%2Bhttp")
 
 
 def test_the_web_page_is_served_to_this_machine_only(served: tuple[int, str]) -> None:
@@ -151,10 +161,10 @@ def _open_sockets() -> Iterator[set[str]]:
 def test_a_browser_shows_the_recording(served: tuple[int, str], result: Path, tmp_path: Path) -> None:
     import cv2
 
-    _, text = served
+    _, address = served
     browser = Browser(tmp_path)
     try:
-        browser.open(re.search(r"http://127\.0\.0\.1:\d+\?url=\S+", text)[0])
+        browser.open(address)
         end, shown = time.time() + 60, 0
         while shown < 5000 and time.time() < end:  # the banner in the verdict's colour
             time.sleep(0.5)

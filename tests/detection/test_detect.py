@@ -12,7 +12,15 @@ import pytest
 from urdfcal.cameras.rig import Rig
 from urdfcal.cli import run
 from urdfcal.detection.association import LightCandidate, associate
-from urdfcal.detection.detect import REJECTED, Detected, detect, open_images, write_debug_images, write_detected
+from urdfcal.detection.detect import (
+    REJECTED,
+    Detected,
+    count_reasons,
+    detect,
+    open_images,
+    write_debug_images,
+    write_detected,
+)
 from urdfcal.detection.image_index import read_index
 from urdfcal.detection.prediction import Lights, predict
 from urdfcal.errors import OutputError, SessionError
@@ -257,3 +265,19 @@ def test_images_of_the_same_seed_are_the_same(simulated: Simulated, session: Pat
     name = "images/cam1/03.png"
     assert (tmp_path / "again" / name).read_bytes() == (session / name).read_bytes()
     assert open_images(session)[1].count == 2 * POSES
+
+
+def test_reasons_that_differ_in_numbers_are_one_with_their_range() -> None:
+    reasons = [
+        "the cameras' rays miss each other by 12.3 px",
+        "no light at all",
+        "the cameras' rays miss each other by 9.5 px",
+        "2 dots of 35 seen",
+        "3 dots of 35 seen",
+        "3 dots of 35 seen",
+        "no marker of tag36h11",
+    ]
+    assert count_reasons(reasons) == (
+        "2 to 3 dots of 35 seen (3), the cameras' rays miss each other by 9.5 to 12.3 px (2), no light at all (1), "
+        "no marker of tag36h11 (1)"
+    )

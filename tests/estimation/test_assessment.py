@@ -103,6 +103,20 @@ def test_parameters_far_from_nominal(good: FittedCalibration, tolerances: float,
         assert word in found.reasons[0]
 
 
+def test_of_many_implausible_parameters_the_worst_three_are_named(good: FittedCalibration) -> None:
+    block = next(block for block in good.fit.parameters.blocks if block.key == ARM)
+    free = [k for k, row in enumerate(block.rows) if row not in block.arm.zeros and block.active[k]]
+    offsets = np.zeros_like(good.estimate.offsets)
+    for size, k in enumerate(free, start=21):
+        offsets[block.places[0][k], block.places[1][k]] = size * block.sigma[k]
+    reason = again(good, state=good.fit.state.replace({ARM: offsets})).failures[0]
+    worst = 20 + len(free)
+    named = [f"{block.names[k]}{by} {size}" for k, size, by in zip(
+        reversed(free), range(worst, worst - 3, -1), (" would be off by", " by", " by"), strict=False
+    )]  # fmt: skip
+    assert reason.startswith(f"{named[0]} tolerances, {named[1]}, {named[2]} and {len(free) - 3} more by over 20: no")
+
+
 def test_joint_zeros_may_be_anywhere_and_are_a_warning(good: FittedCalibration) -> None:
     found = again(good, **moved(good, 100.0, zero=True))
     assert found.level == "doubtful"

@@ -46,6 +46,14 @@ def remove(file: str) -> Edit:
     return lambda folder: (folder / file).unlink()
 
 
+def in_millimetres(folder: Path) -> None:
+    def thousandfold(found: re.Match[str]) -> str:
+        return f'{found[1]}"{" ".join(str(1000.0 * float(x)) for x in found[2].split())}"'
+
+    text = (folder / URDF).read_text()
+    (folder / URDF).write_text(re.sub(r'(<origin xyz=)"([^"]*)"', thousandfold, text))
+
+
 def cells(file: str, change: Callable[[int, dict[str, str]], dict[str, str] | None]) -> Edit:
     """Change the rows of a table: ``change`` gets the row's number and its cells by column."""
 
@@ -375,6 +383,11 @@ BROKEN = [
     ),
     # the URDF
     Broken("no URDF", remove(URDF), "arm.urdf"),
+    Broken(
+        "URDF in millimetres",
+        in_millimetres,
+        "session.yaml:2:3, key 'robot.urdf': the URDF's lengths look like millimetres",
+    ),
     Broken("no package", swap(YAML, "arm.urdf", "package://nowhere/arm.urdf"), "package://nowhere/arm.urdf"),
     Broken("not XML", swap(URDF, '<link name="base"/>', '<link name="base">'), "arm.urdf:"),
     Broken(

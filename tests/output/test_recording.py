@@ -20,7 +20,7 @@ from urdfcal.output import arms
 from urdfcal.output.findings import Overview, headline
 from urdfcal.output.images import arm_in_images, overlays
 from urdfcal.output.palette import CALIBRATED
-from urdfcal.output.recording import LiveView, write_recording
+from urdfcal.output.recording import write_recording
 from urdfcal.output.scene import build_scene
 from urdfcal.output.stream import CORNER
 from urdfcal.pipeline import calibrate
@@ -359,20 +359,6 @@ def test_photographs_and_overlay(calibration, tmp_path):
     assert np.abs(pictures["cam0"][5, 5].astype(int) - 90).max() <= 2
     with pytest.raises(OutputError, match="no pose 'nowhere'"):
         overlays(tmp_path / "calibration.rrd", "nowhere")
-
-
-def test_the_solver_can_be_watched(calibration):
-    import rerun as rr
-
-    stream = rr.RecordingStream("live")
-    memory = stream.memory_recording()
-    view = LiveView(stream)
-    for cost in (5.0, 2.0, 1.0):
-        view.step(1, cost)
-    before = memory.num_msgs()
-    assert before >= 4
-    view.finish(Overview.of(calibration))
-    assert memory.num_msgs() > before + 50
 
 
 def test_the_users_own_stream_and_path(calibration):

@@ -15,8 +15,21 @@ from urdfcal.errors import UrdfcalError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+# Characters of a command's first sentence: more than any has.
+_WHOLE = 1000
+
+
+class _Commands(click.Group):
+    """Commands of which each one's first sentence is listed whole."""
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        named = {name: self.commands[name] for name in self.list_commands(ctx)}
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, of.get_short_help_str(_WHOLE)) for name, of in named.items()])
+
 
 @click.group(
+    cls=_Commands,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110, "show_default": True},
     epilog="Any command: --debug shows the traceback of an error.",
 )

@@ -69,14 +69,11 @@ def command(
 
 def _print(table: Sequence[Ended]) -> None:
     rows = sheet("", ["session", "verdict", "why", "nominal (mm)", "calibrated (mm)", "tip at most (mm)", "s"], texts=3)
+    rows.columns[2].no_wrap = False
     for one in table:
         figures = (one.rms_nominal_mm, one.rms_mm, one.tip_mm, one.seconds)
         cells = ["" if figure is None else f"{figure:.3g}" for figure in figures]
-        rows.add_row(one.name, one.level, _short(one.sentence), *cells)
+        rows.add_row(one.name, one.level, one.sentence, *cells)
     terminal().print(rows)
     counts = {level: sum(one.level == level for one in table) for level in ("good", "doubtful", "bad", "failed")}
     click.echo(f"{len(table)} sessions: " + ", ".join(f"{count} {level}" for level, count in counts.items() if count))
-
-
-def _short(sentence: str, most: int = 48) -> str:
-    return sentence if len(sentence) <= most else sentence[: most - 3] + "..."

@@ -6,20 +6,18 @@ import io
 import json
 import sys
 from contextlib import redirect_stdout
-from math import isfinite
 from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from urdfcal.cli.console import PATH, progress_bar, seed_option, sheet, status_line, terminal
+from urdfcal.cli.console import PATH, progress_bar, seed_option, status_line
+from urdfcal.cli.summary import print_summary
 from urdfcal.errors import CalibrationError, OutputError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from pathlib import Path
 
     from urdfcal.images.files import Colour
-    from urdfcal.output.findings import Overview
     from urdfcal.result.fitted import FittedCalibration
     from urdfcal.session.model import Session
 
@@ -27,8 +25,6 @@ Report = Literal["text", "json", "nothing"]
 
 # As in urdfcal.images.files, which takes long to import.
 _COLOURS = ("any", "red", "green", "blue")
-# A summary that is longer scrolls its assessment away.
-_MOST_LINES, _MOST_ROWS, _MOST_REMARKS = 25, 8, 6
 
 
 @click.command("detect")
@@ -127,7 +123,7 @@ def run(
 
     view = None
     if live:
-        from urdfcal.output.recording import LiveView
+        from urdfcal.output.live import LiveView
 
         view = LiveView()
     with status_line(show=report != "nothing") as say:
@@ -155,17 +151,19 @@ def run(
                 click.echo(f"- {warning}", err=True)
             raise refusal(calibration, report_path)
         say("writing URDF, report and recording")
+        if view is not None:
+            view.say("writing URDF, report and recording")
         from urdfcal.output.recording import write_results
 
         overview = Overview.of(calibration)
         paths, remarks = write_results(calibration, output, overview)
-        if view is not None:
-            view.finish(overview)
+        if view is not None and not view.finish(overview):
+            remarks = (*remarks, f"the rerun viewer was closed: urdfcal view {output} shows the result")
     if report == "json":
         files = {path.suffix[1:]: str(path) for path in paths}
         click.echo(json.dumps({**overview.document, "files": files}, indent=2))
     elif report == "text":
-        _print(overview, paths, remarks)
+        print_summary(overview, paths, remarks)
     return calibration
 
 
@@ -180,89 +178,3 @@ def _refused(calibration: FittedCalibration, output: Path) -> Path | None:
     except CalibrationError:  # not even its errors are numbers
         pass
     return None
-
-
-def _print(overview: Overview, paths: Sequence[Path], remarks: Sequence[str]) -> None:
-    """Print assessment, numbers, corrections, warnings and files, in at most 25 lines."""
-    from rich.text import Text
-
-    from urdfcal.output.findings import HEADLINE, claims, headline
-    from urdfcal.session.exclusion import summary
-
-    console = terminal()
-    screen = console.is_terminal
-    document, calibration = overview.document, overview.calibration
-    assessment = calibration.assessment
-    fit, (low, high) = document["fit"], document["validation"]["interval_mm"]
-
-    def line(text: str, style: str = "") -> None:
-        # Piped, a line is as long as it is; on a screen it must not wrap, or the summary grows.
-        overflow: Literal["ellipsis"] | None = "ellipsis" if screen else None
-        console.print(Text(text, style=style), no_wrap=True, overflow=overflow, soft_wrap=not screen)
-
-    tone = {"good": "bold green", "doubtful": "bold yellow", "bad": "bold red"}[assessment.level]
-    line(f"{calibration.chain.name}: {assessment.sentence}", tone)
-    interval = f"(95 %: {low:.3g} to {high:.3g})"
-    line(f"{headline(document)} {interval} {HEADLINE}, nominal -> calibrated", "bold")
-    for claim in claims(document):
-        line(claim)
-    units = [unit for unit in ("px", "mm") if f"rms_{unit}" in fit]
-    parts = [f"{fit[f'rms_nominal_{unit}']:.3f} -> {fit[f'rms_{unit}']:.3f} {unit}" for unit in units]
-    parts += [
-        f"{each['kind']} {each['rms_nominal']:.3f} -> {each['rms']:.3f} {each['unit']}"
-        for each in fit["residuals"]
-        if each["kind"] not in ("detections", "points")
-    ]
-    chi2 = fit["reduced_chi2"]
-    noise = f", {chi2**0.5:.2g} times the declared noise" if chi2 is not None else ""
-    line(f"residual {', '.join(parts)} rms{noise}")
-    outliers = len(document["outliers"])
-    excluded = summary(calibration.session.excluded.named)
-    excluded = f" ({excluded})" if excluded else ""
-    line(
-        f"{fit['poses']} poses{excluded}, {fit['observations']} measured numbers, {fit['parameters']} parameters "
-        f"({calibration.comparison.chosen.spec}), {outliers} outlier{'s' if outliers != 1 else ''}"
-    )
-    sessions = []
-    for name, session in document.get("sessions", {}).items():
-        found = ", ".join(f"{each['rms']:.3f} {each['unit']}" for each in session["residuals"])
-        sessions.append(f"{name}: {session['poses']} poses, {found} rms")
-    if sessions:
-        line("; ".join(sessions))
-    cameras = document["cameras"].items()
-    clocks = [f"{name} {_clock(**camera['time_offset'])}" for name, camera in cameras if "time_offset" in camera]
-    if clocks:
-        line(f"time offsets, robot less camera: {', '.join(clocks)}")
-    rows = len(calibration.geometry.labels)
-    printed = 6 + bool(sessions) + bool(clocks) + 3  # the files below
-    if rows <= _MOST_ROWS:
-        console.print(_corrections(calibration))
-        printed += rows + 5  # title, head, rule, and a blank line above and below
-    unidentifiable = [f"unidentifiable: {lost}" for lost in document["identifiability"]["lost"]]
-    texts = [*assessment.reasons, *remarks, *unidentifiable]
-    room = min(_MOST_REMARKS, _MOST_LINES - printed)
-    if len(texts) > room:
-        texts = [*texts[: room - 1], f"{len(texts) - room + 1} more remarks in the report"]
-    for text in texts:
-        line(f"- {text}")
-    for path in paths:
-        if path.suffix != ".json":
-            line(str(path) if path.suffix != ".rrd" else f"{path}   (urdfcal view {path.parent})")
-
-
-def _clock(value: float, sigma: float | None) -> str:
-    """A camera's time offset, given in s."""
-    return f"{1e3 * value:.3g} (fixed)" if sigma is None else f"{1e3 * value:+.2f} ± {1e3 * sigma:.2f} ms"
-
-
-def _corrections(calibration: FittedCalibration) -> object:
-    from urdfcal.estimation.blocks.arm import LENGTHS
-
-    columns = [f"{name} ({'mm' if name in LENGTHS else 'mrad'})" for name in calibration.geometry.columns]
-    table = sheet("offsets ± standard deviation", ["joint", *columns])
-    for joint, offsets, sigmas in zip(
-        calibration.geometry.labels, 1e3 * calibration.estimate.offsets, 1e3 * calibration.sigmas(), strict=True
-    ):
-        cells = [f"{o:.3f} ± {s:.3f}" if isfinite(s) else "" for o, s in zip(offsets, sigmas, strict=True)]
-        table.add_row(joint, *cells)
-    return table

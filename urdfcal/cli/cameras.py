@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from urdfcal.cameras.io.formats import Format
 
 _BOARD_FILE = "board.yaml"
+# Of radtan in Kalibr's own files: k1 k2 p1 p2 (aslam_cv RadialTangentialDistortion).
+_KALIBR_COEFFICIENTS = 4
 
 
 def _pair(value: str | tuple[int, int]) -> tuple[int, int]:
@@ -120,6 +122,11 @@ def convert(files: tuple[Path, ...], output: Path, format_: Format | None, size:
     rig = read_cameras(files, size)
     for path in write_cameras(output, rig, chosen):
         click.echo(str(path))
+    if chosen == "kalibr" and (five := [c.name for c in rig.cameras if len(c.distortion) > _KALIBR_COEFFICIENTS]):
+        click.echo(
+            f"{', '.join(five)}: radtan with five coefficients, k3 the last: urdfcal reads it, Kalibr itself only four",
+            err=True,
+        )
     unplaced = [name for name, T in zip(rig.names, rig.T_cam_world, strict=True) if T is None]
     if unplaced:
         click.echo(f"not known: where {', '.join(unplaced)} stands", err=True)
@@ -176,7 +183,9 @@ def _print(calibration: BoardCalibration, output: Path) -> None:
             lenses.add_row(
                 camera.name, f"to {rig.names[0]} (mm)", f"{1e3 * distance:.3f}", f"{1e3 * np.sqrt(away) / distance:.3f}"
             )
-            lenses.add_row(camera.name, "rotation (mrad)", "", f"{1e3 * np.linalg.norm(sigma.pose[3:]):.3f}")
+            turn = 1e3 * np.arccos(np.clip((np.trace(T[:3, :3]) - 1.0) / 2.0, -1.0, 1.0))
+            deviation = 1e3 * np.linalg.norm(sigma.pose[3:])
+            lenses.add_row(camera.name, f"turned against {rig.names[0]} (mrad)", f"{turn:.3f}", f"{deviation:.3f}")
     console.print(lenses)
 
     rejected = [f"{of.camera}/{of.view} not used: {of.reason}" for of in calibration.rejected]

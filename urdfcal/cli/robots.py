@@ -10,18 +10,21 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from urdfcal.cli.console import PATH, base_option, json_option, seed_option, sheet, terminal, tip_option
-from urdfcal.errors import SessionError
+from urdfcal.errors import CalibrationError, SessionError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from urdfcal.arrays import Floats
+    from urdfcal.estimation.evaluation import Explanation
     from urdfcal.result.calibration import Calibration
     from urdfcal.robot.dh import Convention, DHTable
     from urdfcal.session.model import Session
 
 # Points this many times farther apart than the arm reaches are in another unit.
 _FAR = 20.0
+# As in urdfcal.result.calibration, which takes long to import.
+_RESULT = "calibration.json"
 
 
 @click.command("evaluate")
@@ -46,10 +49,12 @@ def evaluate(
     """Compare the tips of two versions of a robot over its workspace, or the residuals of a session under one.
 
     With a session, base pose, LED positions and what else it does not know (camera poses, places) are fitted; the arm
-    is A's. Of a RESULT, a folder that calibrate has written or its calibration.json, arm and LEDs are as calibrated.
-    Poses outside its measured domain are counted. Known distances of places take no part: they are shown beside those
-    that come out.
+    is A's, and for comparison the session's own as its URDF has it (nominal). Of a RESULT, a folder that calibrate has
+    written or its calibration.json, arm and LEDs are as calibrated. Poses outside its measured domain are counted.
+    Known distances of places take no part: they are shown beside those that come out.
     """
+    if turned := _reversed(Path(urdf), Path(other)):
+        raise click.UsageError(turned)
     if Path(other).is_dir() or other.endswith((".yaml", ".yml")):
         if tip or base or poses:
             what = "with a session, links and poses are the session's: leave --tip, --base, --poses out"
@@ -67,6 +72,19 @@ def evaluate(
         click.echo(json.dumps(result, indent=2))
     else:
         _print_residuals(result)
+
+
+def _reversed(arm: Path, other: Path) -> str:
+    """What is wrong with the order of evaluate's arguments; empty if nothing is."""
+    if _is_session(arm):
+        return f"{arm} is a session, which comes second: urdfcal evaluate {other} {arm}"
+    if other.name == _RESULT or ((other / _RESULT).exists() and not _is_session(other)):
+        return f"{other} is a result, which comes first; second a session, or with --tip the URDF to compare it with"
+    return ""
+
+
+def _is_session(path: Path) -> bool:
+    return path.suffix in (".yaml", ".yml") or (path / "session.yaml").exists()
 
 
 def compared(a: str, b: str, tip: str, base: str | None, poses: int, seed: int) -> dict[str, Any]:
@@ -87,6 +105,7 @@ def compared(a: str, b: str, tip: str, base: str | None, poses: int, seed: int) 
 def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
     import numpy as np
 
+    from urdfcal.arrays import rms
     from urdfcal.cli.judging import arm_of, domain_of, is_urdf
     from urdfcal.estimation.blocks.places import PLACES
     from urdfcal.estimation.evaluation import explain
@@ -109,15 +128,14 @@ def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
         session = _leds_as_calibrated(session, calibration)
     bends = None if calibration is None else calibration.joint_models
     explained = explain(arm_of(urdf, calibration, session, folder), session, bends=bends)
+    try:
+        nominal = _sizes(session, explain(session.chain, session))
+    except CalibrationError:  # the nominal arm is too far off for these measurements
+        nominal = {}
     result: dict[str, Any] = {"a": urdf, "session": str(folder), "points": points and str(points)}
-    found: dict[str, dict[str, Floats]] = {}
-    for table, residual in zip(session.measurements, explained.residuals, strict=True):
-        for unit, scale, numbers in table.reports():
-            found.setdefault(unit, {})[table.kind] = scale * np.linalg.norm(residual[:, numbers], axis=1)
-    for unit, by_kind in found.items():
-        every = {"": np.concatenate(list(by_kind.values()))} | (by_kind if len(by_kind) > 1 else {})
-        for kind, values in every.items():
-            result[f"residual_{kind}{'_' * bool(kind)}{unit}"] = {"sightings": len(values), **_spread(values, 1.0)}
+    for quantity, values in _sizes(session, explained).items():
+        drawn = rms(nominal[quantity]) if quantity in nominal else None
+        result[quantity] = {"sightings": len(values), **_spread(values, 1.0), "rms_nominal": drawn}
     if session.named("place"):
         places = dict(zip(session.named("place"), explained.fit.state[PLACES].tolist(), strict=True))
         result["places"] = places
@@ -133,6 +151,22 @@ def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
     for remark in domain.remarks:
         click.echo(f"- {remark}", err=True)
     return result | domain.data
+
+
+def _sizes(session: Session, explained: Explanation) -> dict[str, Floats]:
+    """Sizes of the residuals, (S,) by what they are of: all of a unit, and each kind where a unit has several."""
+    import numpy as np
+
+    found: dict[str, dict[str, Floats]] = {}
+    for table, residual in zip(session.measurements, explained.residuals, strict=True):
+        for unit, scale, numbers in table.reports():
+            found.setdefault(unit, {})[table.kind] = scale * np.linalg.norm(residual[:, numbers], axis=1)
+    sizes = {}
+    for unit, by_kind in found.items():
+        sizes[f"residual_{unit}"] = np.concatenate(list(by_kind.values()))
+        if len(by_kind) > 1:
+            sizes |= {f"residual_{kind}_{unit}": values for kind, values in by_kind.items()}
+    return sizes
 
 
 def _leds_as_calibrated(session: Session, calibration: Calibration) -> Session:
@@ -158,13 +192,15 @@ def _spread(values: Floats, scale: float) -> dict[str, float]:
 
 
 def _print_residuals(result: Mapping[str, Any]) -> None:
-
     against = result.get("b") or result.get("points") or result["session"]
-    rows = sheet(f"{result['a']}\nagainst {against}", ["", "rms", "mean", "median", "95 %", "max"])
+    columns = {"rms": "rms", "mean": "mean", "median": "median", "p95": "95 %", "max": "max"}
+    if "session" in result:
+        columns["rms_nominal"] = "nominal rms"
+    rows = sheet(f"{result['a']}\nagainst {against}", ["", *columns.values()])
     for name, spread in result.items():
         if name.endswith(("_px", "_mm", "_mrad")):
             quantity, _, unit = name.rpartition("_")
-            cells = [f"{spread[key]:.4f}" for key in ("rms", "mean", "median", "p95", "max")]
+            cells = ["" if spread[key] is None else f"{spread[key]:.4f}" for key in columns]
             rows.add_row(f"{quantity.replace('_', ' ')} ({unit})", *cells)
     terminal().print(rows)
     for known in result.get("place_distances", ()):

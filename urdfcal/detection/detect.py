@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter, defaultdict
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,7 +26,7 @@ from urdfcal.io.writing import write_measurements, write_table
 from urdfcal.robot.kinematics import tip_poses
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from urdfcal.arrays import Floats, Ints
     from urdfcal.cameras.camera import Camera
@@ -43,6 +44,8 @@ _SAME = 5e-3
 # What MPEG-4 does to a spot 3.5 px wide in the 2 kB that OpenCV's encoder spends on a frame: 0.06 px a coordinate, of
 # which its images, smoothed as they are, show nothing. [px]
 _COMPRESSED = 0.06
+# A number of a reason, no name's part.
+_NUMBER = re.compile(r"(?<![\w.:'])(\d+(?:\.\d+)?)(?![\w:'])")
 # What calibration is told of the best detections: dust and uneven pixels are not in an image's own noise. [px]
 _LEAST_SIGMA = 2e-3
 
@@ -110,9 +113,29 @@ class Detected:
 
     def summary(self) -> str:
         """How often which reason was given, most frequent first."""
-        # "12.3 px from where ..." and the like are one reason.
-        counts = Counter(" ".join(w for w in reason.split() if not w[0].isdigit()) for *_, reason in self.rejected())
-        return ", ".join(f"{reason} ({count})" for reason, count in counts.most_common())
+        return count_reasons(reason for *_, reason in self.rejected())
+
+
+def count_reasons(reasons: Iterable[str]) -> str:
+    """How often which reason is given, most frequent first; those that differ in their numbers alone are one."""
+    counts: Counter[tuple[str, ...]] = Counter()
+    numbers: dict[tuple[str, ...], list[list[str]]] = defaultdict(list)
+    for reason in reasons:
+        parts = _NUMBER.split(reason)
+        words = tuple(parts[::2])
+        counts[words] += 1
+        numbers[words].append(parts[1::2])
+    said = []
+    for words, count in counts.most_common():
+        ranges = [*(_range(of) for of in zip(*numbers[words], strict=True)), ""]
+        said.append(f"{''.join(chain.from_iterable(zip(words, ranges, strict=True)))} ({count})")
+    return ", ".join(said)
+
+
+def _range(numbers: Sequence[str]) -> str:
+    """The smallest and the largest, as they are written."""
+    ordered = sorted(set(numbers), key=float)
+    return ordered[0] if len(ordered) == 1 else f"{ordered[0]} to {ordered[-1]}"
 
 
 def detect(folder: str | Path, colour: Colour = "any") -> Detected:

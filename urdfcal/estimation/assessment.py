@@ -46,6 +46,8 @@ _FAR = 5.0
 _UNUSUAL = 8.0
 IMPLAUSIBLE = 20.0
 """No arm is made this many tolerances off its nominal geometry."""
+# A wrong column makes all of an arm implausible; the worst tell where, a list of all of them nothing more.
+_NAMED = 3
 # A scale that far from none is a mistake; between the two it is one or a strange arm. Standard deviations of the common
 # factor under the tolerances: on common arms three are 0.35 to 0.7 %, 2 to 4 mm at the tip.
 _DOUBTFUL_SCALE, _IMPOSSIBLE_SCALE = 3.0, 5.0
@@ -338,10 +340,12 @@ def _outliers(fit: Solution) -> Iterator[str]:
 
 def _implausible(moved: Sequence[Correction]) -> Iterator[str]:
     if moved:
-        sizes = ", ".join(f"{c.name} would be off by {c.tolerances:.0f} tolerances" for c in moved)
+        first, *others = sorted(moved, key=lambda c: -c.tolerances)
+        named = "".join(f", {c.name} by {c.tolerances:.0f}" for c in others[: _NAMED - 1])
+        more = f" and {len(moved) - _NAMED} more by over {IMPLAUSIBLE:g}" if len(moved) > _NAMED else ""
         yield (
-            f"{sizes}: no arm is made so far from its nominal geometry; check the tip link and the joint columns, or "
-            "name larger tolerances"
+            f"{first.name} would be off by {first.tolerances:.0f} tolerances{named}{more}: no arm is made so far from "
+            "its nominal geometry; check the tip link and the joint columns, or name larger tolerances"
         )
 
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import csv
-import secrets
-import shutil
 from contextlib import ExitStack, contextmanager
 from dataclasses import fields
 from pathlib import Path
@@ -21,6 +19,7 @@ from urdfcal.rotations import matrix_to_rpy
 from urdfcal.session.exclusion import restored
 from urdfcal.session.model import Session, before
 from urdfcal.session.trajectory import Trajectory
+from urdfcal.temporaries import temporary
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -77,14 +76,10 @@ def put_into(folder: Path) -> Iterator[Path]:
     Raises:
         OutputError: one of the files is already there, or the folder cannot be written.
     """
-    partial = folder.parent / f".{folder.name}.{secrets.token_hex(4)}.partial"
-    with told(folder, "Name a folder that can be written."):
-        partial.mkdir()
-        try:
-            yield partial
-            _move(partial, folder)
-        finally:
-            shutil.rmtree(partial, ignore_errors=True)
+    remedy = "Name a folder that can be written."
+    with told(folder, remedy), temporary(folder.absolute().parent, folder.name, Path.mkdir) as partial:
+        yield partial
+        _move(partial, folder)
 
 
 def write_measurements(path: Path, positions: Positions, table: Measurements) -> None:

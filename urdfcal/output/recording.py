@@ -1,7 +1,8 @@
-"""The rerun recording of a calibration with its views, the folder of results, and a live view of the solver."""
+"""The rerun recording of a calibration with its views, and the folder of results."""
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,9 +16,9 @@ from urdfcal.output.entities import chart_view, log_overview
 from urdfcal.output.findings import HEADLINE, Overview, headline, write_report
 from urdfcal.output.palette import BACKGROUND, VERDICT_COLORS
 from urdfcal.output.scene import CalibrationScene, ResidualTable, image_range
-from urdfcal.output.stream import ITERATION, POSE
+from urdfcal.output.stream import POSE
 from urdfcal.output.viewer import RECORDING
-from urdfcal.result.calibration import FILE_NAME
+from urdfcal.result.calibration import FILE_NAME, Calibration, corrected_name
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -58,7 +59,7 @@ def write_results(
     """
     urdf = calibration.calibrated_urdf()
     notes: tuple[str, ...] = ()
-    with files.staged(folder) as stage:
+    with files.staged(folder, _earlier(folder)) as stage:
         files.write_bytes(stage / calibration.urdf_name, urdf)
         calibration.save(stage / FILE_NAME)
         if overview is not None:
@@ -66,9 +67,16 @@ def write_results(
             notes = write_recording(stage / RECORDING, overview)
         names = sorted(path.name for path in stage.iterdir())
     _forget_refused(folder)
-    for name in (REPORT, RECORDING) if overview is None else ():
-        (folder / name).unlink(missing_ok=True)
     return tuple(folder / name for name in names), notes
+
+
+def _earlier(folder: Path) -> tuple[str, ...]:
+    """Names of the files that an earlier run's result has in a folder."""
+    result = [FILE_NAME, REPORT, RECORDING]
+    files.settle(folder)
+    with suppress(OutputError):  # there is none
+        result.append(corrected_name(Calibration.load(folder).document.robot.urdf))
+    return tuple(result)
 
 
 def write_refused(calibration: FittedCalibration, folder: Path) -> Path:
@@ -138,45 +146,6 @@ def log_calibration(
         Warnings, such as meshes that were not found.
     """
     return log_overview(stream, Overview.of(calibration), entity_path)
-
-
-class LiveView:
-    """A viewer that shows the cost while the solver runs, and the whole calibration when it is done.
-
-    Raises:
-        OutputError: no viewer can be started.
-    """
-
-    def __init__(self, stream: RecordingStream | None = None) -> None:
-        """Start a viewer, or send to a stream that is already watched."""
-        waiting = rrb.Blueprint(
-            rrb.TimeSeriesView(origin="live", name="The solver at work: cost of every step"),
-            rrb.TimePanel(timeline=ITERATION, state="collapsed"),
-            collapse_panels=True,
-        )
-        self._steps = 0
-        self._stream = stream or rr.RecordingStream("urdfcal")
-        if stream is None:
-            try:
-                self._stream.spawn()
-            except RuntimeError as error:
-                raise OutputError(f"the rerun viewer does not start: {error}", remedy="Leave --live out.") from error
-        self._stream.send_blueprint(waiting)
-        self._stream.log("live/cost", rr.SeriesLines(names="cost"), static=True)
-
-    def step(self, iteration: int, cost: float) -> None:
-        """Show a step of the solver; several fits follow each other."""
-        del iteration  # starts anew with every fit
-        self._steps += 1
-        self._stream.set_time(ITERATION, sequence=self._steps)
-        self._stream.log("live/cost", rr.Scalars(cost))
-
-    def finish(self, overview: Overview) -> None:
-        """Show the result."""
-        self._stream.reset_time()
-        log_overview(self._stream, overview, ROOT)
-        self._stream.send_blueprint(layout(overview))
-        self._stream.flush()
 
 
 def layout(overview: Overview, active: int = 0) -> rrb.Blueprint:

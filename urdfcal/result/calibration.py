@@ -134,6 +134,7 @@ class Calibration:
 
         path = Path(path)
         file = path / FILE_NAME if path.is_dir() else path
+        files.settle(file.parent)
         try:
             text = file.read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError) as error:

@@ -175,6 +175,7 @@ def calibrate_one(job: Job) -> Ended:
 
 def _is_whole(job: Job) -> bool:
     """Whether the results of an earlier run are all there."""
+    files.settle(job.folder)
     there = {path.suffix for path in job.folder.iterdir()} if job.folder.is_dir() else set()
     return {".json", ".urdf", *((".html", ".rrd") if job.report else ())} <= there
 

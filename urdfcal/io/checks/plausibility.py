@@ -38,6 +38,8 @@ _WOUND_UP = 4.0 * np.pi
 _MOST = 0.5
 # The wrist's joints alone may span next to nothing, and still carry a hand-long tool.
 _SMALLEST_ARM = 0.1
+# The longest arms there are, of concrete pumps, reach 60 m; a hand-long one in millimetres as many as this in metres.
+_LARGEST_ARM = 100.0
 # An LED held five arm lengths from the tip, or seen moving twenty, is in millimetres.
 _TOO_FAR, _TOO_WIDE = 5.0, 20.0
 # 5 % of the image: an LED found no better than this is not found.
@@ -109,6 +111,7 @@ def check_positions(inputs: Inputs) -> tuple[str, ...]:
     Raises:
         SessionError: what cannot be right, with file, line and column.
     """
+    _check_arm_units(inputs)
     _check_reading_units(inputs)
     beyond = _check_limits(inputs)
     _check_led_units(inputs)
@@ -216,6 +219,12 @@ def _misread(inputs: Inputs) -> str:
 def _zero_tolerance(inputs: Inputs, joint: Joint) -> float:
     """How far the zero of a joint may be off. [rad or m]."""
     return parameter_tolerance(inputs.positions.tolerances, joint.name, "d" if joint.prismatic else "theta", zero=True)
+
+
+def _check_arm_units(inputs: Inputs) -> None:
+    if inputs.positions.chain.reach > _LARGEST_ARM:
+        what = f"the URDF's lengths look like millimetres: its arm would reach {inputs.positions.chain.reach:.0f} m"
+        raise inputs.wrong(what, "Export it in metres, or divide every xyz by 1000.", "robot", "urdf")
 
 
 def _check_led_units(inputs: Inputs) -> None:
