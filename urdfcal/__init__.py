@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from urdfcal.result.fitted import FittedCalibration as FittedCalibration
     from urdfcal.robot.chain import Chain as Chain
     from urdfcal.robot.dh import DHTable as DHTable
+    from urdfcal.robot.realtime import RealtimeKinematics as RealtimeKinematics
     from urdfcal.robot.urdf.urdf import Urdf as Urdf
     from urdfcal.session.combine import combine as combine
     from urdfcal.session.knowledge import Estimate as Estimate
@@ -54,6 +55,7 @@ _HOMES = {
     "urdfcal.result.fitted": ("FittedCalibration",),
     "urdfcal.robot.chain": ("Chain",),
     "urdfcal.robot.dh": ("DHTable",),
+    "urdfcal.robot.realtime": ("RealtimeKinematics",),
     "urdfcal.robot.urdf.urdf": ("Urdf",),
     "urdfcal.io.folder": ("read_rig", "read_session", "read_sessions"),
     "urdfcal.io.writing": ("write_session",),

@@ -33,14 +33,13 @@ def calibrate(session: Path, out: Path) -> subprocess.Popen[bytes]:
 
 def shown(out: Path) -> dict[str, str]:
     """Hashes of the files of a result, by name, without hidden ones."""
-    found = [path for path in out.glob("*") if not path.name.startswith(".")] if out.is_dir() else []
-    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in found}
+    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in out.glob("[!.]*")}
 
 
 def signature(out: Path) -> set[str]:
     """Which sessions the files in a folder are of: they hold the robot's name."""
     seen = set()
-    for path in out.glob("*"):
+    for path in out.glob("[!.]*"):
         data = path.read_bytes()
         for name in ("first", "second"):
             if re.search(rb"ARM_" + name.encode(), data):

@@ -46,8 +46,6 @@ _FAR = 5.0
 _UNUSUAL = 8.0
 IMPLAUSIBLE = 20.0
 """No arm is made this many tolerances off its nominal geometry."""
-# A wrong column makes all of an arm implausible; the worst tell where, a list of all of them nothing more.
-_NAMED = 3
 # A scale that far from none is a mistake; between the two it is one or a strange arm. Standard deviations of the common
 # factor under the tolerances: on common arms three are 0.35 to 0.7 %, 2 to 4 mm at the tip.
 _DOUBTFUL_SCALE, _IMPOSSIBLE_SCALE = 3.0, 5.0
@@ -119,7 +117,7 @@ def assess(session: Session, problem: Problem, comparison: Comparison, evidence:
     """
     fit = comparison.chosen.fit
     moved = corrections(problem, fit, session.tolerances) if comparison.chosen.spec.priors else ()
-    implausible = [c for c in moved if c.geometric and c.tolerances > IMPLAUSIBLE]
+    implausible = sorted((c for c in moved if c.geometric and c.tolerances > IMPLAUSIBLE), key=lambda c: -c.tolerances)
     misfit = tuple(_misfit(fit.reduced_chi2, moved))
     failures = (
         *misfit,
@@ -338,13 +336,12 @@ def _outliers(fit: Solution) -> Iterator[str]:
         )
 
 
-def _implausible(moved: Sequence[Correction]) -> Iterator[str]:
-    if moved:
-        first, *others = sorted(moved, key=lambda c: -c.tolerances)
-        named = "".join(f", {c.name} by {c.tolerances:.0f}" for c in others[: _NAMED - 1])
-        more = f" and {len(moved) - _NAMED} more by over {IMPLAUSIBLE:g}" if len(moved) > _NAMED else ""
+def _implausible(moved: Sequence[Correction], most: int = 3) -> Iterator[str]:
+    if moved:  # a wrong column makes all of an arm implausible: the worst tell where
+        named = "".join(f", {c.name} by {c.tolerances:.0f}" for c in moved[1:most])
+        named += f" and {len(moved) - most} more by over {IMPLAUSIBLE:g}" * (len(moved) > most)
         yield (
-            f"{first.name} would be off by {first.tolerances:.0f} tolerances{named}{more}: no arm is made so far from "
+            f"{moved[0].name} would be off by {moved[0].tolerances:.0f} tolerances{named}: no arm is made so far from "
             "its nominal geometry; check the tip link and the joint columns, or name larger tolerances"
         )
 
