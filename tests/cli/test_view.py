@@ -74,6 +74,18 @@ def test_save_copies_the_recording(result: Path, tmp_path: Path) -> None:
     assert (tmp_path / "copy.rrd").read_bytes() == (result / "calibration.rrd").read_bytes()
 
 
+def test_a_result_is_named_by_its_calibration_too(
+    result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["view", str(result / "calibration.json"), "--save", str(tmp_path / "copy.rrd")]) == 0
+    assert (tmp_path / "copy.rrd").read_bytes() == (result / "calibration.rrd").read_bytes()
+    (tmp_path / "alone").mkdir()
+    alone = tmp_path / "alone" / "calibration.json"
+    alone.write_bytes((result / "calibration.json").read_bytes())
+    assert run(["view", str(alone), "--save", str(tmp_path / "no.rrd")]) == 2
+    assert "there is no recording here" in capsys.readouterr().err
+
+
 def test_overlay_is_a_picture_of_every_camera(result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     import cv2
 

@@ -249,7 +249,10 @@ def _files(
 @click.option("--overlay", metavar="POSE", help="Draw the arm into the cameras' images of a pose instead: a PNG.")
 @click.option("--save", type=PATH, help="Write the recording, or the overlay, to this file.")
 def view(result: Path, web: bool, port: int, overlay: str | None, save: Path | None) -> None:
-    """Open the recording in OUT, a folder that calibrate has written, in the rerun viewer."""
+    """Open the recording in OUT, a folder that calibrate has written or its calibration.json, in the rerun viewer.
+
+    The calibrated arm is the full one, with its joint models.
+    """
     from urdfcal.output.viewer import find_recording, open_recording, serve_recording
 
     recording = find_recording(result)

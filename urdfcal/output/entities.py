@@ -61,11 +61,11 @@ def log_overview(stream: RecordingStream, overview: Overview, entity_path: str) 
 def _log_cameras(base: Layer, calibration: FittedCalibration, scene: CalibrationScene) -> None:
     """Log the cameras' poses and frusta, their rays to the LEDs, their images, and the arm drawn into these."""
     photographs = find_photographs(calibration.session)
-    fastened, q = calibration.session.attachments, calibration.session.q
+    fastened = calibration.session.attachments
     # The calibrated arm, thinner, lies on the nominal one.
     lines = [
-        ("nominal", arm_in_images(calibration, calibration.nominal, q), 2 * _LINE),
-        ("calibrated", arm_in_images(calibration, calibration.estimate, q), _THIN),
+        ("nominal", arm_in_images(calibration, calibration.nominal, calibration.session.q), 2 * _LINE),
+        ("calibrated", arm_in_images(calibration, calibration.estimate, calibration.true_q), _THIN),
     ]
     for index, camera in enumerate(calibration.estimate.cameras):
         image = base.at("cameras", camera.name, "image")

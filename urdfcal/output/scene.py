@@ -188,7 +188,7 @@ class CalibrationScene:
 def build_scene(calibration: FittedCalibration) -> CalibrationScene:
     """Work out where everything of a calibration is, in the base link's frame."""
     session, arm = calibration.session, calibration.estimate
-    poses = RobotPoses.of(calibration, arm, session.q)
+    poses = RobotPoses.of(calibration, arm, calibration.true_q)
     # The two arms are compared in what they share, the world or the link that carries the camera, seen by the same
     # cameras (wrong lenses would put the nominal arm anywhere); the calibrated base carries the view.
     nominal_arm = calibration.snapshot(calibration.comparison.nominal_arm.fit.state)

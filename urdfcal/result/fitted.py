@@ -12,6 +12,8 @@ import numpy as np
 from urdfcal.arrays import Floats, frozen
 from urdfcal.errors import CalibrationError, OutputError
 from urdfcal.estimation.blocks.arm import ArmBlock, ArmParameterization, zero_rows
+from urdfcal.estimation.joint_models.base import Readings
+from urdfcal.estimation.joint_models.linear import LinearJointModel
 from urdfcal.estimation.joint_models.zero_offset import ZERO_OFFSETS
 from urdfcal.estimation.snapshot import Snapshot
 from urdfcal.estimation.uncertainty import tip_covariance
@@ -97,6 +99,15 @@ class FittedCalibration(Calibration):
     def states(self) -> list[State]:
         """The solver's way: the nominal arm, and what each of its steps came to."""
         return [self.nominal_fit.state, *(step.state for step in self.fit.history)]
+
+    @cached_property
+    def true_q(self) -> Floats:
+        """(N, n) joint values of the session's poses with the joint models, as the calibrated placements take them."""
+        readings, state, q = Readings.of(self.session), self.fit.state, self.session.q
+        for model in self.problem.joint_models:
+            if isinstance(model, LinearJointModel) and model.key in state:
+                q = q + model.values(readings, state[model.key])
+        return frozen(q)
 
     @cached_property
     def nominal(self) -> Snapshot:
