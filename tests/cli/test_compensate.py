@@ -17,6 +17,7 @@ from urdfcal.errors import OutputError
 from urdfcal.robot.chain import Tree
 from urdfcal.robot.kinematics import link_poses, tip_poses
 from urdfcal.robot.urdf.packages import package_roots
+from urdfcal.session.knowledge import Payload
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -202,6 +203,41 @@ def test_what_is_printed_of_an_arm_that_bends_is_of_its_full_model(
     assert f"{of_model:.3g} mm rms with the nominal commands" in said
     assert f"{of_model:.3g}" != f"{of_rigid:.3g}"
     assert not np.array_equal(commands.q, bending.compensate(q).q)  # the play's side is that of the row before
+
+
+def test_what_the_arm_carries_is_an_argument(
+    bending: urdfcal.Calibration, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bending.save(tmp_path / "calibration.json")
+    chain = bending.chain
+    q = np.clip(chain.random_values(20, np.random.default_rng(6)), -2.0, 2.0)
+    given, written = write(tmp_path / "given.csv", chain, q), tmp_path / "out.csv"
+    call = ["compensate", str(tmp_path / "calibration.json"), str(given), "-o", str(written)]
+    came = np.concatenate([q[:1], q[:-1]])
+    found = []
+    for text, payload in (
+        ("nothing", "nothing"),
+        ("tool0:5", Payload("tool0", 5.0, np.zeros(3))),
+        ("tool0:5:0,0.1,-0.2", Payload("tool0", 5.0, np.array([0.0, 0.1, -0.2]))),
+    ):
+        assert run([*call, "--payload", text]) == 0
+        found.append(np.array([row[1:-1][::-1] for row in [*csv.reader(written.open())][1:]], float))
+        np.testing.assert_array_equal(found[-1], bending.compensate(q, previous=came, payload=payload).q)
+        miss = bending.forward(q, previous=came, payload=payload)[:, :3, 3] - positions(chain, q)
+        said = f"{1e3 * np.sqrt(np.mean(np.sum(miss**2, axis=1))):.3g} mm rms with the nominal commands"
+        assert said in capsys.readouterr().out
+    assert np.abs(found[1] - found[0]).max() > 1e-5
+    assert np.abs(found[2] - found[1]).max() > 1e-6
+    written.unlink()
+    for wrong, message in (
+        ("tool0", "is no payload: write tool0:1.2"),
+        ("tool0:heavy", "is no payload"),
+        ("tool0:1:0,0", "payload"),
+        ("hand:1", "'hand' is none of the tip links"),
+    ):
+        assert run([*call, "--payload", wrong]) == 2
+        assert message in capsys.readouterr().err
+        assert not written.exists()
 
 
 def test_a_compliance_under_measured_torques_takes_those_of_the_trajectory(

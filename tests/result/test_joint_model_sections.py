@@ -98,6 +98,8 @@ def test_a_payload_bends_the_arm(loaded: urdfcal.Calibration) -> None:
     models = loaded.document.joint_models  # the pan joint stands upright: no torque
     c = [models[j]["compliance"].values[0] if "compliance" in models[j] else 0.0 for j in loaded.chain.actuated]
     np.testing.assert_allclose(loaded.joint_values(q, payload=heavy) - same, -torques * c, atol=1e-12)
+    unloaded = masses.torques(q) - masses.carrying(LOAD, place).torques(q)
+    np.testing.assert_allclose(loaded.joint_values(q, payload="nothing") - same, -unloaded * c, atol=1e-12)
     with pytest.raises(RobotError, match="'wrist' is none of the tip links"):
         loaded.joint_values(q, payload=Payload("wrist", 1.0, np.zeros(3)))
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from urdfcal import files
+from urdfcal.arrays import frozen
 from urdfcal.cli.console import PATH, progress_bar, result_argument
 from urdfcal.errors import OutputError
 
@@ -15,11 +16,13 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from urdfcal.arrays import Floats
+    from urdfcal.estimation.joint_models.found import Carried
     from urdfcal.output.trajectory import CommandTable
     from urdfcal.result.calibration import Calibration
     from urdfcal.robot.compensation import Compensation
 
 _FORMATS = ("urdf", "ros-kinematics", "ros-static-tf", "mjcf", "offsets", "dh-csv", "xacro-patch")
+_PARTS = 3  # of a payload: link, mass, centre
 _BLOCK = 4096  # poses between two steps of the progress bar
 
 
@@ -51,6 +54,23 @@ def apply(result: Path, urdf: str, output: Path | None) -> None:
         click.echo(f"- it was measured with {', '.join(ranges)}; elsewhere it is extrapolated")
 
 
+def _payload(ctx: click.Context, param: click.Parameter, text: str | None) -> Carried:
+    """A payload, of text."""
+    from urdfcal.session.knowledge import Payload
+
+    del ctx, param
+    if text is None:
+        return None
+    if text == "nothing":
+        return "nothing"
+    link, *numbers = text.split(":", _PARTS - 1)
+    try:
+        mass, center = float(numbers[0]), [float(x) for x in numbers[1].split(",")] if numbers[1:] else [0.0] * 3
+        return Payload(link, mass, frozen(center))
+    except (IndexError, ValueError) as error:
+        raise click.BadParameter(f"{text!r} is no payload: write tool0:1.2 (kg) or tool0:1.2:0,0,0.05 (m)") from error
+
+
 @click.command("compensate")
 @result_argument
 @click.argument("trajectory", type=PATH, metavar="TRAJECTORY.csv")
@@ -61,7 +81,14 @@ def apply(result: Path, urdf: str, output: Path | None) -> None:
     metavar="FILE.csv",
     help="Joint torques of the same rows, for a compliance under measured ones.",
 )
-def compensate(result: Path, trajectory: Path, output: Path, torques: Path | None) -> None:
+@click.option(
+    "--payload",
+    callback=_payload,
+    metavar="LINK:KG[:X,Y,Z]",
+    help="What the arm carries: its link, mass, and its centre in the link's frame in m; or: nothing.  [default: what "
+    "it carried when it was calibrated]",
+)
+def compensate(result: Path, trajectory: Path, output: Path, torques: Path | None, payload: Carried) -> None:
     """Correct the joint commands of TRAJECTORY.csv so that the real tip goes where the nominal one would.
 
     For a tree of joints this is the session's tip link; the errors of the other tip links are reported.
@@ -89,11 +116,14 @@ def compensate(result: Path, trajectory: Path, output: Path, torques: Path | Non
     with progress_bar("compensating", len(given.q)) as advance:
         for first in range(0, len(given.q), _BLOCK):
             rows = slice(first, first + _BLOCK)
-            parts.append(calibration.compensate(given.q[rows], **{name: of[rows] for name, of in under.items()}))
+            here = {name: of[rows] for name, of in under.items()}
+            parts.append(calibration.compensate(given.q[rows], **here, payload=payload))
             advance(len(parts[-1].q))
     found = Compensation(*(np.concatenate([getattr(p, name) for p in parts]) for name in ("q", "position", "angle")))
     files.write_text(output, given.with_commands(found.q))
-    before, after = (_errors(calibration, given.q, commands, under) for commands in (given.q, found.q))
+    before, after = (
+        _errors(calibration, given.q, commands, {**under, "payload": payload}) for commands in (given.q, found.q)
+    )
     _print_errors(output, given, found, next(iter(before.values())))
     for remark in domain_of(calibration, calibration.chain, given.q).remarks:
         click.echo(remark)

@@ -29,9 +29,8 @@ if TYPE_CHECKING:
 
     from urdfcal.arrays import Ints
     from urdfcal.estimation.assessment import Assessment
-    from urdfcal.estimation.joint_models.found import FoundJointModels
+    from urdfcal.estimation.joint_models.found import Carried, FoundJointModels
     from urdfcal.result.document import ResultDocument
-    from urdfcal.session.knowledge import Payload
 
 FILE_NAME = "calibration.json"
 
@@ -221,7 +220,7 @@ class Calibration:
         readings: ArrayLike,
         torques: ArrayLike | None = None,
         previous: ArrayLike | None = None,
-        payload: Payload | None = None,
+        payload: Carried = None,
     ) -> Floats:
         """Compute the joints' true values, for any program that has the calibrated placements (:meth:`apply`).
 
@@ -229,8 +228,8 @@ class Calibration:
             readings: (..., k) of the actuated joints, in the order of ``chain.actuated``. [rad or m]
             torques: (..., k) measured joint torques; needed where compliances were found with such. [N m or N]
             previous: (..., k) readings where the arm came from; without them it neither lags nor has play. [rad or m]
-            payload: what the arm carries; None for what it carried when it was calibrated, of several sessions in the
-                first. Measured torques hold it already.
+            payload: what the arm carries, or ``"nothing"``; None for what it carried when it was calibrated, of several
+                sessions in the first. Measured torques hold it already.
 
         Returns:
             (..., n) of all joints, mimic joints included. [rad or m]
@@ -246,7 +245,7 @@ class Calibration:
         readings: ArrayLike,
         torques: ArrayLike | None = None,
         previous: ArrayLike | None = None,
-        payload: Payload | None = None,
+        payload: Carried = None,
     ) -> tuple[Floats, Floats]:
         """Compute :meth:`joint_values` (..., n), and their derivative (..., n, k) by the readings."""
         q, shape, given = self._given(readings, torques=torques, previous=previous)
@@ -258,7 +257,7 @@ class Calibration:
         readings: ArrayLike,
         torques: ArrayLike | None = None,
         previous: ArrayLike | None = None,
-        payload: Payload | None = None,
+        payload: Carried = None,
     ) -> Floats:
         """Compute the calibrated tip's frame T_base_tip (..., 4, 4) with all joint models; see :meth:`joint_values`."""
         values = self.joint_values(readings, torques, previous, payload)
@@ -270,7 +269,7 @@ class Calibration:
         q: ArrayLike,
         torques: ArrayLike | None = None,
         previous: ArrayLike | None = None,
-        payload: Payload | None = None,
+        payload: Carried = None,
     ) -> Compensation:
         """Find joint commands for a controller that keeps its nominal kinematics.
 
@@ -281,7 +280,7 @@ class Calibration:
             q: (..., k) nominal values of the actuated joints, in the order of ``chain.actuated``. [rad or m]
             torques: (..., k), see :meth:`joint_values`.
             previous: (..., k) where the arm comes from.
-            payload: what it carries.
+            payload: what it carries, see :meth:`joint_values`.
 
         Raises:
             RobotError: a value is not finite, or beyond its joint's limits.
@@ -308,7 +307,7 @@ class Calibration:
         """The nominal arm and the calibrated one."""
         return TipAtOnce(self.chain), TipAtOnce(self.calibrated)
 
-    def _carrying(self, payload: Payload | None) -> FoundJointModels:
+    def _carrying(self, payload: Carried) -> FoundJointModels:
         return self.joint_models if payload is None else self.joint_models.carrying(payload)
 
     def _given(self, readings: ArrayLike, **others: ArrayLike | None) -> tuple[Floats, tuple[int, ...], dict[str, Any]]:

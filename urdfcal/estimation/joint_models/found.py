@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -26,7 +26,11 @@ if TYPE_CHECKING:
     from urdfcal.estimation.joint_models.linear import OneCommand
     from urdfcal.robot.gravity import Body, Masses
     from urdfcal.robot.mechanism import Mechanism, Tip
+    from urdfcal.session.knowledge import Payload
     from urdfcal.session.model import Session
+
+Carried: TypeAlias = "Payload | Literal['nothing'] | None"
+"""What an arm carries; None for what it carried when it was calibrated."""
 
 
 # Of a single pose, its number and that of its part of the session.
@@ -69,15 +73,13 @@ class FoundJointModels:
     payload: Body | None = None
     places: tuple[Tip, ...] = ()
 
-    def carrying(self, payload: Body | None) -> FoundJointModels:
-        """Return the same of an arm that carries something else.
+    def carrying(self, carried: Payload | Literal["nothing"]) -> FoundJointModels:
+        """Return the same of an arm that carries something else, or nothing.
 
         Raises:
             RobotError: nothing is known of the payload's link, or of the arm's masses.
         """
-        changed = replace(self, payload=payload)
-        _ = changed.models
-        return changed
+        return _carrying(self, carried)
 
     @cached_property
     def models(self) -> tuple[LinearJointModel, ...]:
@@ -168,6 +170,13 @@ class FoundJointModels:
             None if torques is None else chain.torques(torques[None]),
             None if previous is None else chain.joint_values(previous[None]),
         )
+
+
+@lru_cache(maxsize=8)  # a controller asks for one command after the other
+def _carrying(models: FoundJointModels, carried: Payload | Literal["nothing"]) -> FoundJointModels:
+    changed = replace(models, payload=None if carried == "nothing" else carried)
+    _ = changed.models
+    return changed
 
 
 @dataclass(frozen=True, eq=False)
