@@ -19,7 +19,16 @@ if TYPE_CHECKING:
     from urdfcal.result.calibration import Calibration
     from urdfcal.robot.compensation import Compensation
 
-_FORMATS = ("ros-kinematics", "ros-static-tf", "mjcf", "offsets", "dh-csv", "xacro-patch")
+_FORMATS = (
+    "ros-kinematics",
+    "ros-static-tf",
+    "mjcf",
+    "offsets",
+    "dh-csv",
+    "xacro-patch",
+    "franka-kinematics",
+    "lerobot",
+)
 _BLOCK = 4096  # poses between two steps of the progress bar
 
 
@@ -143,27 +152,39 @@ def _rms_length(vectors: Floats) -> float:
 @click.option("--link-keys", is_flag=True, help="ros-kinematics: name origins by links, as ur_description does.")
 @click.option("--add-frames", is_flag=True, help="ros-static-tf: fixed joints in the URDF instead of a launch file.")
 @click.option("--model", type=PATH, help="mjcf: a MuJoCo file of the nominal robot.")
+@click.option("--motors", type=PATH, help="lerobot: its calibration when the joints were read.")
 def export(
-    result: Path, target: str, output: Path | None, link_keys: bool, add_frames: bool, model: Path | None
-) -> None:
+    result: Path, target: str, output: Path | None, link_keys: bool, add_frames: bool, model: Path | None,
+    motors: Path | None,
+) -> None:  # fmt: skip
     """Write the result in OUT, a folder that calibrate has written, for ROS, MuJoCo, xacro or a controller.
 
     ros-kinematics: origins as ur_description's default_kinematics.yaml has them. ros-static-tf: the poses of cameras
     and LEDs. mjcf: a MuJoCo model of the robot with the calibrated placements. offsets: the joints' zero offsets to
     enter in a controller, and the URDF without them. dh-csv: the calibrated DH rows. xacro-patch: a table of origins
-    for a xacro file.
+    for a xacro file. franka-kinematics: origins as franka_description's kinematics.yaml has them (xArm's are
+    ros-kinematics). lerobot: a motor calibration with the zero offsets of an SO-100 or SO-101, for use_degrees.
     """
     for given, option, needed in (
         (link_keys, "--link-keys", "ros-kinematics"),
         (add_frames, "--add-frames", "ros-static-tf"),
         (model is not None, "--model", "mjcf"),
+        (motors is not None, "--motors", "lerobot"),
     ):
         if given and target != needed:
             raise click.UsageError(f"{option} goes with --to {needed}")
     if target == "mjcf" and model is None:
         raise click.UsageError("--to mjcf needs --model FILE, a MuJoCo file of the robot")
+    if target == "lerobot" and motors is None:
+        raise click.UsageError("--to lerobot needs --motors FILE, LeRobot's calibration when the joints were read")
     beside = result if result.is_dir() else result.parent
-    written = _files(result, beside, target, link_keys=link_keys, add_frames=add_frames, model=model)
+    if motors is not None:
+        from urdfcal.output.exports.vendors import lerobot_calibration
+        from urdfcal.result.calibration import Calibration
+
+        written: Mapping[str, str | bytes] = lerobot_calibration(Calibration.load(result), motors)
+    else:
+        written = _files(result, beside, target, link_keys=link_keys, add_frames=add_frames, model=model)
     folder = output or (beside if model is None else model.parent)
     with files.staged(folder) as stage:
         for name, content in written.items():
@@ -175,7 +196,7 @@ def export(
 def _files(
     result: Path, beside: Path, target: str, *, link_keys: bool, add_frames: bool, model: Path | None
 ) -> Mapping[str, str | bytes]:
-    from urdfcal.output.exports import frames, mjcf, tables
+    from urdfcal.output.exports import frames, mjcf, tables, vendors
     from urdfcal.result.calibration import Calibration
 
     calibration = Calibration.load(result)
@@ -188,6 +209,8 @@ def _files(
     if target == "ros-kinematics" and not link_keys:
         return tables.ros_kinematics(calibration, tables.joint_keys(calibration))
     urdf = tables.corrected_urdf(calibration, beside)
+    if target == "franka-kinematics":
+        return vendors.franka_kinematics(calibration, urdf)
     if target == "ros-kinematics":
         return tables.ros_kinematics(calibration, tables.link_keys(calibration, urdf))
     if target == "ros-static-tf":
