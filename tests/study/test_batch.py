@@ -71,7 +71,7 @@ def test_what_is_done_is_kept_until_an_input_or_an_option_changes(
         journal.write('{"name": "a", "sess')  # what a run that was killed leaves
     done: list[Path] = []
     writes = module.calibrate_one.__globals__["files"].staged
-    monkeypatch.setattr("urdfcal.files.staged", lambda folder: done.append(folder) or writes(folder))
+    monkeypatch.setattr("urdfcal.files.staged", lambda folder, *of: done.append(folder) or writes(folder, *of))
     assert batch(sessions, out, **QUICK, seed=0) == first
     assert done == []
     with (sessions[1] / "joints.csv").open("a") as joints:
