@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from urdfcal.cli import batch, calibrate, cameras, import_, judging, results, robots, simulate
+from urdfcal.cli import batch, calibrate, cameras, export, import_, judging, results, robots, simulate
 from urdfcal.errors import UrdfcalError
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ def cli() -> None:
 
 
 _TO_A_RESULT = (simulate.demo, simulate.simulate, import_.command, cameras.command, calibrate.detect, calibrate.command)
-_FROM_A_RESULT = (robots.evaluate, robots.dh, results.view, results.compensate, results.apply, results.export)
+_FROM_A_RESULT = (robots.evaluate, robots.dh, results.view, results.compensate, results.apply, export.command)
 _MANY = (batch.command,)
 _JUDGING_RESULTS = (judging.verify, judging.compare)
 for _command in (*_TO_A_RESULT, *_MANY, *_FROM_A_RESULT, *_JUDGING_RESULTS):

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from urdfcal.arrays import Floats
 
 ROWS, FRAMES, OFFSETS = "dh.csv", "dh_frames.csv", "joint_offsets.csv"
-_POSE = ("x", "y", "z", "roll", "pitch", "yaw")
+POSE = ("x", "y", "z", "roll", "pitch", "yaw")
 KINEMATICS, ORIGINS = "kinematics.yaml", "origins.yaml"
 # The URDF's angles round by less; an edited origin differs by more. [m, entries of the rotation]
 _SAME = 1e-9
@@ -82,7 +82,7 @@ def ros_kinematics(calibration: Calibration, keys: Mapping[str, str]) -> dict[st
         The file, by name; origins in the parent link's frame [m, rad], the hash of calibration.json.
     """
     origins: dict[str, Any] = {
-        keys[joint]: dict(zip(_POSE, [*T.xyz, *T.rpy], strict=True))
+        keys[joint]: dict(zip(POSE, [*T.xyz, *T.rpy], strict=True))
         for joint, T in calibration.document.placements.items()
     }
     document = {"kinematics": {**origins, "hash": f"urdfcal_{calibration.sha256}"}}
@@ -156,7 +156,7 @@ def dh_csv(calibration: Calibration) -> dict[str, str]:
         [name, *(np.concatenate([T[:3, 3], matrix_to_rpy(T[:3, :3])]) + 0.0).tolist()]
         for name, T in (("base", table.base), ("tool", table.tool))
     ]
-    return {ROWS: csv_text(header, rows), FRAMES: csv_text(["frame", *_POSE], frames)}
+    return {ROWS: csv_text(header, rows), FRAMES: csv_text(["frame", *POSE], frames)}
 
 
 def joint_offsets(calibration: Calibration, urdf: Urdf) -> dict[str, bytes]:

@@ -1,0 +1,135 @@
+"""``urdfcal export``: a result in the formats of motion stacks and controllers."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import click
+
+from urdfcal import files
+from urdfcal.cli.console import PATH, result_argument
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+_FORMATS = (
+    "urdf",
+    "ros-kinematics",
+    "ros-static-tf",
+    "mjcf",
+    "offsets",
+    "dh-csv",
+    "xacro-patch",
+    "franka-kinematics",
+    "lerobot",
+)
+
+
+@click.command("export")
+@result_argument
+@click.option("--to", "target", type=click.Choice(_FORMATS), required=True, help="What to write.")
+@click.option(
+    "-o", "--output", type=PATH,
+    help="Folder to write to.  [default: that of OUT; for mjcf that of the model, where its meshes are]",
+)  # fmt: skip
+@click.option("--link-keys", is_flag=True, help="ros-kinematics: name origins by links, as ur_description does.")
+@click.option("--add-frames", is_flag=True, help="ros-static-tf: fixed joints in the URDF instead of a launch file.")
+@click.option("--model", type=PATH, help="mjcf: a MuJoCo file of the nominal robot.")
+@click.option("--motors", type=PATH, help="lerobot: its calibration when the joints were read.")
+@click.option(
+    "--workspace", metavar="BOX|PATH.csv|SESSION",
+    help="urdf: where the arm is used; a box is x0:x1,y0:y1,z0:z1 in m.  [default: what was measured]",
+)  # fmt: skip
+def command(
+    result: Path, target: str, output: Path | None, link_keys: bool, add_frames: bool, model: Path | None,
+    motors: Path | None, workspace: str | None,
+) -> None:  # fmt: skip
+    """Write the result in OUT, a folder that calibrate has written, for ROS, MuJoCo, xacro or a controller.
+
+    urdf: of an arm that bends, the rigid one that is nearest to it in a workspace; what it loses is printed.
+    ros-kinematics: origins as ur_description's default_kinematics.yaml has them. ros-static-tf: the poses of cameras
+    and LEDs. mjcf: a MuJoCo model of the robot with the calibrated placements. offsets: the joints' zero offsets to
+    enter in a controller, and the URDF without them. dh-csv: the calibrated DH rows. xacro-patch: a table of origins
+    for a xacro file. franka-kinematics: origins as franka_description's kinematics.yaml has them (xArm's are
+    ros-kinematics). lerobot: a motor calibration with the zero offsets of an SO-100 or SO-101, for use_degrees.
+    """
+    for given, option, needed in (
+        (link_keys, "--link-keys", "ros-kinematics"),
+        (add_frames, "--add-frames", "ros-static-tf"),
+        (model is not None, "--model", "mjcf"),
+        (workspace is not None, "--workspace", "urdf"),
+        (motors is not None, "--motors", "lerobot"),
+    ):
+        if given and target != needed:
+            raise click.UsageError(f"{option} goes with --to {needed}")
+    if target == "mjcf" and model is None:
+        raise click.UsageError("--to mjcf needs --model FILE, a MuJoCo file of the robot")
+    if target == "lerobot" and motors is None:
+        raise click.UsageError("--to lerobot needs --motors FILE, LeRobot's calibration when the joints were read")
+    beside = result if result.is_dir() else result.parent
+    written: Mapping[str, str | bytes]
+    remark = ""
+    if target == "urdf":
+        written, remark = _region(result, beside, workspace)
+    elif motors is not None:
+        from urdfcal.output.exports.vendors import lerobot_calibration
+        from urdfcal.result.calibration import Calibration
+
+        written = lerobot_calibration(Calibration.load(result), motors)
+    else:
+        written = _files(result, beside, target, link_keys=link_keys, add_frames=add_frames, model=model)
+    folder = output or (beside if model is None else model.parent)
+    with files.staged(folder) as stage:
+        for name, content in written.items():
+            files.write_bytes(stage / name, content if isinstance(content, bytes) else content.encode())
+    for name in written:
+        click.echo(folder / name)
+    if remark:
+        click.echo(remark)
+
+
+def _region(result: Path, beside: Path, workspace: str | None) -> tuple[Mapping[str, str | bytes], str]:
+    """The URDF of the best rigid arm for a workspace, and what it loses."""
+    from urdfcal.cli.workspace import configurations
+    from urdfcal.output.exports import tables
+    from urdfcal.result.calibration import Calibration
+    from urdfcal.result.rigid import best_rigid
+
+    calibration = Calibration.load(result)
+    urdf = tables.corrected_urdf(calibration, beside)
+    what, q, torques, previous = configurations(calibration, workspace)
+    fit = best_rigid(calibration, q, torques, previous)
+    remark = (
+        f"- against the full model in {len(q)} configurations of {what} its tip is {1e3 * fit.rms:.2g} mm rms off, "
+        f"{1e3 * fit.most:.2g} mm at most, and {1e3 * fit.angle:.2g} mrad rms; the corrected URDF's "
+        f"{1e3 * fit.rms_before:.2g} mm rms"
+    )
+    if not calibration.joint_models.found:
+        remark = "- this arm is rigid: it is the corrected URDF, and nothing is lost"
+    return tables.region_urdf(calibration, urdf, fit.placements), remark
+
+
+def _files(
+    result: Path, beside: Path, target: str, *, link_keys: bool, add_frames: bool, model: Path | None
+) -> Mapping[str, str | bytes]:
+    from urdfcal.output.exports import frames, mjcf, tables, vendors
+    from urdfcal.result.calibration import Calibration
+
+    calibration = Calibration.load(result)
+    if target == "ros-static-tf" and not add_frames:
+        return frames.static_transforms(frames.found_frames(calibration))
+    if target == "dh-csv":
+        return tables.dh_csv(calibration)
+    if target == "xacro-patch":
+        return tables.xacro_patch(calibration)
+    if target == "ros-kinematics" and not link_keys:
+        return tables.ros_kinematics(calibration, tables.joint_keys(calibration))
+    urdf = tables.corrected_urdf(calibration, beside)
+    if target == "franka-kinematics":
+        return vendors.franka_kinematics(calibration, urdf)
+    if target == "ros-kinematics":
+        return tables.ros_kinematics(calibration, tables.link_keys(calibration, urdf))
+    if target == "ros-static-tf":
+        return frames.urdf_with_frames(urdf, frames.found_frames(calibration))
+    return tables.joint_offsets(calibration, urdf) if model is None else mjcf.mjcf(calibration, urdf, model)
