@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -9,13 +10,14 @@ import numpy as np
 import pytest
 
 from urdfcal.cameras.rig import Rig
+from urdfcal.cli import run
 from urdfcal.detection.detect import REJECTED, detect, detect_in, open_images, write_detected
 from urdfcal.errors import SessionError
 from urdfcal.estimation.measurements import Detections
 from urdfcal.images.files import read_image, write_image
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
-from urdfcal.simulation.images import Exposure, write_simulated_images
+from urdfcal.simulation.images import TRUTH, Exposure, write_simulated_images
 from urdfcal.simulation.simulate import simulate
 
 if TYPE_CHECKING:
@@ -101,6 +103,24 @@ def test_a_brighter_light_that_the_arm_does_not_carry_is_rejected_with_its_dista
     assert detected.found == POSES
     reasons = [reason for *_, row, reason in detected.rejected() if row is not None]
     assert sum("px from where the arm holds the LED" in reason for reason in reasons) == 3
+
+
+def test_a_brighter_light_in_every_image_does_not_hide_the_led_of_the_arm(session: Path) -> None:
+    """Seen by one camera alone, so that no ray decides; the arm does."""
+    for path in (session / "images" / "cam1").iterdir():
+        path.unlink()
+    rng = np.random.default_rng(0)
+    for path in sorted((session / "images" / "cam0").iterdir()):
+        lamp(path, *rng.uniform([20.0, 20.0], [400.0, 320.0]), 230.0)
+    assert run(["detect", str(session)]) == 0
+    with (session / "detections.csv").open() as file:
+        found = {row["pose"]: (float(row["u"]), float(row["v"])) for row in csv.DictReader(file)}
+    with (session / TRUTH).open() as file:
+        truth = {
+            row["pose"]: (float(row["u"]), float(row["v"])) for row in csv.DictReader(file) if row["camera"] == "cam0"
+        }
+    assert len(found) >= POSES - 1
+    assert all(np.hypot(*np.subtract(uv, truth[pose])) < 2.0 for pose, uv in found.items())
 
 
 def test_a_session_without_cameras_is_refused(session: Path) -> None:

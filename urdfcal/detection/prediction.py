@@ -19,6 +19,11 @@ if TYPE_CHECKING:
 _FEWEST = 6
 # If the brightest light fits the arm in fewer images than this, it is not known which light is the arm's.
 _MOST = 0.5
+# Where the brightest do not, any of the three brightest may be the arm's: of 500 triples of lights, 18 are the LED's
+# if every image has two reflections. Chance explains more of three lights than of one: more images are asked for.
+_LIGHTS, _TRIPLES, _MOST_OF_SEVERAL = 3, 500, 0.7
+# A mirrored LED turns the wrong way round: the drawn arm explains it several times worse than the LED, if at all.
+_CLEARER = 3.0
 # How far off the arm as drawn may be before anything is fitted: 2 cm at 1 m. [rad]
 _DRAWN = 0.02
 # Where an LED sits if nobody says: within a hand of the tip. [m]
@@ -65,6 +70,9 @@ class Prediction:
 def predict(camera: Camera, leds: tuple[Led, ...], T_base_tip: Floats, led: Ints, lights: Lights) -> Prediction | None:
     """Place the camera before the arm as drawn, from lights of which most are the LED's.
 
+    The brightest light of each image is taken for the LED's first. Where these disagree with the arm, reflections may
+    outshine the LED: then the lights that move as the arm does are the LED's, unless others do so as well.
+
     Args:
         camera: its lens.
         leds: on the tip link.
@@ -75,37 +83,98 @@ def predict(camera: Camera, leds: tuple[Led, ...], T_base_tip: Floats, led: Ints
     Returns:
         None where the images are too few, or do not agree with the arm.
     """
-    import cv2
-
     places = np.array([np.zeros(3) if one.position is None else one.position for one in leds])
     sigma = np.array([_UNKNOWN_LED if one.position is None else one.sigma or _RULER for one in leds])
+    lights = lights[np.isfinite(camera.unproject(lights.uv)[:, 0])]
     first = _first(lights.image, -lights.flux)
-    rays = camera.unproject(lights.uv[first])[:, :2]
-    first, rays = first[np.isfinite(rays[:, 0])], rays[np.isfinite(rays[:, 0])]
     if len(first) < _FEWEST:
         return None
-    at = lights.image[first]
-    tips = T_base_tip[at]
-    objects = tips[:, :3, 3] + (tips[:, :3, :3] @ places[led[at]][..., None])[..., 0]
-    off = _DRAWN + float(np.max(sigma[np.unique(led[at])]))
+    off = _DRAWN + float(np.max(sigma[np.unique(led[lights.image[first]])]))
+    unplaced = _Fit(camera, T_base_tip, led, np.eye(4), places, places, np.maximum(sigma, 1e-4))
+    T_cam_base = _placed(unplaced, lights[first], off)
+    if T_cam_base is not None:
+        found = _refined(replace(unplaced, T_cam_base=T_cam_base), lights, off, _MOST)
+        if found is not None:
+            return found
+    return _predicted_by_motion(unplaced, _brightest(lights), off)
+
+
+def _placed(fit: _Fit, lights: Lights, off: float) -> Floats | None:
+    """T_cam_base (4, 4) by which the arm explains most of ``lights``, one an image, to within ``off`` rad."""
+    import cv2
+
+    rays, objects = fit.camera.unproject(lights.uv)[:, :2], fit.in_base()[lights.image]
     found, rotation, translation, inliers = cv2.solvePnPRansac(
         objects, rays, np.eye(3), None, reprojectionError=off, iterationsCount=300, flags=cv2.SOLVEPNP_SQPNP
     )
-    if not found or inliers is None or len(inliers) < max(_FEWEST, _MOST * len(first)):
+    if not found or inliers is None or len(inliers) < max(_FEWEST, _MOST * len(lights.image)):
         return None
-    T_cam_base = small_motion(np.concatenate([translation.ravel(), rotation.ravel()]))
-    fit = _Fit(camera, T_base_tip, led, T_cam_base, places, places, np.maximum(sigma, 1e-4))
+    return small_motion(np.concatenate([translation.ravel(), rotation.ravel()]))
+
+
+def _predicted_by_motion(fit: _Fit, lights: Lights, off: float) -> Prediction | None:
+    """Predict from the lights that move as the arm does; None if two lights an image do, or none."""
+    found: list[Prediction] = []
+    rest = lights
+    for _ in range(2):
+        T_cam_base = _placed_by_triples(fit, rest, off)
+        if T_cam_base is None:
+            break
+        prediction = _refined(replace(fit, T_cam_base=T_cam_base), rest, off, _MOST_OF_SEVERAL)
+        if prediction is None:
+            break
+        found.append(prediction)
+        rest = rest[prediction.misses(rest) > prediction.gate]
+    found.sort(key=lambda prediction: prediction.gate)
+    if not found or (len(found) > 1 and found[1].gate < _CLEARER * found[0].gate):
+        return None
+    return found[0]
+
+
+def _placed_by_triples(fit: _Fit, lights: Lights, off: float) -> Floats | None:
+    """T_cam_base (4, 4) by which the arm explains a light in most images, of which each may have several."""
+    import cv2
+
+    images, of = np.unique(lights.image, return_inverse=True)
+    least = max(_FEWEST, _MOST_OF_SEVERAL * len(images))
+    rng = np.random.default_rng(0)
+    rays, objects = fit.camera.unproject(lights.uv)[:, :2], fit.in_base()[lights.image]
+    best, most = None, 0
+    for _ in range(_TRIPLES if len(images) >= _FEWEST else 0):
+        rows = [rng.choice(np.flatnonzero(of == i)) for i in rng.choice(len(images), 3, replace=False)]
+        _, rotations, translations = cv2.solveP3P(objects[rows], rays[rows], np.eye(3), None, cv2.SOLVEPNP_AP3P)
+        for rotation, translation in zip(rotations, translations, strict=True):
+            T = small_motion(np.concatenate([translation.ravel(), rotation.ravel()]))
+            points = objects @ T[:3, :3].T + T[:3, 3]
+            ahead = np.maximum(points[:, 2:], 1e-9)
+            near = (points[:, 2] > 0.0) & (np.linalg.norm(points[:, :2] / ahead - rays, axis=1) < off)
+            count = np.unique(of[near]).size
+            if count > most:
+                best, most = T, count
+    return best if most >= least else None
+
+
+def _refined(fit: _Fit, lights: Lights, off: float, share: float) -> Prediction | None:
+    """Fit to the lights nearest to where they should be; None if these are in less than a ``share`` of the images."""
+    camera = fit.camera
     gate = off * float(camera.intrinsics[:2].mean())
     for _ in range(_ROUNDS):
         prediction = Prediction(camera.project(fit.points()), gate)
         misses = prediction.misses(lights)
         nearest = _first(lights.image, misses)
         near = nearest[misses[nearest] < gate]
-        if len(near) < max(_FEWEST, _MOST * len(nearest)):
+        if len(near) < max(_FEWEST, share * len(nearest)):
             return None
         fit = fit.stepped(lights.image[near], lights.uv[near])
         gate = min(gate, _ALLOWANCE + _GATE * float(np.median(misses[near])))
     return Prediction(camera.project(fit.points()), gate)
+
+
+def _brightest(lights: Lights) -> Lights:
+    """The few brightest lights of each image."""
+    order = np.lexsort([-lights.flux, lights.image])
+    image = lights.image[order]
+    return lights[order[np.arange(len(image)) - np.searchsorted(image, image) < _LIGHTS]]
 
 
 def _first(image: Ints, key: Floats) -> Ints:
@@ -127,10 +196,14 @@ class _Fit:
     declared: Floats
     sigma: Floats
 
+    def in_base(self) -> Floats:
+        """(P, 3) the LEDs in the arm's base frame, m."""
+        R, p = self.T_base_tip[:, :3, :3], self.T_base_tip[:, :3, 3]
+        return np.asarray(p + (R @ self.leds[self.led][..., None])[..., 0])
+
     def points(self) -> Floats:
         """(P, 3) the LEDs in the camera's frame, m."""
-        base = self.T_base_tip[:, :3, 3] + (self.T_base_tip[:, :3, :3] @ self.leds[self.led][..., None])[..., 0]
-        return np.asarray(base @ self.T_cam_base[:3, :3].T + self.T_cam_base[:3, 3])
+        return np.asarray(self.in_base() @ self.T_cam_base[:3, :3].T + self.T_cam_base[:3, 3])
 
     def stepped(self, image: Ints, uv: Floats) -> _Fit:
         """One robust Gauss-Newton step towards lights ``uv`` (m, 2) in images (m,)."""
