@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from urdfcal import files
-from urdfcal.arrays import frozen
 from urdfcal.cli.console import PATH, progress_bar, result_argument
 from urdfcal.errors import OutputError
 
@@ -55,13 +54,14 @@ def apply(result: Path, urdf: str, output: Path | None) -> None:
 
 def _payload(ctx: click.Context, param: click.Parameter, text: str | None) -> Carried:
     """A payload, of text."""
-    from urdfcal.session.knowledge import Payload
-
     del ctx, param
     if text is None:
         return None
     if text == "nothing":
         return "nothing"
+    from urdfcal.arrays import frozen
+    from urdfcal.session.knowledge import Payload
+
     link, *numbers = text.split(":", _PARTS - 1)
     try:
         mass, center = float(numbers[0]), [float(x) for x in numbers[1].split(",")] if numbers[1:] else [0.0] * 3
