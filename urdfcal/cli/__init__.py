@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from urdfcal.cli import batch, calibrate, cameras, import_, judging, results, robots, simulate
+from urdfcal.cli import batch, calibrate, cameras, import_, judging, plan, results, robots, simulate
 from urdfcal.errors import UrdfcalError
 
 if TYPE_CHECKING:
@@ -25,7 +25,15 @@ def cli() -> None:
     """Make the URDF match the arm, with two cameras and an LED."""
 
 
-_TO_A_RESULT = (simulate.demo, simulate.simulate, import_.command, cameras.command, calibrate.detect, calibrate.command)
+_TO_A_RESULT = (
+    simulate.demo,
+    simulate.simulate,
+    import_.command,
+    cameras.command,
+    plan.command,
+    calibrate.detect,
+    calibrate.command,
+)
 _FROM_A_RESULT = (robots.evaluate, robots.dh, results.view, results.compensate, results.apply, results.export)
 _MANY = (batch.command,)
 _JUDGING_RESULTS = (judging.verify, judging.compare)
