@@ -83,9 +83,11 @@ def command(
     with progress_bar("planning", 2 * (candidates + count)) as advance:
         planner = Planner(setup, workspace=where, candidates=candidates, seed=seed, progress=advance)
         found = planner.plan(count, until=until or 0.0, progress=advance)
-    files = {output: as_csv(found)}
-    files |= {output.with_suffix(WRITERS[of][0]): WRITERS[of][1](found) for of in FORMATS if of in also}
-    for path, text in files.items() if found.count else ():
+    files = {}
+    if found.count:
+        files = {output: as_csv(found)}
+        files |= {output.with_suffix(WRITERS[of][0]): WRITERS[of][1](found) for of in FORMATS if of in also}
+    for path, text in files.items():
         write_text(path, text)
     for warning in found.warnings:
         click.echo(f"- {warning}", err=True)

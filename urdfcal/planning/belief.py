@@ -9,6 +9,7 @@ import numpy as np
 
 from urdfcal.errors import SessionError
 from urdfcal.estimation.blocks.arm import no_offsets
+from urdfcal.estimation.identifiability import identify
 from urdfcal.estimation.linearize import Tangent
 from urdfcal.estimation.measurements import Detections
 from urdfcal.estimation.model_spec import nominal
@@ -119,6 +120,13 @@ class Belief:
             F = self._factors(problem, observed).reshape(-1, self.parameters.count)
             information = information + F.T @ F
         return replace(self, problem=problem, information=information, q=session.q[-1])
+
+    def identified_by(self, q: Floats) -> Belief:
+        """Fix at its nominal value what not even poses ``q`` (N, n) would identify, as an estimate does. [rad or m]."""
+        problem = Problem.of(expected_session(self.setup, self.scene, q), self.problem.arm)
+        parameters = identify(problem, self.state, self.parameters).parameters
+        kept = parameters.active[self.parameters.active]
+        return replace(self, parameters=parameters, information=self.information[np.ix_(kept, kept)])
 
     def candidates(self, q: Floats, workspace: Floats, progress: Callable[[int], object] | None = None) -> Candidates:
         """Say what poses would tell, and what of it matters.

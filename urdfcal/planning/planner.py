@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import Floats, Ints, frozen
+from urdfcal.arrays import Floats, Ints, evenly, frozen
 from urdfcal.errors import CalibrationError, SessionError
 from urdfcal.pipeline import calibrate
 from urdfcal.planning.belief import Belief, check_plannable
@@ -35,8 +35,14 @@ _BASE_OFF = (0.03, 0.02)
 _MOST_MARGIN = 0.3
 # Poses from which the closed forms find a rig's nominal state again: six detections are enough of one camera.
 _TO_START = 20
+# Draws of candidates, each of as many as are missing: where one in five keeps clear, two thirds come together.
+_BATCHES = 6
+# Fewer candidates are no choice, and too few to tell what they identify.
+_LEAST = 10
+# Poses that identify whatever more of them do.
+_TO_IDENTIFY = 100
 # Ways are looked for so often, each time without the poses that none was found to.
-_TRIES = 5
+_TRIES = 20
 _NO_WAY = "no free way was found from the last measured pose: bring the arm to the first pose of the plan yourself"
 
 
@@ -187,25 +193,32 @@ class Planner:
         if not isinstance(setup, RigDescription):
             raise SessionError("nothing is measured", where="plan", remedy="Give a session to go on from.")
         scene, margin = nominal_scene(setup), base_margin(setup)
-        q, _, drawn = in_view(scene.outlined(), _TO_START, np.random.default_rng(self._seed), margin)
+        q, _, _ = in_view(scene.outlined(), _TO_START, np.random.default_rng(self._seed), margin)
         if len(q) < _TO_START:
-            raise _unseen(len(q), drawn, margin)
+            raise _unseen(len(q), margin)
         return self._with_candidates(Belief.of_rig(setup, q), None, margin)
 
     def _with_candidates(self, belief: Belief, session: Session | None, margin: float) -> _Prepared:
         chain, rng, outlined = belief.setup.chain, np.random.default_rng(self._seed), belief.scene.outlined()
         checker, warnings = load_collision_checker(outlined, belief.setup, _CLEARANCE)
-        q, _, drawn = in_view(outlined, self._count, rng, margin)
-        if checker is not None:
-            centres, kept = outlined.camera_centres(q), np.zeros(len(q), dtype=bool)
-            for k, q_k in enumerate(q):
-                kept[k] = checker.is_free(q_k) and checker.is_seen(q_k, centres[k])
-                if self._progress is not None:
-                    self._progress(1)
-            q = q[kept]
-        if not len(q):
-            raise _unseen(len(q), drawn, margin)
+        found: list[Floats] = []
+        for _ in range(_BATCHES):
+            q, _, _ = in_view(outlined, self._count - len(found), rng, margin)
+            centres = outlined.camera_centres(q)
+            clear = [
+                checker is None or (checker.is_free(a) and checker.is_seen(a, c))
+                for a, c in zip(q, centres, strict=True)
+            ]
+            found += list(q[clear])
+            if self._progress is not None:
+                self._progress(int(np.sum(clear)))
+            if len(found) >= self._count:
+                break
+        if len(found) < _LEAST:
+            raise _unseen(len(found), margin)
+        q = np.array(found)
         workspace = workspace_values(self._workspace, chain, session, self._seed)
+        belief = belief.identified_by(q[evenly(np.arange(len(q)), _TO_IDENTIFY)])
         moves = Moves(None, None)
         if checker is not None:
             bare, _ = load_collision_checker(outlined, belief.setup)
@@ -224,9 +237,9 @@ def base_margin(rig: RigDescription) -> float:
     return float(min(MARGIN + focal * (shift / near + turn), _MOST_MARGIN * smallest))
 
 
-def _unseen(count: int, drawn: int, margin: float) -> SessionError:
+def _unseen(count: int, margin: float) -> SessionError:
     return SessionError(
-        f"of {drawn} random poses {count} are free, and seen by every camera {margin:.0f} px from its image's border",
+        f"of all random poses {count} are free, and seen by every camera {margin:.0f} px from its image's border",
         where="plan",
         remedy="Let the cameras stand further away, or look at the middle of the workspace.",
     )
