@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from urdfcal.cli import batch, calibrate, cameras, import_, judging, plan, results, robots, simulate
+from urdfcal.cli import batch, calibrate, cameras, import_, judging, plan, results, robots, simulate, study
 from urdfcal.errors import UrdfcalError
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ _TO_A_RESULT = (
     calibrate.command,
 )
 _FROM_A_RESULT = (robots.evaluate, robots.dh, results.view, results.compensate, results.apply, results.export)
-_MANY = (batch.command,)
+_MANY = (batch.command, study.command)
 _JUDGING_RESULTS = (judging.verify, judging.compare)
 for _command in (*_TO_A_RESULT, *_MANY, *_FROM_A_RESULT, *_JUDGING_RESULTS):
     cli.add_command(_command)

@@ -1,4 +1,4 @@
-"""What is known of an arm before more is measured, and what a pose would add to it (METHOD 15)."""
+"""What is known of an arm before more is measured, and what a pose would add to it (METHOD 16)."""
 
 from __future__ import annotations
 

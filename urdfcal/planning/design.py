@@ -1,4 +1,4 @@
-"""Optimal design: of many candidate poses those that make the tip most accurate (METHOD 15).
+"""Optimal design: of many candidate poses those that make the tip most accurate (METHOD 16).
 
 What a pose k adds to the information of the parameters is F_k^T F_k, with F_k its whitened Jacobian. Poses are chosen
 that minimise trace(C W), the tip's expected squared error, with C the parameters' covariance and W how the tip follows
