@@ -117,7 +117,7 @@ class Belief:
         problem = Problem.of(session, self.problem.arm)
         information = _by_priors(self.parameters, self.state)
         for observed in problem.observations:
-            F = self._factors(problem, observed).reshape(-1, self.parameters.count)
+            F = self.factors(problem, observed).reshape(-1, self.parameters.count)
             information = information + F.T @ F
         return replace(self, problem=problem, information=information, q=session.q[-1])
 
@@ -141,9 +141,9 @@ class Belief:
         (observed,) = problem.observations
         A = tip_sensitivity(self.problem, self.state, self.parameters, workspace)
         R = np.linalg.qr(A.reshape(-1, self.parameters.count), mode="r") / np.sqrt(len(workspace))
-        return Candidates(self._factors(problem, observed, progress), np.ascontiguousarray(R.T))
+        return Candidates(self.factors(problem, observed, progress), np.ascontiguousarray(R.T))
 
-    def _factors(
+    def factors(
         self, problem: Problem, observed: Observations, progress: Callable[[int], object] | None = None
     ) -> Floats:
         """Whitened Jacobians (N, r, P) of poses, of no more rows than there are parameters."""
