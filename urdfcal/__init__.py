@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from urdfcal.io.writing import write_session as write_session
     from urdfcal.output import recording
     from urdfcal.pipeline import calibrate as calibrate
+    from urdfcal.planning.planner import Planner as Planner
     from urdfcal.result.calibration import Calibration as Calibration
     from urdfcal.result.fitted import FittedCalibration as FittedCalibration
     from urdfcal.robot.chain import Chain as Chain
@@ -50,6 +51,7 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "urdfcal.pipeline": ("calibrate",),
+    "urdfcal.planning.planner": ("Planner",),
     "urdfcal.errors": ("UrdfcalError",),
     "urdfcal.result.calibration": ("Calibration",),
     "urdfcal.result.fitted": ("FittedCalibration",),

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from urdfcal.cli import batch, calibrate, cameras, export, import_, judging, results, robots, simulate
+from urdfcal.cli import batch, calibrate, cameras, export, import_, judging, plan, results, robots, simulate, study
 from urdfcal.errors import UrdfcalError
 
 if TYPE_CHECKING:
@@ -38,9 +38,17 @@ def cli() -> None:
     """Make the URDF match the arm, with two cameras and an LED."""
 
 
-_TO_A_RESULT = (simulate.demo, simulate.simulate, import_.command, cameras.command, calibrate.detect, calibrate.command)
+_TO_A_RESULT = (
+    simulate.demo,
+    simulate.simulate,
+    import_.command,
+    cameras.command,
+    plan.command,
+    calibrate.detect,
+    calibrate.command,
+)
 _FROM_A_RESULT = (robots.evaluate, robots.dh, results.view, results.compensate, results.apply, export.command)
-_MANY = (batch.command,)
+_MANY = (batch.command, study.command)
 _JUDGING_RESULTS = (judging.verify, judging.compare)
 for _command in (*_TO_A_RESULT, *_MANY, *_FROM_A_RESULT, *_JUDGING_RESULTS):
     cli.add_command(_command)

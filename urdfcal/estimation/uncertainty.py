@@ -18,6 +18,7 @@ from urdfcal.session.trajectory import AT_REST
 
 if TYPE_CHECKING:
     from urdfcal.arrays import Floats
+    from urdfcal.estimation.parameters import Parameters
     from urdfcal.estimation.problem import Problem
     from urdfcal.estimation.solver import Solution
     from urdfcal.estimation.state import State
@@ -44,7 +45,7 @@ def tip_covariance(problem: Problem, fit: Solution, q: Floats, seed: int = 0) ->
         (N, 3, 3). [m^2]
     """
     _, alignment = _aligned(problem, fit, seed)
-    A, rigid = _motion(problem, fit, np.asarray(q, dtype=float))
+    A, rigid = _motion(problem, fit.state, fit.parameters, np.asarray(q, dtype=float))
     A = A - rigid @ alignment
     result: Floats = A @ fit.covariance @ np.swapaxes(A, 1, 2)
     return result
@@ -104,6 +105,21 @@ def aligned_motion(problem: Problem, fit: Solution, seed: int = 0) -> Floats:
     return _aligned(problem, fit, seed)[0]
 
 
+def tip_sensitivity(problem: Problem, state: State, parameters: Parameters, q: Floats) -> Floats:
+    """Compute how the tip moves with the active parameters, less what a best alignment of the base takes away.
+
+    Args:
+        problem: the arm and its joint models.
+        state: where to linearise.
+        parameters: the derivative's columns.
+        q: (N, n) joint values over which the base is aligned. [rad or m]
+
+    Returns:
+        (N, 3, count) derivative of the tip's position. [m per unit of the parameter]
+    """
+    return _less_alignment(*_motion(problem, state, parameters, q))[0]
+
+
 def rigid_loss(problem: Problem, state: State) -> float:
     """Compute how far the tip of the rigid arm is off from that of the estimate at the session's poses.
 
@@ -126,15 +142,18 @@ def rigid_loss(problem: Problem, state: State) -> float:
 def _aligned(problem: Problem, fit: Solution, seed: int) -> tuple[Floats, Floats]:
     """How the tip moves over the workspace with the active parameters (N, 3, count), the base aligned (6, count)."""
     workspace = problem.arm.chain.random_values(_WORKSPACE, np.random.default_rng(seed))
-    A, rigid = _motion(problem, fit, workspace)
-    alignment = np.asarray(np.linalg.lstsq(rigid.reshape(-1, 6), A.reshape(-1, fit.parameters.count), rcond=None)[0])
+    return _less_alignment(*_motion(problem, fit.state, fit.parameters, workspace))
+
+
+def _less_alignment(A: Floats, rigid: Floats) -> tuple[Floats, Floats]:
+    """Take from the tip's motion (N, 3, count) what the base's does (N, 3, 6), which is returned too, (6, count)."""
+    alignment = np.asarray(np.linalg.lstsq(rigid.reshape(-1, 6), A.reshape(-1, A.shape[2]), rcond=None)[0])
     return A - rigid @ alignment, alignment
 
 
-def _motion(problem: Problem, fit: Solution, q: Floats) -> tuple[Floats, Floats]:
+def _motion(problem: Problem, state: State, parameters: Parameters, q: Floats) -> tuple[Floats, Floats]:
     """How the tip moves with the active parameters (N, 3, count), and with the base as a rigid body (N, 3, 6)."""
-    parameters, arm = fit.parameters, problem.arm
-    offsets = problem.offsets(fit.state)
+    arm, offsets = problem.arm, problem.offsets(state)
     motion = tip_motion(arm.chain, arm.chain.build_model(arm.placements(offsets)), q)
     A = np.zeros((len(q), 3, parameters.count))
     A[..., parameters.active_columns(ARM)[0]] = (motion.regressor @ arm.twists(offsets, parameters.arm_rows))[:, :3]
@@ -148,6 +167,6 @@ def _motion(problem: Problem, fit: Solution, q: Floats) -> tuple[Floats, Floats]
     for model in problem.joint_models:
         where, active = parameters.active_columns(model.key)
         if where.stop > where.start:
-            A[..., where] = (J_q @ model.jacobian(readings, fit.state[model.key]))[..., active]
+            A[..., where] = (J_q @ model.jacobian(readings, state[model.key]))[..., active]
     rigid = np.concatenate([np.broadcast_to(np.eye(3), (len(q), 3, 3)), -skew(motion.p)], axis=2)
     return A, rigid

@@ -10,6 +10,7 @@ import pinocchio as pin
 from pinocchio import coal
 
 from urdfcal.errors import RobotError, SessionError
+from urdfcal.robot.mechanism import BASE
 from urdfcal.robot.urdf.urdf import package_roots
 from urdfcal.rotations import turn_z_to
 
@@ -24,12 +25,17 @@ if TYPE_CHECKING:
 
 # What stands on a table may reach below its own origin: mounting plates, cables, a table that is not flat. [m]
 _TABLE = -0.03
+# Of a camera on its tripod: what clearance is kept of, is kept of this, too. [m]
+_STAND = 0.1
 # Of an LED in its housing, and of the ray that has to pass. [m]
 _BULB = 0.004
 _RAY = 0.001
 # A pair that collides in all of these random poses overlaps by design, or hangs below its base as a leg does.
 # A pair that is free in one pose of ten is taken for such a one in 1.5 % of cases.
 _TRIALS = 40
+# A pair that comes nearer than a clearance in more of them is built so near, as the second link of a Tiago's arm to its
+# torso: with 2 cm between them one pose in 150 would be left.
+_BY_DESIGN = 0.2
 
 MARGIN = 40.0
 """How far from an image's border an LED is planned to appear, px; the errors drawn move it by up to 25."""
@@ -59,7 +65,12 @@ class CollisionChecker:
     """
 
     def __init__(
-        self, chain: Mechanism, urdf: Urdf, leds: Sequence[tuple[int, Floats]], centres: Sequence[tuple[int, Floats]]
+        self,
+        chain: Mechanism,
+        urdf: Urdf,
+        leds: Sequence[tuple[int, Floats]],
+        centres: Sequence[tuple[int, Floats]],
+        clearance: float = 0.0,
     ) -> None:
         """Load the geometry.
 
@@ -68,6 +79,8 @@ class CollisionChecker:
             urdf: the description that the chain was read from.
             leds: index of the joint that carries each LED, ``BASE`` for none, and its position (3,) there. [m]
             centres: the same of the cameras' centres.
+            clearance: how near is a collision already, of pairs that are not built as near. With some, the arm
+                keeps clear of the cameras that stand around it, too. [m]
 
         Raises:
             RobotError: a mesh cannot be found or read.
@@ -77,12 +90,19 @@ class CollisionChecker:
         self._leds = [(joint + 1, pin.SE3(np.eye(3), position)) for joint, position in leds]
         bulbs = [pin.GeometryObject(f"LED {i}", joint, M, bulb) for i, (joint, M) in enumerate(self._leds)]
         self._geometry = pin.GeometryModel()
-        for one in (*solids, *bulbs, pin.GeometryObject("table", 0, pin.SE3.Identity(), table)):
+        stands = [
+            pin.GeometryObject(f"camera {i}", 0, pin.SE3(np.eye(3), centre), coal.Sphere(_STAND))
+            for i, (joint, centre) in enumerate(centres)
+            if clearance and joint == BASE
+        ]
+        for one in (*solids, *bulbs, *stands, pin.GeometryObject("table", 0, pin.SE3.Identity(), table)):
             self._geometry.addGeometryObject(one)
         self._model = chain.build_model()
         self._data = self._model.createData()
         self._add_pairs(chain)
         self._placed = self._geometry.createData()
+        if clearance:
+            self._keep_clear(chain, clearance)
         # A solid that holds an LED or a camera carries it: on which side of it that sits is unknown here.
         ends = [*self._leds, *((joint + 1, pin.SE3(np.eye(3), position)) for joint, position in centres)]
         carriers = [
@@ -127,20 +147,40 @@ class CollisionChecker:
             if a != b and (j == table or self._model.parents[b] != a):
                 pairs.append(pin.CollisionPair(i, j))
                 self._geometry.addCollisionPair(pairs[-1])
-        placed, always = self._geometry.createData(), np.ones(len(pairs), dtype=bool)
-        for q in chain.random_values(_TRIALS, np.random.default_rng(0)):
-            pin.computeCollisions(self._model, self._data, self._geometry, placed, q, False)
-            always &= [result.isCollision() for result in placed.collisionResults]
-        for k in np.flatnonzero(always):
+        for k in np.flatnonzero(self._share(chain, self._geometry.createData()) == 1.0):
             self._geometry.removeCollisionPair(pairs[k])
 
+    def _keep_clear(self, chain: Mechanism, clearance: float) -> None:
+        """Ask a clearance of every pair that is not near by design."""
+        for request in self._placed.collisionRequests:
+            request.security_margin = clearance
+        near = self._share(chain, self._placed) > _BY_DESIGN
+        for request, by_design in zip(self._placed.collisionRequests, near, strict=True):
+            request.security_margin = 0.0 if by_design else clearance
 
-def load_collision_checker(nominal: Scene, setup: Setup) -> tuple[CollisionChecker | None, tuple[str, ...]]:
-    """Return the collision geometry of the arm, or None and a warning that says why there is none."""
+    def _share(self, chain: Mechanism, placed: pin.GeometryData) -> Floats:
+        """In what share of random poses each pair collides."""
+        count = np.zeros(len(self._geometry.collisionPairs))
+        for q in chain.random_values(_TRIALS, np.random.default_rng(0)):
+            pin.computeCollisions(self._model, self._data, self._geometry, placed, q, False)
+            count += [result.isCollision() for result in placed.collisionResults]
+        return count / _TRIALS
+
+
+def load_collision_checker(
+    nominal: Scene, setup: Setup, clearance: float = 0.0
+) -> tuple[CollisionChecker | None, tuple[str, ...]]:
+    """Return the collision geometry of the arm, or None and a warning that says why there is none.
+
+    Args:
+        nominal: where LEDs and cameras are.
+        setup: the arm.
+        clearance: to be kept. [m]
+    """
     if setup.urdf is None:
         return None, ("no URDF: the poses were not checked for collisions",)
     try:
-        checker = CollisionChecker(setup.chain, setup.urdf, *nominal.points_on_joints())
+        checker = CollisionChecker(setup.chain, setup.urdf, *nominal.points_on_joints(), clearance)
     except RobotError as error:
         return None, (f"the poses were not checked for collisions: {error}",)
     if checker.empty:
@@ -217,7 +257,7 @@ def sample_poses(
     Raises:
         SessionError: there are not enough such poses, with what stands in the way.
     """
-    q, uv, drawn = _in_view(scene, count, rng)
+    q, uv, drawn = in_view(scene, _CANDIDATES * count, rng)
     cells, centres = _cells(scene, q, uv), scene.camera_centres(q)
     filled = np.zeros(cells.max(initial=0) + 1)
     open_, score = np.ones(len(cells), dtype=bool), np.full(len(cells), 1.0)
@@ -242,20 +282,30 @@ def sample_poses(
     return q[chosen]
 
 
-def _in_view(scene: Scene, count: int, rng: np.random.Generator) -> tuple[Floats, Floats, int]:
-    """Draw poses (M, n) with every LED in view, their pixels (M, C, L, 2), and say of how many draws they are."""
+def in_view(scene: Scene, needed: int, rng: np.random.Generator, margin: float = MARGIN) -> tuple[Floats, Floats, int]:
+    """Draw poses with every LED in view of every camera, and facing it.
+
+    Args:
+        scene: the arm and cameras.
+        needed: how many are enough.
+        rng: the source of randomness.
+        margin: from the images' borders. [px]
+
+    Returns:
+        The poses (M, n), their pixels (M, C, L, 2), and of how many draws they are.
+    """
     lower, upper = joint_limits(scene.chain)
     actuated = [i for i, joint in enumerate(scene.chain.joints) if joint.mimic is None]
     q: list[Floats] = []
     uv: list[Floats] = []
-    needed, drawn = _CANDIDATES * count, 0
+    drawn = 0
     while drawn < _MOST_BATCHES * _BATCH and sum(len(batch) for batch in q) < needed:
         readings = rng.uniform(lower[actuated], upper[actuated], (_BATCH, len(actuated)))
         values = scene.chain.joint_values(readings)
         pixels = scene.pixels(values)
         # A mimic joint may leave its own limits while its master keeps to them.
         good = ((values >= lower) & (values <= upper)).all(axis=1)
-        good &= scene.in_image(pixels, MARGIN).all(axis=(1, 2)) & scene.faced(values).all(axis=(1, 2))
+        good &= scene.in_image(pixels, margin).all(axis=(1, 2)) & scene.faced(values).all(axis=(1, 2))
         q.append(values[good])
         uv.append(pixels[good])
         drawn += _BATCH

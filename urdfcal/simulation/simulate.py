@@ -136,7 +136,7 @@ def simulate(
     if rig.places and (outliers or pixel is not None):
         remedy = "Leave outliers and pixel out; the rig's noise is that of its contacts."
         raise SessionError("there are no pixels: the rig touches places", where="simulate", remedy=remedy)
-    nominal = _nominal_scene(rig)
+    nominal = nominal_scene(rig)
     robot_rng, stand_rng, led_rng, pose_rng, joint_rng, noise_rng, outlier_rng = np.random.default_rng(seed).spawn(7)
 
     table = rows_of(rig.chain)
@@ -267,7 +267,7 @@ def _check_arguments(seed: int, poses: int, pixel: float | None, error_scale: fl
             raise SessionError(what, where="simulate", remedy=remedy)
 
 
-def _nominal_scene(rig: RigDescription) -> Scene:
+def nominal_scene(rig: RigDescription) -> Scene:
     """Build the scene of the nominal robot, its cameras and LEDs where they were meant to be."""
     if not rig.rig.cameras and not rig.places:
         raise SessionError("the rig has no cameras, and no places to touch", where="cameras")

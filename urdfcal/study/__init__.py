@@ -1,1 +1,1 @@
-"""Many calibrations at once: a fleet's sessions, on joblib's engines."""
+"""Many calibrations at once, on joblib's engines: a fleet's sessions, and simulated arms."""

@@ -1,0 +1,96 @@
+"""``urdfcal plan``: from rig and session, what it writes, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+import yaml
+
+from urdfcal.cli import run
+from urdfcal.io.folder import read_rig
+from urdfcal.io.shipped_rigs import find_rig
+from urdfcal.io.tables import read_joints
+from urdfcal.robot.kinematics import tip_poses
+
+if TYPE_CHECKING:
+    from urdfcal.robot.mechanism import Mechanism
+
+RIG = ["plan", "elbow3r", "-o", "plan.csv", "--candidates", "300"]
+
+
+@pytest.fixture(autouse=True)
+def _inside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def chain() -> Mechanism:
+    return read_rig(find_rig("elbow3r")).chain
+
+
+def test_a_plan_is_read_as_joints_and_drives_arms(capsys: pytest.CaptureFixture[str]) -> None:
+    formats = [word for name in ("urscript", "ros", "lerobot") for word in ("--format", name)]
+    assert run([*RIG, "--poses", "5", *formats]) == 0
+    said = capsys.readouterr()
+    assert "plan.csv, plan.script, plan.yaml, plan.json: 5 poses" in said.out
+    table = read_joints(Path("plan.csv"), chain(), chain().names)
+    program = Path("plan.script").read_text()
+    assert program.count("movej(") == len(table.poses)
+    assert program.count("sleep(") == 5
+    trajectory = yaml.safe_load(Path("plan.yaml").read_text())
+    assert trajectory["joint_names"] == list(chain().actuated)
+    times = [p["time_from_start"]["sec"] + 1e-9 * p["time_from_start"]["nanosec"] for p in trajectory["points"]]
+    assert np.all(np.diff(times) > 0.0)
+    assert len(times) == len(table.poses) + 5
+    actions = json.loads(Path("plan.json").read_text())
+    first = [actions[0]["action"][f"{name}.pos"] for name in chain().actuated]
+    np.testing.assert_allclose(np.radians(first), table.readings[0])
+
+
+def test_until_asks_for_as_few_as_needed_and_says_when_that_is_out_of_reach(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run([*RIG, "--until", "2mm", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["tip_at_most_mm"][-1] <= 2.0 < found["tip_at_most_mm"][-2]
+    assert run([*RIG, "--until", "1um", "--poses", "4"]) == 1
+    assert "is not reached" in capsys.readouterr().out
+    Path("plan.csv").unlink()
+    assert run([*RIG, "--until", "1m"]) == 0
+    assert "nothing more to measure" in capsys.readouterr().out
+    assert not Path("plan.csv").exists()
+
+
+def test_a_session_is_gone_on_from_and_a_box_is_where_it_counts(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["simulate", "elbow3r", "-o", "s", "--poses", "8"]) == 0
+    assert run(["plan", "s", *RIG[2:], "--poses", "4", "--workspace", "session"]) == 0
+    tip = tip_poses(chain(), chain().random_values(500, np.random.default_rng(0)))[:, :3, 3]
+    box = [f"{end:.3f}" for of in np.percentile(tip, [20, 80], axis=0).T for end in of]
+    assert run(["plan", "s", *RIG[2:], "--poses", "4", "--workspace", ",".join(box)]) == 0
+    assert run(["plan", "s", *RIG[2:], "--poses", "4", "--workspace", "s/joints.csv"]) == 0
+    capsys.readouterr()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--until", "0.2"], "write it with its unit"),
+        (["--workspace", "1,2,3"], "is no box and no file"),
+        (["--workspace", "0,1,0,1,0,x"], "could not convert"),
+        (["--workspace", "1,0,0,1,0,1"], "least corner is not below"),
+        (["--workspace", "8,9,8,9,8,9"], "random poses 0 bring"),
+        (["--workspace", "session"], "nothing is measured yet"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run([*RIG, *arguments]) == 2
+    assert message in capsys.readouterr().err
+    assert not Path("plan.csv").exists()
+
+
+def test_of_a_result_the_session_is_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("result").mkdir()
+    Path("result/calibration.json").write_text("{}")
+    assert run(["plan", "result", "-o", "plan.csv"]) == 2
+    assert "Name the session" in capsys.readouterr().err

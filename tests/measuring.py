@@ -1,0 +1,53 @@
+"""More poses measured on a simulated arm."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from urdfcal.arrays import rms
+from urdfcal.estimation.evaluation import compare
+from urdfcal.estimation.measurements import Detections
+from urdfcal.session.model import Positions, Setup
+from urdfcal.simulation.joint_errors import true_joint_values
+from urdfcal.simulation.scene import noisy_values, simulate_detections
+
+if TYPE_CHECKING:
+    from urdfcal.arrays import Floats
+    from urdfcal.result.calibration import Calibration
+    from urdfcal.session.model import Session
+    from urdfcal.simulation.simulate import Simulated
+
+
+def measured_at(simulated: Simulated, q: Floats, seed: int) -> Session:
+    """The true arm of a simulation measured in poses of its nominal readings ``q`` (N, n)."""
+    truth, session = simulated.truth, simulated.session
+    joint_rng, noise_rng = np.random.default_rng((seed, 11)).spawn(2)
+    own = {one.name: getattr(session, one.name) for one in fields(Setup)}
+    planned = Positions(**own, poses=tuple(f"more {k}" for k in range(len(q))), q=q)
+    views = np.tile(np.arange(len(truth.cameras)), (len(q), 1))
+    noise = truth.pixel, session.noise.of(Detections)
+    true = true_joint_values(planned, truth.joint_errors)
+    detections, _ = simulate_detections(truth, true, views, noise, 0.0, noise_rng, noise_rng)
+    return planned.measured((detections,), q=noisy_values(session, planned.q, joint_rng))
+
+
+def both(a: Session, b: Session) -> Session:
+    """The poses of two sessions of one setup, one after the other."""
+    first, second = (of.find(Detections) for of in (a, b))
+    columns = {key: np.concatenate([column, second.index[key]]) for key, column in first.index.items()}
+    columns["pose"] = np.concatenate([first.pose, second.pose + len(a.poses)])
+    uv, sigma = (np.concatenate([getattr(of, name) for of in (first, second)]) for name in ("uv", "sigma"))
+    detections = Detections(**columns, uv=uv, sigma=sigma)
+    q = np.concatenate([a.q, b.q])
+    return replace(a, poses=(*a.poses, *b.poses), q=q, previous=None, part=np.zeros(len(q)), measurements=(detections,))
+
+
+def true_error(simulated: Simulated, calibration: Calibration, count: int = 500) -> float:
+    """How far the calibrated tip is off over the workspace, rms, the base aligned. [m]."""
+    nominal = simulated.session.chain
+    true = nominal.with_placements(simulated.truth.placements)
+    q = nominal.random_values(count, np.random.default_rng(0))
+    return rms(compare(nominal.with_placements(calibration.placements), true, q).position)

@@ -1,0 +1,130 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from tests.measuring import both, measured_at, true_error
+from tests.states import true_state_of
+from urdfcal.errors import SessionError
+from urdfcal.estimation.model_spec import ModelSpec
+from urdfcal.estimation.parameters import choose_parameters
+from urdfcal.estimation.problem import Problem
+from urdfcal.io.folder import read_rig
+from urdfcal.io.shipped_rigs import find_rig
+from urdfcal.pipeline import calibrate
+from urdfcal.planning.belief import Belief
+from urdfcal.planning.planner import Planner, base_margin
+from urdfcal.robot.dh import DHTable
+from urdfcal.robot.mechanism import BASE
+from urdfcal.session.knowledge import Estimate
+from urdfcal.simulation.planning import MARGIN, CollisionChecker, load_collision_checker
+from urdfcal.simulation.simulate import nominal_scene
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from urdfcal.simulation.simulate import Simulated
+
+
+@pytest.fixture(scope="module")
+def few(simulated: Callable[..., Simulated]) -> Simulated:
+    made = simulated("ur5", poses=16)
+    session = replace(made.session, estimate=Estimate("dh", "fixed", "fixed"))
+    return replace(made, session=session.at(np.arange(8)))
+
+
+@pytest.fixture(scope="module")
+def planner(few: Simulated) -> Planner:
+    return Planner(few.session, candidates=600)
+
+
+def test_planned_poses_bring_more_than_as_many_random_ones_and_what_is_expected_of_them(
+    simulated: Callable[..., Simulated], few: Simulated, planner: Planner
+) -> None:
+    plan = planner.plan(8)
+    belief = Belief.of_calibration(calibrate(few.session, force=True)).identified_by(plan.q)
+    at = belief.candidates(plan.q[plan.rank >= 0], few.session.chain.random_values(300, np.random.default_rng(0)))
+    random = at.error(belief.with_session(simulated("ur5", poses=16).session).information)
+    planned = at.error(belief.information + at.information(range(8)))
+    assert planned == pytest.approx(plan.errors[-1])
+    assert planned < 0.8 * random
+    more = measured_at(few, plan.q[plan.rank >= 0], seed=0)
+    assert true_error(few, calibrate(both(few.session, more), force=True)) < 1.5 * plan.likely[-1]
+
+
+def test_every_pose_and_move_is_free_and_seen_on_the_true_arm(few: Simulated, planner: Planner) -> None:
+    plan = planner.plan(8)
+    checker, _ = load_collision_checker(few.truth, few.session)
+    assert checker is not None
+    here = few.session.q[-1]
+    for q in plan.q:
+        assert all(checker.is_free(here + step * (q - here)) for step in np.linspace(0.0, 1.0, 50)[1:])
+        here = q
+    measured = plan.q[plan.rank >= 0]
+    centres = few.truth.camera_centres(measured)
+    assert few.truth.in_image(few.truth.pixels(measured)).all()
+    assert all(checker.is_seen(q, c) for q, c in zip(measured, centres, strict=True))
+
+
+def test_the_next_pose_is_new_and_brings_most(few: Simulated, planner: Planner) -> None:
+    q = planner.next(few.session)
+    one = planner.plan(1)
+    np.testing.assert_array_equal(one.q[one.rank == 0][0], q)
+    longer = both(few.session, measured_at(few, np.tile(q, (3, 1)), seed=0))
+    # Readings are noisy: the same pose is not the same number, and is still no new one.
+    assert np.abs(planner.next(longer) - q).max() > 1e-2
+
+
+def test_a_misfit_makes_what_is_measured_worth_less(few: Simulated) -> None:
+    belief = Belief.of_calibration(calibrate(few.session, force=True))
+    worse = replace(belief, misfit=3.0).with_session(few.session)
+    same = replace(belief, misfit=1.0).with_session(few.session)
+    assert np.trace(worse.information) < np.trace(same.information)
+
+
+def test_before_anything_is_measured_the_margin_is_wider() -> None:
+    rig = read_rig(find_rig("ur5"))
+    assert base_margin(rig) > 1.5 * MARGIN
+    plan = Planner(rig, candidates=300).plan(3)
+    measured, scene = plan.q[plan.rank >= 0], nominal_scene(rig)
+    assert scene.in_image(scene.pixels(measured), base_margin(rig)).all()
+    moved = np.array(scene.T_world_base)
+    moved[:3, 3] += 0.03 / np.sqrt(3.0)
+    moved_scene = replace(scene, T_world_base=moved)
+    assert moved_scene.in_image(moved_scene.pixels(measured)).all()
+
+
+def test_the_arm_keeps_clear_of_cameras_and_itself() -> None:
+    rig = read_rig(find_rig("ur5"))
+    assert rig.urdf is not None
+    q = rig.chain.random_values(300, np.random.default_rng(0))
+    checkers = [CollisionChecker(rig.chain, rig.urdf, [], [(BASE, np.array([0.5, 0.2, 0.4]))], of) for of in (0.0, 0.1)]
+    bare, clear = (np.array([checker.is_free(q_k) for q_k in q]) for checker in checkers)
+    assert not np.any(clear & ~bare)
+    assert clear.sum() < bare.sum()
+    alone = CollisionChecker(rig.chain, rig.urdf, [], [], 0.1)
+    assert np.sum([alone.is_free(q_k) for q_k in q]) > clear.sum()
+
+
+def test_what_cannot_be_planned_is_refused(few: Simulated) -> None:
+    with pytest.raises(SessionError, match="no camera is there"):
+        Planner(read_rig(find_rig("panda_sockets")))
+    with pytest.raises(SessionError, match="nothing says where the arm stands"):
+        Planner(few.session.unmeasured())
+    with pytest.raises(SessionError, match="candidates are none"):
+        Planner(few.session, candidates=0)
+    with pytest.raises(SessionError, match="poses found"):
+        Planner(few.session, candidates=12).plan(15)
+
+
+def test_the_belief_has_all_parameters_of_the_rigid_arm(few: Simulated) -> None:
+    offsets = replace(few.session, estimate=Estimate("offsets", "fixed", "fixed"))
+    belief = Belief.of_calibration(calibrate(offsets, force=True))
+    table = DHTable.from_chain(few.session.chain)
+    problem = Problem.of(few.session, table)
+    spec = ModelSpec("dh", ("fixed",) * 2, ("fixed",) * 2)
+    whole = choose_parameters(few.session, problem, true_state_of(few), spec)
+    assert set(whole.names) <= set(belief.parameters.names)

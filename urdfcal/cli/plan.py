@@ -1,0 +1,142 @@
+"""``urdfcal plan``: the poses to measure next."""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import TYPE_CHECKING
+
+import click
+
+from urdfcal.cli.console import PATH, json_option, progress_bar, seed_option, sheet, terminal
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from urdfcal.planning.planner import Plan
+    from urdfcal.session.model import Setup
+
+# Poses that are enough for any arm: what more bring is below a tenth.
+_MOST = 100
+_DEFAULT = 10
+_METRES = {"um": 1e-6, "mm": 1e-3, "m": 1.0}
+
+
+class Length(click.ParamType[float]):
+    """A length with its unit, as 0.2mm."""
+
+    name = "length"
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Return it in metres."""
+        if isinstance(value, float):
+            return value
+        found = re.fullmatch(r"(\d*\.?\d+) ?(um|mm|m)", str(value))
+        if found is None or float(found[1]) == 0.0:
+            self.fail(f"{value!r} is no length: write it with its unit, as 0.2mm", param, ctx)
+        return float(found[1]) * _METRES[found[2]]
+
+
+@click.command("plan")
+@click.argument("start", metavar="SESSION|RIG")
+@click.option("-o", "--output", type=PATH, required=True, help="Table to write, as joints.csv.")
+@click.option(
+    "--poses", type=click.IntRange(min=1), show_default=False,
+    help=f"How many; with --until at most.  [default: {_DEFAULT}; with --until {_MOST}]",
+)  # fmt: skip
+@click.option(
+    "--until", type=Length(), metavar="LENGTH",
+    help="As few as bring the tip's rms error to this in nine of ten arms, such as 0.2mm.",
+)  # fmt: skip
+@click.option(
+    "--workspace", metavar="BOX|FILE|session", show_default=False,
+    help="Where the tip is to be accurate: xmin,xmax,ymin,ymax,zmin,zmax in the base link's frame in m, a CSV file of "
+    "joint values, or the session's poses.  [default: the joints' ranges]",
+)  # fmt: skip
+@click.option("--candidates", type=click.IntRange(min=1), default=2000, help="Poses to choose from.")
+@click.option(
+    "--format", "also", multiple=True, type=click.Choice(["urscript", "ros", "lerobot"]),
+    help="Write what drives an arm through them, too, beside the table.",
+)  # fmt: skip
+@seed_option
+@json_option
+def command(
+    start: str, output: Path, poses: int | None, until: float | None, workspace: str | None, candidates: int,
+    also: tuple[str, ...], seed: int, as_json: bool,
+) -> int:  # fmt: skip
+    """Plan the poses to measure next, those that make the tip most accurate.
+
+    From a SESSION with a few measured poses, or from a RIG (a shipped rig's name or a folder) before anything is
+    measured. In every pose the arm keeps clear of itself, the table and the cameras, and every camera sees every LED;
+    moves from row to row, straight in joint space, are free as well. Rows named pass1, pass2, ... only lead around
+    something. Watch the first run: what else stands around the arm is not known here.
+
+    Exit status 1 says that --until cannot be reached.
+    """
+    from urdfcal.files import write_text
+    from urdfcal.planning.files import FORMATS, WRITERS, as_csv
+    from urdfcal.planning.planner import Planner
+    from urdfcal.planning.workspace import parse_workspace
+
+    setup, where = _read(start), parse_workspace(workspace)
+    count = poses or (_DEFAULT if until is None else _MOST)
+    with progress_bar("planning", 2 * (candidates + count)) as advance:
+        planner = Planner(setup, workspace=where, candidates=candidates, seed=seed, progress=advance)
+        found = planner.plan(count, until=until or 0.0, progress=advance)
+    files = {}
+    if found.count:
+        files = {output: as_csv(found)}
+        files |= {output.with_suffix(WRITERS[of][0]): WRITERS[of][1](found) for of in FORMATS if of in also}
+    for path, text in files.items():
+        write_text(path, text)
+    for warning in found.warnings:
+        click.echo(f"- {warning}", err=True)
+    if as_json:
+        click.echo(json.dumps(_as_dict(found), indent=2))
+    else:
+        _print(found, [str(path) for path in files], until)
+    return int(until is not None and found.likely[-1] > until)
+
+
+def _read(start: str) -> Setup:
+    """Read a session, or a rig."""
+    from pathlib import Path
+
+    from urdfcal.errors import SessionError
+    from urdfcal.io.folder import read_rig, read_session
+    from urdfcal.io.shipped_rigs import find_rig
+
+    path = Path(start)
+    if (path / "session.yaml").is_file() or path.name == "session.yaml":
+        return read_session(path)
+    if (path / "calibration.json").is_file() or path.name == "calibration.json":
+        remedy = "Name the session that it was calibrated from: it says where cameras and LEDs are."
+        raise SessionError("a result does not say what is to be measured with", where=start, remedy=remedy)
+    return read_rig(find_rig(start))
+
+
+def _print(plan: Plan, paths: list[str], until: float | None) -> None:
+    now, then = (f"{1e3 * error:.3g} mm" for error in (plan.errors[0], plan.errors[-1]))
+    if not plan.count:
+        click.echo(f"nothing more to measure: the tip's rms error is expected at {now}, as it is")
+        return
+    rows = sheet("", ["poses", "tip, expected (mm rms)", "in 9 of 10 arms at most"], texts=0)
+    for k, (error, likely) in enumerate(zip(plan.errors, plan.likely, strict=True)):
+        rows.add_row(str(k), f"{1e3 * error:.3g}", f"{1e3 * likely:.3g}")
+    terminal().print(rows)
+    passed = len(plan.rank) - plan.count
+    click.echo(
+        f"{', '.join(paths)}: {plan.count} poses" + (f", and {passed} to pass through" if passed else "") + "; "
+        f"the tip's expected rms error goes from {now} to {then}"
+    )
+    if until is not None and plan.likely[-1] > until:
+        click.echo(f"{1e3 * until:.3g} mm is not reached: a better camera, a nearer one or more LEDs would help more")
+
+
+def _as_dict(plan: Plan) -> dict[str, object]:
+    return {
+        "poses": plan.count,
+        "tip_mm": [1e3 * error for error in plan.errors.tolist()],
+        "tip_at_most_mm": [1e3 * error for error in plan.likely.tolist()],
+        "warnings": list(plan.warnings),
+    }

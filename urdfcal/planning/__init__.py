@@ -1,0 +1,1 @@
+"""Which poses to measure next, and what they bring."""

@@ -1,0 +1,98 @@
+"""Plans as files: joint values as joints.csv has them, and what drives an arm through them."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from urdfcal.planning.planner import Plan
+
+ProgramFormat: TypeAlias = Literal["urscript", "ros", "lerobot"]
+FORMATS: tuple[ProgramFormat, ...] = get_args(ProgramFormat)
+
+# Slow enough for any arm to be stopped by hand. [rad/s or m/s, rad/s^2 or m/s^2]
+_SPEED, _ACCELERATION = 0.25, 0.5
+# At rest before and while something is measured: an arm of 10 kg swings for half a second. [s]
+_REST = 2.0
+
+
+def labels(plan: Plan) -> list[str]:
+    """Name poses in the order of the moves; where the arm only passes nothing need be measured."""
+    measured = np.cumsum(plan.rank >= 0)
+    width = len(str(plan.count))
+    passed = np.cumsum(plan.rank < 0)
+    return [
+        f"{measured[k]:0{width}d}" if rank >= 0 else f"pass{passed[k]}" for k, rank in enumerate(plan.rank.tolist())
+    ]
+
+
+def as_csv(plan: Plan) -> str:
+    """Write the plan as joints.csv: a label, and the actuated joints' values. [rad or m]."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["pose", *plan.chain.actuated])
+    for label, values in zip(labels(plan), plan.chain.readings(plan.q).tolist(), strict=True):
+        writer.writerow([label, *values])
+    return text.getvalue()
+
+
+def as_urscript(plan: Plan) -> str:
+    """Write a program for a Universal Robot: straight moves in joint space, at rest in every pose."""
+    lines = ["def measure():"]
+    for label, rank, values in _rows(plan):
+        lines.append(f"  movej([{', '.join(f'{value:.6f}' for value in values)}], a={_ACCELERATION}, v={_SPEED})")
+        if rank >= 0:
+            lines += [f'  textmsg("pose {label}")', f"  sleep({_REST})"]
+    return "\n".join([*lines, "end", ""])
+
+
+def as_ros(plan: Plan) -> str:
+    """Write a trajectory_msgs/JointTrajectory as YAML; the arm rests in every pose that is measured."""
+    import yaml
+
+    time, points, before = 0.0, [], None
+    for _, rank, values in _rows(plan):
+        time += _REST if before is None else max(float(np.abs(np.subtract(values, before)).max()) / _SPEED, 1.0)
+        for _ in range(2 if rank >= 0 else 1):
+            stamp = {"sec": int(time), "nanosec": int(1e9 * (time % 1.0))}
+            points.append({"positions": list(values), "velocities": [0.0] * len(values), "time_from_start": stamp})
+            time += _REST if rank >= 0 else 0.0
+        time -= _REST if rank >= 0 else 0.0
+        before = values
+    return yaml.safe_dump(
+        {"joint_names": list(plan.chain.actuated), "points": points},
+        sort_keys=False,
+        default_flow_style=None,
+        width=110,
+    )
+
+
+def as_lerobot(plan: Plan) -> str:
+    """Write actions for LeRobot's robots: positions in degrees (sliding joints in m), as with ``use_degrees``."""
+    slides = [joint.prismatic for joint in plan.chain.actuated_joints]
+    rows = []
+    for label, rank, values in _rows(plan):
+        degrees = np.where(slides, values, np.degrees(values)).tolist()
+        action = {f"{name}.pos": value for name, value in zip(plan.chain.actuated, degrees, strict=True)}
+        rows.append({"pose": label, "measure": rank >= 0, "action": action})
+    return json.dumps(rows, indent=1) + "\n"
+
+
+WRITERS: dict[ProgramFormat, tuple[str, Callable[[Plan], str]]] = {
+    "urscript": (".script", as_urscript),
+    "ros": (".yaml", as_ros),
+    "lerobot": (".json", as_lerobot),
+}
+"""The suffix of each format's files, and what writes them."""
+
+
+def _rows(plan: Plan) -> list[tuple[str, int, list[float]]]:
+    """Label, rank and readings of each pose."""
+    return list(zip(labels(plan), plan.rank.tolist(), plan.chain.readings(plan.q).tolist(), strict=True))
