@@ -178,8 +178,8 @@ def test_the_urdf_of_an_arm_that_bends_is_the_nearest_for_a_workspace(
 @pytest.mark.parametrize(
     ("workspace", "code", "message"),
     [
-        ("nonsense", 2, "is no file, no folder, and no box: write x0:x1,y0:y1,z0:z1 in metres"),
-        ("1:0,0:1,0:1", 2, "is no file, no folder, and no box"),
+        ("nonsense", 2, "is no box, no file and no folder. Write a box as x0:x1,y0:y1,z0:z1"),
+        ("1:0,0:1,0:1", 2, "is no box, no file and no folder"),
         ("5:6,0:1,0:1", 2, "Name a box that the measured poses reach"),
         ("nowhere.csv", 2, "nowhere.csv"),
     ],

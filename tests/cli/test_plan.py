@@ -66,7 +66,7 @@ def test_a_session_is_gone_on_from_and_a_box_is_where_it_counts(capsys: pytest.C
     assert run(["simulate", "elbow3r", "-o", "s", "--poses", "8"]) == 0
     assert run(["plan", "s", *RIG[2:], "--poses", "4", "--workspace", "session"]) == 0
     tip = tip_poses(chain(), chain().random_values(500, np.random.default_rng(0)))[:, :3, 3]
-    box = [f"{end:.3f}" for of in np.percentile(tip, [20, 80], axis=0).T for end in of]
+    box = [f"{low:.3f}:{high:.3f}" for low, high in np.percentile(tip, [20, 80], axis=0).T]
     assert run(["plan", "s", *RIG[2:], "--poses", "4", "--workspace", ",".join(box)]) == 0
     assert run(["plan", "s", *RIG[2:], "--poses", "4", "--workspace", "s/joints.csv"]) == 0
     capsys.readouterr()
@@ -76,10 +76,10 @@ def test_a_session_is_gone_on_from_and_a_box_is_where_it_counts(capsys: pytest.C
     ("arguments", "message"),
     [
         (["--until", "0.2"], "write it with its unit"),
-        (["--workspace", "1,2,3"], "is no box and no file"),
-        (["--workspace", "0,1,0,1,0,x"], "could not convert"),
-        (["--workspace", "1,0,0,1,0,1"], "least corner is not below"),
-        (["--workspace", "8,9,8,9,8,9"], "random poses 0 bring"),
+        (["--workspace", "1,2,3"], "is no box, no file and no folder"),
+        (["--workspace", "0:1,0:1,0:x"], "is no box"),
+        (["--workspace", "1:0,0:1,0:1"], "is no box"),
+        (["--workspace", "8:9,8:9,8:9"], "random poses 0 bring"),
         (["--workspace", "session"], "nothing is measured yet"),
     ],
 )

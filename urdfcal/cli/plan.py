@@ -50,8 +50,8 @@ class Length(click.ParamType[float]):
 )  # fmt: skip
 @click.option(
     "--workspace", metavar="BOX|FILE|session", show_default=False,
-    help="Where the tip is to be accurate: xmin,xmax,ymin,ymax,zmin,zmax in the base link's frame in m, a CSV file of "
-    "joint values, or the session's poses.  [default: the joints' ranges]",
+    help="Where the tip is to be accurate: x0:x1,y0:y1,z0:z1 in the base link's frame in m, a CSV file of joint "
+    "values, or the session's poses.  [default: the joints' ranges]",
 )  # fmt: skip
 @click.option("--candidates", type=click.IntRange(min=1), default=2000, help="Poses to choose from.")
 @click.option(

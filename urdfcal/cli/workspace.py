@@ -11,8 +11,6 @@ if TYPE_CHECKING:
     from urdfcal.arrays import Floats
     from urdfcal.result.calibration import Calibration
 
-_AXES = 3
-
 
 class Configurations(NamedTuple):
     """Joint readings in a workspace.
@@ -39,7 +37,8 @@ def configurations(calibration: Calibration, workspace: str | None) -> Configura
             file; None for what was measured.
 
     Raises:
-        click.BadParameter: it is none of these.
+        click.BadParameter: it is a session of other joints.
+        RobotError: it is none of these.
         OutputError: the box is hardly ever reached, or nothing is known of what was measured.
         SessionError: the path or session cannot be read.
     """
@@ -62,19 +61,7 @@ def configurations(calibration: Calibration, workspace: str | None) -> Configura
             raise click.BadParameter(f"{workspace} is a session of other joints", param_hint="--workspace")
         measured = None if torques is None else chain.readings(torques)
         return Configurations(workspace, session.readings, measured, chain.readings(session.came_from))
-    q = draw_readings(calibration, measured_domain(calibration), _box(workspace))
+    from urdfcal.robot.box import parse_box
+
+    q = draw_readings(calibration, measured_domain(calibration), parse_box(workspace))
     return Configurations(f"the box {workspace}", q)
-
-
-def _box(text: str) -> Floats:
-    import numpy as np
-
-    try:
-        box = np.array([[float(end) for end in axis.split(":")] for axis in text.split(",")])
-    except ValueError:
-        box = np.zeros(0)
-    if box.shape != (_AXES, 2) or not np.all(box[:, 0] < box[:, 1]):
-        raise click.BadParameter(
-            f"{text!r} is no file, no folder, and no box: write x0:x1,y0:y1,z0:z1 in metres", param_hint="--workspace"
-        )
-    return box

@@ -9,7 +9,7 @@ import numpy as np
 
 from urdfcal.arrays import Floats, finite_array
 from urdfcal.errors import SessionError
-from urdfcal.robot.kinematics import tip_poses
+from urdfcal.robot.box import in_box, parse_box
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -54,35 +54,24 @@ def workspace_values(
 
 
 def parse_workspace(text: str | None) -> WorkspaceOfInterest:
-    """Read a workspace from the command line: ``session``, six numbers in metres, or a file.
+    """Read a workspace from the command line: ``session``, a file of joint values, or a box.
 
     Raises:
-        SessionError: it is neither.
+        RobotError: it is none of these.
     """
     if text is None or text == "session":
         return text  # type: ignore[return-value]
-    numbers = text.split(",")
-    if len(numbers) == 6:
-        try:
-            corners = np.array([float(number) for number in numbers])
-        except ValueError as error:
-            raise SessionError(f"{error}", where=f"workspace {text}", remedy=_REMEDY) from error
-        return corners[::2], corners[1::2]
-    if not Path(text).is_file():
-        raise SessionError("is no box and no file", where=f"workspace {text}", remedy=_REMEDY)
-    return Path(text)
-
-
-_REMEDY = "Write a box in the base link's frame, in m, as xmin,xmax,ymin,ymax,zmin,zmax; or name a CSV file of joints."
+    return Path(text) if Path(text).is_file() else tuple(parse_box(text).T)
 
 
 def _in_box(chain: Mechanism, low: Floats, high: Floats, rng: np.random.Generator) -> Floats:
     where = f"workspace box {_said(low)} to {_said(high)} m"
     if not np.all(low < high):
-        raise SessionError("its least corner is not below its largest", where=where, remedy=_REMEDY)
+        raise SessionError(
+            "its least corner is not below its largest", where=where, remedy="Name the least x, y and z first."
+        )
     q = chain.random_values(_DRAWS, rng)
-    tips = tip_poses(chain, q)[:, :3, 3]
-    q = q[((tips >= low) & (tips <= high)).all(axis=1)][:_COUNT]
+    q = q[in_box(chain, q, np.stack([low, high], axis=1))][:_COUNT]
     if len(q) < _LEAST:
         what = f"of {_DRAWS} random poses {len(q)} bring {chain.tip_link} into it"
         raise SessionError(

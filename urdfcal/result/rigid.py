@@ -10,7 +10,8 @@ import numpy as np
 from urdfcal.arrays import Floats, frozen, rms
 from urdfcal.errors import OutputError
 from urdfcal.estimation.blocks.arm import no_offsets
-from urdfcal.robot.kinematics import link_motions, link_poses, tip_poses
+from urdfcal.robot.box import in_box
+from urdfcal.robot.kinematics import link_motions, link_poses
 from urdfcal.robot.mechanism import BASE
 from urdfcal.robot.placements import PlacementTable
 from urdfcal.robot.tree_dh import rows_of
@@ -150,8 +151,7 @@ def draw_readings(
     while len(found) < _DRAWS and count < _ROUNDS:
         q, count = rng.uniform(*limits, (_DRAWS if box is None else 10 * _DRAWS, len(lower))), count + 1
         if box is not None:
-            p = tip_poses(calibration.calibrated, calibration.chain.joint_values(q))[:, :3, 3]
-            q = q[np.all((p >= box[:, 0]) & (p <= box[:, 1]), axis=1)]
+            q = q[in_box(calibration.calibrated, calibration.chain.joint_values(q), box)]
         found = np.concatenate([found, q])
     if len(found) < _LEAST:
         raise OutputError(
