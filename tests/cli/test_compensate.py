@@ -271,4 +271,11 @@ def test_that_a_urdf_holds_the_rigid_part_alone_is_said_where_it_is_written(
     for result, bends in ((tmp_path / "calibration.json", True), (calibrated("ur5") / "result", False)):
         assert run(["apply", str(result), str(urdf), "-o", str(tmp_path / f"{bends}.urdf")]) == 0
         said = capsys.readouterr().out
-        assert ("a URDF cannot hold compliance, backlash; compensate and the library do" in said) is bends
+        assert ("no such file can hold compliance, backlash; compensate and the library do" in said) is bends
+        assert run(["export", str(result), "--to", "xacro-patch", "-o", str(tmp_path / "patch")]) == 0
+        said = capsys.readouterr().out
+        assert ("no such file can hold compliance, backlash; compensate and the library do" in said) is bends
+        q = write(tmp_path / "q.csv", bending.chain, np.zeros((2, 6)))
+        call = ["compensate", str(result), str(q), "-o", str(tmp_path / f"{bends}.csv"), "--payload", "nothing"]
+        assert run(call) == 0
+        assert ("what it carries makes no difference" in capsys.readouterr().out) is not bends

@@ -35,7 +35,7 @@ def test_xacro_places_a_franka_s_joints_as_calibrated(calibrated: Callable[[str]
     result = calibrated("panda_sockets") / "result"
     assert run(["export", str(result), "--to", "franka-kinematics", "-o", str(tmp_path)]) == 0
     joints = "\n".join(FRANKA_JOINT.format(i=i, before=i - 1) for i in range(1, 9))
-    (tmp_path / "arm.xacro").write_text(FRANKA.format(file=tmp_path / "kinematics.yaml", joints=joints))
+    (tmp_path / "arm.xacro").write_text(FRANKA.format(file=tmp_path / "franka_kinematics.yaml", joints=joints))
     (tmp_path / "arm.urdf").write_text(xacro.process_file(str(tmp_path / "arm.xacro")).toxml())
     read = Urdf.read(tmp_path / "arm.urdf")
     corrected = Urdf.read(next(result.glob("*.urdf")))

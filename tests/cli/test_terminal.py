@@ -83,3 +83,14 @@ def test_help_lists_whole_sentences(capsys: pytest.CaptureFixture[str]) -> None:
     joined = "".join(text.split())
     for command in cli.commands.values():
         assert "".join(command.get_short_help_str(1000).split()) in joined
+
+
+@pytest.mark.usefixtures("terminal")
+def test_no_digit_of_a_row_is_cut(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["dh", "package://example-robot-data/robots/ur_description/urdf/ur5_robot.urdf", "--tip", "tool0"]) == 0
+    lines = shown(capsys.readouterr().out)
+    assert all(len(line) <= WIDTH for line in lines)
+    assert "\N{HORIZONTAL ELLIPSIS}" not in "".join(lines)
+    numbers = [line.split()[2:] for line in lines if "revol" in line]
+    assert len(numbers) == 6
+    assert all(len(row) == 5 and all(re.fullmatch(r"-?\d+\.\d{4}", cell) for cell in row) for row in numbers)

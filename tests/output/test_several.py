@@ -51,3 +51,13 @@ def test_images_are_those_of_what_moved_under_its_first_name(simulated: Callable
     assert [sorted(of) for of in found] == [list(range(8)), list(range(5)), [5, 6, 7]]
     assert found[0] == whole[0]
     assert found[1] | found[2] == whole[1]
+
+
+def test_pictures_of_targets_are_shown_too(simulated: Callable, tmp_path: Path) -> None:
+    session = replace(simulated("ur5_charuco", poses=5).session, folder=tmp_path)
+    (camera,) = session.rig.names
+    (tmp_path / "images" / camera).mkdir(parents=True)
+    for pose in session.poses[1:4]:
+        (tmp_path / "images" / camera / f"{pose}.png").touch()
+    (found,) = find_photographs(session)
+    assert {k: path.name for k, path in found.items()} == {k: f"{session.poses[k]}.png" for k in (1, 2, 3)}

@@ -68,12 +68,13 @@ def command(
 
 
 def _print(table: Sequence[Ended]) -> None:
-    rows = sheet("", ["session", "verdict", "why", "nominal (mm)", "calibrated (mm)", "tip at most (mm)", "s"], texts=3)
-    rows.columns[2].no_wrap = False
+    rows = sheet("", ["session", "verdict", "nominal (mm)", "calibrated (mm)", "tip, 95 % below (mm)", "s"], texts=2)
     for one in table:
         figures = (one.rms_nominal_mm, one.rms_mm, one.tip_mm, one.seconds)
-        cells = ["" if figure is None else f"{figure:.3g}" for figure in figures]
-        rows.add_row(one.name, one.level, one.sentence, *cells)
+        rows.add_row(one.name, one.level, *("" if figure is None else f"{figure:.3g}" for figure in figures))
     terminal().print(rows)
+    for one in table:
+        if one.level != "good":
+            terminal().print(f"{one.name}: {one.sentence}", markup=False, highlight=False)
     counts = {level: sum(one.level == level for one in table) for level in ("good", "doubtful", "bad", "failed")}
     click.echo(f"{len(table)} sessions: " + ", ".join(f"{count} {level}" for level, count in counts.items() if count))

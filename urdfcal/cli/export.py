@@ -69,7 +69,7 @@ def command(
         raise click.UsageError("--to lerobot needs --motors FILE, LeRobot's calibration when the joints were read")
     beside = result if result.is_dir() else result.parent
     written: Mapping[str, str | bytes]
-    remark = ""
+    remark = rigid_part(result)
     if target == "urdf":
         written, remark = _region(result, beside, workspace)
     elif motors is not None:
@@ -87,6 +87,16 @@ def command(
         click.echo(folder / name)
     if remark:
         click.echo(remark)
+
+
+def rigid_part(result: Path) -> str:
+    """Say that what is written of an arm that bends is its rigid part; nothing of one that does not."""
+    from urdfcal.result.calibration import Calibration
+
+    models = dict.fromkeys(name for of in Calibration.load(result).document.joint_models.values() for name in of)
+    if not models:
+        return ""
+    return f"- it is the rigid part: no such file can hold {', '.join(models)}; compensate and the library do"
 
 
 def _region(result: Path, beside: Path, workspace: str | None) -> tuple[Mapping[str, str | bytes], str]:

@@ -9,6 +9,7 @@ import click
 
 from urdfcal import files
 from urdfcal.cli.console import PATH, progress_bar, result_argument
+from urdfcal.cli.export import rigid_part
 from urdfcal.errors import OutputError
 
 if TYPE_CHECKING:
@@ -44,8 +45,8 @@ def apply(result: Path, urdf: str, output: Path | None) -> None:
     calibration = Calibration.load(result)
     files.write_bytes(output, calibration.apply_to_urdf(Urdf.read(urdf)))
     click.echo(output)
-    if models := dict.fromkeys(name for of in calibration.document.joint_models.values() for name in of):
-        click.echo(f"- it is the rigid part: a URDF cannot hold {', '.join(models)}; compensate and the library do")
+    if remark := rigid_part(result):
+        click.echo(remark)
     if domain := calibration.document.domain:
         units = {joint.name: joint.unit for joint in calibration.chain.actuated_joints}
         ranges = (f"{name} {low:.2f} to {high:.2f} {units[name]}" for name, (low, high) in domain.joints.items())
@@ -99,6 +100,7 @@ def compensate(result: Path, trajectory: Path, output: Path, torques: Path | Non
     import numpy as np
 
     from urdfcal.cli.judging import domain_of
+    from urdfcal.estimation.joint_models.compliance import Compliance
     from urdfcal.output.trajectory import CommandTable
     from urdfcal.result.calibration import Calibration
     from urdfcal.robot.compensation import Compensation
@@ -126,6 +128,8 @@ def compensate(result: Path, trajectory: Path, output: Path, torques: Path | Non
     _print_errors(output, given, found, next(iter(before.values())))
     for remark in domain_of(calibration, calibration.chain, given.q).remarks:
         click.echo(remark)
+    if payload is not None and not any(of.kind is Compliance for of in calibration.joint_models.found):
+        click.echo("no compliance was estimated of this arm: what it carries makes no difference")
     for link in list(before)[1:]:
         click.echo(
             f"{link} is not compensated: {1e3 * before[link]:.3g} mm rms with the nominal commands, "

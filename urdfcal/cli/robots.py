@@ -240,6 +240,10 @@ def _print_rows(table: DHTable, convention: Convention) -> None:
         ["joint", "type", *(f"{name} ({unit})" for name, (_, unit) in scales.items())],
         texts=2,
     )
+    for column in rows.columns[2:]:
+        column.no_wrap = True  # names continue below, digits are not cut
+    for column in rows.columns[:2]:
+        column.no_wrap, column.overflow = False, "fold"
     for row in data["rows"]:
         # Rounding first, or tiny negative numbers print as -0.0000.
         cells = [f"{round(scale * row[name], 4) + 0.0:.4f}" for name, (scale, _) in scales.items()]

@@ -131,7 +131,7 @@ def claims(document: ResultData) -> tuple[str, ...]:
     low, high = tip["interval_mm"]
     expected = (
         f"tip {tip['rms_mm']:.2g} mm rms expected over the workspace (95 %: {low:.2g} to {high:.2g}), "
-        f"{regions['rms_mm']:.2g} mm found in regions left out"
+        f"{regions['rms_mm']:.2g} mm, the measurements' noise included, found in regions left out"
     )
     permille = scale["tip_mm_per_permille"]
     if not permille:

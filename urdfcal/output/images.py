@@ -113,7 +113,7 @@ def _fixed_point(uv: Floats) -> NDArray[np.int32]:
 
 
 def find_photographs(session: Session) -> tuple[dict[int, Path], ...]:
-    """For each camera the image of each pose, that of the first LED where several are lit one by one."""
+    """For each camera the image of each pose: of its targets, or of the first LED where several are lit one by one."""
     folder = session.folder / _FOLDER if session.folder is not None else None
     none: tuple[dict[int, Path], ...] = ({},) * len(session.attachments.camera)
     if folder is None or not folder.is_dir() or not none:
@@ -126,12 +126,13 @@ def find_photographs(session: Session) -> tuple[dict[int, Path], ...]:
     except SessionError:  # a folder of other images: nothing that a calibration from tables should fail for
         return none
     # Videos stay where they are: every frame as an image of its own would be a hundred times their size.
-    found: list[dict[int, Path]] = [
-        {}
-        if isinstance(images, Video)
-        else {shot.pose: image.path for shot, image in reversed(list(zip(shots, images, strict=True)))}
-        for shots, images in zip(index.shots, index.images, strict=True)
-    ]
+    found: list[dict[int, Path]] = [{} for _ in index.shots]
+    of_leds = [[shot.pose for shot in shots] for shots in index.shots]
+    for poses, files in ((index.pictures, index.picture_files), (of_leds, index.images)):
+        for mine, of_camera, images in zip(found, poses, files, strict=True):
+            if not isinstance(images, Video):
+                for pose, image in zip(of_camera, images, strict=True):
+                    mine.setdefault(pose, image.path)
     lens = session.rig.lens
     seen = [set(poses_of_camera(session, c).tolist() if lens.count(of) > 1 else found[of]) for c, of in enumerate(lens)]
     return tuple({pose: found[of][pose] for pose in found[of] if pose in seen[c]} for c, of in enumerate(lens))

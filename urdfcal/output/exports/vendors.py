@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from urdfcal.result.calibration import Calibration
     from urdfcal.robot.urdf.urdf import Urdf
 
-FRANKA, LEROBOT = "kinematics.yaml", "lerobot_calibration.json"
+FRANKA, LEROBOT = "franka_kinematics.yaml", "lerobot_calibration.json"
 # Steps of a turn of Feetech's STS3215, less one, as lerobot.motors.motors_bus takes it for degrees.
 _STEPS = 4095
 _RANGE = ("range_min", "range_max")
