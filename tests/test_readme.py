@@ -47,7 +47,7 @@ def test_what_people_do_and_the_library_example_work_as_written(
     rows = [["time", *chain.names], *([k, *row] for k, row in enumerate(q))]
     Path("path.csv").write_text("\n".join(",".join(map(str, row)) for row in rows) + "\n")
     lines = [line.split("#")[0].split() for line in blocks("sh")[3].splitlines()]
-    assert [line[1] for line in lines] == ["apply", "compensate", "export", "verify", "compare", "batch"]
+    assert [line[1] for line in lines] == ["apply", "compensate", "export", "export", "verify", "compare", "batch"]
     for line in lines:
         assert run(line[1:]) == 0, line
     lines = [line.split("#")[0].split() for line in blocks("sh")[4].splitlines()]
