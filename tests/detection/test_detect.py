@@ -197,11 +197,11 @@ def test_the_arm_tells_the_led_from_brighter_lights_elsewhere(simulated: Simulat
     T = tip_poses(session.chain, session.q)[seen.pose[mine]]
     prediction = predict(camera, (led,), T, np.zeros(count, np.intp), lights)
     assert prediction is not None
-    misses = prediction.misses(lights)
-    assert (misses[:count] < prediction.gate).all()
+    near = prediction.near(lights)
+    assert near[:count].all()
     far = np.linalg.norm(strangers - seen.uv[mine], axis=1) > 2.0 * prediction.gate
-    assert (misses[count:][far] > prediction.gate).all()
-    assert prediction.gate < 40.0
+    assert not near[count:][far].any()
+    assert (prediction.gate < 40.0).all()
 
 
 def test_lights_that_disagree_with_the_arm_give_no_prediction(simulated: Simulated) -> None:

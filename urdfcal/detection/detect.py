@@ -14,7 +14,8 @@ import numpy as np
 from urdfcal.detection.association import LightCandidate, associate
 from urdfcal.detection.debug_images import draw_points, draw_spots
 from urdfcal.detection.image_index import ImageIndex, read_index
-from urdfcal.detection.prediction import Lights, predict
+from urdfcal.detection.led_frames import frames_in_base, led_frames
+from urdfcal.detection.prediction import FEWEST, Lights, predict
 from urdfcal.detection.spots.detector import find_spots
 from urdfcal.detection.targets.search import find_targets
 from urdfcal.errors import OutputError, SessionError
@@ -23,15 +24,15 @@ from urdfcal.files import staged
 from urdfcal.images.files import Video, in_parallel, workers, write_image
 from urdfcal.io.folder import IMAGES, detections_path, read_positions
 from urdfcal.io.writing import write_measurements, write_table
-from urdfcal.robot.kinematics import tip_poses
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
-    from urdfcal.arrays import Floats, Ints
+    from urdfcal.arrays import Floats
     from urdfcal.cameras.camera import Camera
     from urdfcal.cameras.rig import Rig
     from urdfcal.detection.image_index import Shot
+    from urdfcal.detection.led_frames import LedFrames
     from urdfcal.detection.spots.detector import Spots
     from urdfcal.detection.targets.search import TargetSightings
     from urdfcal.images.files import Colour, ImageSequence, SequenceImage
@@ -39,13 +40,13 @@ if TYPE_CHECKING:
 
 REJECTED = "detections_rejected.csv"
 
-# The arm is in the same place again where its LED comes back to within this. [m]
-_SAME = 5e-3
 # What MPEG-4 does to a spot 3.5 px wide in the 2 kB that OpenCV's encoder spends on a frame: 0.06 px a coordinate, of
 # which its images, smoothed as they are, show nothing. [px]
 _COMPRESSED = 0.06
 # A number of a reason, no name's part.
 _NUMBER = re.compile(r"(?<![\w.:'])(\d+(?:\.\d+)?)(?![\w:'])")
+# A reflection now and then outshines an LED whose link is right; of one on another link, next to none agree.
+_ASTRAY = 0.1
 # What calibration is told of the best detections: dust and uneven pixels are not in an image's own noise. [px]
 _LEAST_SIGMA = 2e-3
 
@@ -173,38 +174,28 @@ def detect_in(
     rig = positions.rig
     if not rig.cameras:
         raise SessionError("no cameras are named", remedy="Images need a camera file.")
-    T_base_tip = tip_poses(positions.chain, positions.q)
-
-    def look(task: tuple[Camera, tuple[Shot, ...], ImageSequence]) -> Spots:
-        camera, shots, images = task
+    T_base_frame = frames_in_base(positions)
+    held = []
+    for c, shots in enumerate(index.shots):
         pose, led = np.array(shots, dtype=np.intp).reshape(-1, 2).T
-        place = _places(positions, T_base_tip[pose], led)
-        return find_spots(images, camera.resolution, colour, place, progress, max(1, workers() // len(index.shots)))
+        held.append(led_frames(positions, T_base_frame, c, pose, led))
+
+    def look(task: tuple[Camera, LedFrames, ImageSequence]) -> Spots:
+        camera, frames, images = task
+        threads = max(1, workers() // len(index.shots))
+        return find_spots(images, camera.resolution, colour, frames.places, progress, threads)
 
     # A thread a camera: a video is decoded from its beginning to its end by one.
-    tasks = zip(rig.cameras, index.shots, index.images, strict=True)
+    tasks = zip(rig.cameras, held, index.images, strict=True)
     found = list(in_parallel(look, tasks, min(workers(), len(index.shots))))
     spots, warnings = [], []
-    for camera, shots, seen in zip(rig.cameras, index.shots, found, strict=True):
-        pose, led = np.array(shots, dtype=np.intp).reshape(-1, 2).T
-        spots.append(seen)
+    for camera, frames, seen in zip(rig.cameras, held, found, strict=True):
         if len(seen.still):
             listing = ", ".join(f"({u}, {v})" for u, v in seen.still)
             warnings.append(f"camera {camera.name!r}: small lights stand still and were left out: {listing}")
-        if not shots:
-            continue
-        lights = Lights(seen.image, seen.fits.uv, _flux(seen))
-        prediction = predict(camera, positions.leds, T_base_tip[pose], led, lights[seen.good])
-        if prediction is None:
-            warnings.append(
-                f"camera {camera.name!r}: the arm did not help to tell the LED from other lights: "
-                "too few images show it, or they disagree with the arm"
-            )
-        else:
-            misses = prediction.misses(lights)
-            far = np.array([f"{miss:.0f} px from where the arm holds the LED" for miss in misses], dtype=object)
-            far[np.isinf(misses)] = "the arm holds the LED out of this camera's sight"
-            spots[-1] = seen.rejected(misses > prediction.gate, far)
+        judged, said = _held(camera, frames, seen)
+        spots.append(judged)
+        warnings += said
     spots, more = _agreeing(rig, index, spots)
     targets = find_targets(positions, index, progress)
     warnings += [*more, *targets.warnings]
@@ -307,20 +298,44 @@ def _rejected_rows(detected: Detected) -> Iterator[tuple[str, ...]]:
         yield (pose, camera, led, *(number.replace("nan", "") for number in numbers), reason)
 
 
-def _places(positions: Positions, T_base_tip: Floats, led: Ints) -> Ints:
-    """(P,) a number for each image that is the same where the LED should be in the same place."""
-    # An LED of unknown place is somewhere off the tip: turning the tip moves it.
-    assumed = [np.full(3, 0.05) if one.position is None else one.position for one in positions.leds]
-    R, p = T_base_tip[:, :3, :3], T_base_tip[:, :3, 3]
-    points = p + (R @ np.array(assumed).reshape(-1, 3)[led][..., None])[..., 0]
-    unknown = np.array([one.position is None for one in positions.leds], dtype=bool)[led]
-    rounded = np.column_stack([np.round(points / _SAME), np.where(unknown, led, -1)])
-    return np.asarray(np.unique(rounded, axis=0, return_inverse=True)[1].ravel())
-
-
 def _flux(spots: Spots) -> Floats:
     """(n,) brightness of spots: the volume under them."""
     return np.asarray(2.0 * np.pi * spots.fits.peak * (spots.fits.width**2 + 1.0 / 12.0))
+
+
+def _held(camera: Camera, frames: LedFrames, seen: Spots) -> tuple[Spots, list[str]]:
+    """Reject what is not where the arm holds the LED, and say where the arm cannot tell."""
+    if not len(frames.led):
+        return seen, []
+    names = [led.name for led in frames.leds]
+    warnings = [
+        f"camera {camera.name!r}: the arm does not tell where LED {names[i]!r} is: it stands in the world"
+        for i in np.unique(frames.led[~frames.known])
+    ]
+    told = frames.known[seen.image]
+    if not frames.known.any():
+        return seen, warnings
+    lights = Lights(seen.image, seen.fits.uv, _flux(seen))
+    prediction = predict(camera, frames.leds, frames.T_mount_link, frames.led, lights[seen.good & told])
+    if prediction is None:
+        warnings.append(
+            f"camera {camera.name!r}: the arm did not help to tell the LED from other lights: "
+            "too few images show it, or they disagree with the arm"
+        )
+        return seen, warnings
+    misses, near = prediction.misses(lights), prediction.near(lights)
+    for i in np.unique(frames.led[frames.known]):
+        of = seen.good & (frames.led[seen.image] == i)
+        lit, agreeing = (np.unique(seen.image[rows]).size for rows in (of, of & near))
+        if lit >= FEWEST and agreeing < _ASTRAY * lit:
+            link = f"link {frames.leds[i].link!r}" if frames.leds[i].link else "the tip link"
+            warnings.append(
+                f"camera {camera.name!r}: {agreeing} of {lit} images show a light where the arm holds LED "
+                f"{names[i]!r}: is it on {link}, and are the images named after the LED that is lit?"
+            )
+    far = np.array([f"{miss:.0f} px from where the arm holds the LED" for miss in misses], dtype=object)
+    far[np.isinf(misses)] = "the arm holds the LED out of this camera's sight"
+    return seen.rejected(told & ~near, far), warnings
 
 
 def _agreeing(rig: Rig, index: ImageIndex, spots: list[Spots]) -> tuple[list[Spots], list[str]]:

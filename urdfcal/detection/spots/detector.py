@@ -15,6 +15,7 @@ import numpy as np
 from urdfcal.detection.spots.centroid import Fits, fit_spots
 from urdfcal.detection.spots.gaussian import Rows
 from urdfcal.detection.spots.preprocessing import HOT, LARGE, Preprocessed, preprocess, read_background
+from urdfcal.detection.spots.reduced import enlarged
 from urdfcal.images.files import in_parallel
 
 if TYPE_CHECKING:
@@ -43,6 +44,10 @@ _LOBE = 0.15
 # Share of the light in the named colour: 1/3 is white, a red LED has above 0.6 on any Bayer sensor.
 _PURITY = 0.45
 
+# An LED that is near, or out of focus, has a larger spot: if many images show something large and no LED, they are
+# searched at half the resolution, and so on. A lamp that the arm hides now and then is in less than a quarter.
+_FACTORS = (2, 4)
+_FEWEST_LARGE, _LARGE_SHARE = 3, 0.25
 # Lights this near to each other in different images are one that stands still. [px]
 _SAME_PLACE = 2.0
 # In so many images with the LED elsewhere: chance brings a moving LED back to within two pixels in one in 10,000.
@@ -88,7 +93,7 @@ def find_spots(
     progress: Callable[[int], object] | None = None,
     threads: int | None = None,
 ) -> Spots:
-    """Find and measure every small light in the images of one camera.
+    """Find and measure every small light in the images of one camera; a larger one where many show no small one.
 
     Args:
         images: of the same camera.
@@ -103,15 +108,43 @@ def find_spots(
         CameraError: an image cannot be read, or has another size.
     """
     place = np.arange(len(images)) if place is None else place
-    background = read_background(images, place, resolution, colour, threads)
-    look = partial(preprocess, resolution=resolution, colour=colour, background=background)
+    spots = _found(images, resolution, colour, place, progress, threads)
+    for factor in _FACTORS:
+        without = np.setdiff1d(np.arange(len(images)), spots.image[spots.good])
+        large = np.intersect1d(spots.image[spots.reasons == LARGE], without)
+        if large.size < max(_FEWEST_LARGE, _LARGE_SHARE * len(images)):
+            break
+        wide = _found(images, resolution, colour, place, None, threads, factor)
+        # What is small was judged at the full resolution.
+        found = wide[wide.good & (wide.fits.width > _LARGEST) & np.isin(wide.image, without)]
+        # Of one light, one row is enough.
+        kept = (spots.reasons != LARGE) | ~np.isin(spots.image, found.image)
+        spots = Rows.join([spots[kept], found])
+        spots = spots[np.argsort(spots.image, kind="stable")]
+    return spots
+
+
+def _found(
+    images: ImageSequence,
+    resolution: tuple[int, int],
+    colour: Colour,
+    place: Ints,
+    progress: Callable[[int], object] | None,
+    threads: int | None,
+    factor: int = 1,
+) -> Spots:
+    """Find the lights in images whose resolution is reduced by a factor; in pixels of the full one."""
+    background = read_background(images, place, resolution, colour, threads, factor)
+    look = partial(preprocess, resolution=resolution, colour=colour, background=background, factor=factor)
     looks = in_parallel(look, images, threads, progress)
+    size = (resolution[0] // factor, resolution[1] // factor)
     batches = [Spots.of(0, Fits.unknown(np.zeros((0, 2), dtype=np.intp)))]
     for first in range(0, len(images), _TOGETHER):
-        batches.append(_measured(list(islice(looks, _TOGETHER)), first, resolution, colour))
+        batches.append(_measured(list(islice(looks, _TOGETHER)), first, size, colour))
     spots = Rows.join(batches)
+    spots = replace(spots, fits=enlarged(spots.fits, factor))
     if background:
-        spots = replace(spots, still=background.lights)
+        spots = replace(spots, still=background.lights * factor)
     return spots.rejected(_stands_still(spots, place), "it stands still")
 
 

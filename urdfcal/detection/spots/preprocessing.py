@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.detection.spots.centroid import HALF, Crops
+from urdfcal.detection.spots.reduced import reduced
 from urdfcal.images.files import COLOURS, channel, in_parallel, saturation
 
 if TYPE_CHECKING:
@@ -95,17 +96,22 @@ class Preprocessed:
 
 
 def preprocess(
-    shown: SequenceImage, resolution: tuple[int, int], colour: Colour, background: Background | None
+    shown: SequenceImage,
+    resolution: tuple[int, int],
+    colour: Colour,
+    background: Background | None,
+    factor: int = 1,
 ) -> Preprocessed:
-    """Read one image and cut out its lights.
+    """Read one image, reduce its resolution by a factor, and cut out its lights, in pixels of that.
 
     Raises:
         CameraError: it cannot be read, or has another size than ``resolution`` (width, height).
     """
-    image = shown.lit(resolution)
+    image = reduced(shown.lit(resolution), factor)
     values = channel(image, colour)
     search = _searched(image, values, colour)
     if (dark := shown.unlit(resolution)) is not None:
+        dark = reduced(dark, factor)
         without = channel(dark, colour)
         search, values = search - _searched(dark, without, colour), values - without
         background = None
@@ -130,7 +136,12 @@ def preprocess(
 
 
 def read_background(
-    sequence: ImageSequence, place: Ints, resolution: tuple[int, int], colour: Colour, threads: int | None = None
+    sequence: ImageSequence,
+    place: Ints,
+    resolution: tuple[int, int],
+    colour: Colour,
+    threads: int | None = None,
+    factor: int = 1,
 ) -> Background | None:
     """Read some images with the LED in different places, for what stands still in them.
 
@@ -140,6 +151,7 @@ def read_background(
         resolution: (width, height) that they must have. [px]
         colour: of the LED.
         threads: that read.
+        factor: by which their resolution is reduced.
 
     Returns:
         None where the images are too few, or have dark ones to be subtracted.
@@ -151,7 +163,7 @@ def read_background(
 
     def read(i: int) -> tuple[Image, Image | None]:
         shown = sequence[i]
-        return shown.lit(resolution), shown.unlit(resolution)
+        return reduced(shown.lit(resolution), factor), shown.unlit(resolution)
 
     images = []
     for image, dark in list(in_parallel(read, sample.tolist(), threads)):

@@ -1,0 +1,95 @@
+"""Large spots: measured at a fraction of the resolution, in pixels of the full one."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from urdfcal.detection.spots.detector import Spots, find_spots
+from urdfcal.detection.spots.reduced import reduced
+from urdfcal.images.files import ImageFile, saturation, write_image
+from urdfcal.simulation.render import Light, Scenery, Sensor
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+# No multiple of the factors: what is cut off moves nothing.
+SIZE = (323, 247)
+SENSOR = Sensor(SIZE, 8, 8.0)
+AT = np.array([[150.3, 120.7], [170.1, 110.2], [140.8, 135.5], [160.0, 128.4]])
+
+
+def light(place: Sequence[float], sigma: float, peak: float = 1000.0) -> Light:
+    return Light(np.array(place), peak, sigma)
+
+
+def spots_in(folder: Path, exposures: Sequence[Sequence[Light]], *, dark: bool = False, colour: str = "any") -> Spots:
+    rng, images = np.random.default_rng(0), []
+    stage = Scenery.flat(SIZE, 25.0)
+    for k, lights in enumerate(exposures):
+        off = folder / f"{k}.off.png" if dark else None
+        images.append(ImageFile(folder / f"{k}.png", off))
+        for path, on in ((images[-1].path, lights), (off, [])):
+            if path is None:
+                continue
+            image = SENSOR.expose(stage.expected(on), rng)
+            grey = SENSOR.expose(stage.expected([]), rng)
+            write_image(path, image if colour == "any" else np.stack([image, grey, grey], axis=-1))
+    return find_spots(images, SIZE, colour)
+
+
+@pytest.mark.parametrize(
+    ("sigma", "options"), [(6.5, {}), (9.0, {}), (14.0, {}), (9.0, {"dark": True}), (9.0, {"colour": "red"})]
+)
+def test_a_large_spot_is_found_where_it_is_to_what_is_claimed(tmp_path: Path, sigma: float, options: dict) -> None:
+    spots = spots_in(tmp_path, [[light(place, sigma)] for place in AT], **options)
+    seen = spots[spots.good]
+    assert seen.image.tolist() == [0, 1, 2, 3]
+    assert (np.linalg.norm(seen.fits.uv - AT, axis=1) < 5.0 * seen.fits.sigma).all()
+    assert (seen.fits.sigma < 0.05).all()
+    assert seen.fits.width == pytest.approx(sigma, rel=0.03)
+    assert "larger than an LED" not in spots.reasons
+
+
+def test_a_large_spot_that_is_saturated_is_found(tmp_path: Path) -> None:
+    seen = spots_in(tmp_path, [[light(place, 9.0, 4000.0)] for place in AT])
+    seen = seen[seen.good]
+    assert np.abs(seen.fits.uv - AT).max() < 0.1
+    assert (seen.fits.saturated > 300).all()
+
+
+def test_where_small_leds_are_found_large_lights_are_still_none(tmp_path: Path) -> None:
+    spots = spots_in(tmp_path, [[light(place, 1.5), light(place - [90.0, 60.0], 9.0)] for place in AT])
+    assert spots.image[spots.good].tolist() == [0, 1, 2, 3]
+    assert (spots.fits.width[spots.good] < 2.0).all()
+    assert "larger than an LED" in spots.reasons
+
+
+@pytest.mark.parametrize(("without", "count"), [(2, 4), (3, 13)])
+def test_a_few_images_of_a_lamp_alone_do_not_make_it_an_led(tmp_path: Path, without: int, count: int) -> None:
+    """Two at all are too few, and so is less than a quarter."""
+    lamps = [[light(place, 9.0)] for place in AT[:without]]
+    leds = [[light(place, 1.5)] for place in np.random.default_rng(3).uniform(40.0, 200.0, (count - without, 2))]
+    spots = spots_in(tmp_path, lamps + leds)
+    assert not (spots.image[spots.good] < without).any()
+    assert "larger than an LED" in spots.reasons[spots.image < without]
+
+
+@pytest.mark.parametrize("depth", [np.uint8, np.uint16])
+@pytest.mark.parametrize("shape", [(9, 15), (9, 15, 3)])
+def test_reducing_takes_means_and_keeps_what_may_be_clipped(depth: type, shape: tuple[int, ...]) -> None:
+    image = np.random.default_rng(0).integers(10, 200, shape).astype(depth)
+    full = np.iinfo(depth).max
+    image[2, 5] = full
+    small = reduced(image, 4)
+    assert small.shape == (2, 3, *shape[2:])
+    clipped = small >= saturation(small)
+    assert clipped[0, 1].all()
+    assert np.count_nonzero(clipped) == clipped[0, 1].size
+    means = image[:8, :12].reshape(2, 4, 3, 4, *shape[2:]).mean(axis=(1, 3))
+    scale = 16.0 if depth == np.uint8 else 1.0
+    np.testing.assert_allclose(small[~clipped], scale * means[~clipped], atol=0.5)
+    assert reduced(image, 1) is image
