@@ -123,6 +123,20 @@ def test_a_brighter_light_in_every_image_does_not_hide_the_led_of_the_arm(sessio
     assert all(np.hypot(*np.subtract(uv, truth[pose])) < 2.0 for pose, uv in found.items())
 
 
+def test_an_led_with_a_large_spot_is_found(simulated: Simulated, tmp_path: Path) -> None:
+    write_simulated_images(tmp_path / "s", simulated, Exposure(sigma=7.0))
+    assert run(["detect", str(tmp_path / "s")]) == 0
+    tables = []
+    for name in (TRUTH, "detections.csv"):
+        with (tmp_path / "s" / name).open() as file:
+            rows = csv.DictReader(file)
+            tables.append({(row["pose"], row["camera"]): (float(row["u"]), float(row["v"])) for row in rows})
+    truth, found = tables
+    # Near the border a spot is cut off.
+    assert len(found) >= 2 * POSES - 2
+    assert all(np.hypot(*np.subtract(uv, truth[key])) < 0.2 for key, uv in found.items())
+
+
 def test_a_session_without_cameras_is_refused(session: Path) -> None:
     positions, album = open_images(session)
     with pytest.raises(SessionError, match="no cameras are named"):

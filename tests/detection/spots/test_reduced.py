@@ -68,6 +68,24 @@ def test_where_small_leds_are_found_large_lights_are_still_none(tmp_path: Path) 
     assert "larger than an LED" in spots.reasons
 
 
+def test_beside_a_small_led_a_large_light_is_none_though_other_images_have_nothing_else(tmp_path: Path) -> None:
+    large = [[light(place, 9.0)] for place in AT]
+    spots = spots_in(tmp_path, [*large, [light((60.0, 60.0), 1.5), light((220.0, 100.0), 9.0)]])
+    assert spots.image[spots.good].tolist() == [0, 1, 2, 3, 4]
+    assert spots.fits.uv[spots.good][4] == pytest.approx([60.0, 60.0], abs=0.1)
+
+
+def test_what_is_small_and_no_spot_is_none_at_less_resolution_either(tmp_path: Path) -> None:
+    """A ring, which four times smaller looks round."""
+    angle = np.arange(8) * np.pi / 4.0
+    circle = 4.0 * np.column_stack([np.cos(angle), np.sin(angle)])
+    rings = [[light(place - [90.0, 60.0] + c, 0.8, 500.0) for c in circle] for place in AT]
+    spots = spots_in(tmp_path, [[*ring, light(place, 20.0)] for ring, place in zip(rings, AT, strict=True)])
+    seen = spots[spots.good]
+    assert seen.image.tolist() == [0, 1, 2, 3]
+    assert (seen.fits.width > 15.0).all()
+
+
 @pytest.mark.parametrize(("without", "count"), [(2, 4), (3, 13)])
 def test_a_few_images_of_a_lamp_alone_do_not_make_it_an_led(tmp_path: Path, without: int, count: int) -> None:
     """Two at all are too few, and so is less than a quarter."""
