@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.worlds import declared
-from urdfcal.estimation.noise import _Likelihood, _Part, find_noise
+from urdfcal.estimation.noise import _Likelihood, _Part, find_noise, noise_factors
 from urdfcal.estimation.whitening import joint_noise
 from urdfcal.pipeline import calibrate
 from urdfcal.session.knowledge import Estimate
@@ -99,3 +99,12 @@ def test_noise_of_joints_that_move_nothing_that_is_seen_is_unknown(
     assert pixel.known
     assert not joint.known
     assert joint.ratio == 1.0
+
+
+def test_the_quick_way_finds_the_same_noise(simulated: Callable) -> None:
+    calibration = calibrate(simulated("ur5", poses=40).session)
+    problem, fit = calibration.problem, calibration.fit
+    *kinds, joint = find_noise(problem, fit)
+    *factors, quick = noise_factors(problem, fit)
+    assert quick == joint.found
+    assert factors == pytest.approx([of.found / 0.1 for of in kinds], rel=1e-9)

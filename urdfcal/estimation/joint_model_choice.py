@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import ReadOnly, one_blas_thread, rms
+from urdfcal.arrays import ReadOnly, one_blas_thread
 from urdfcal.estimation.joint_models import Term
 from urdfcal.estimation.joint_models.linear import LinearJointModel
 from urdfcal.estimation.linearize import Tangent
-from urdfcal.estimation.noise import find_noise, with_noise
+from urdfcal.estimation.noise import noise_factors, with_noise
 from urdfcal.estimation.regions import joint_regions, tip_regions
 from urdfcal.estimation.validation import random_folds
 from urdfcal.estimation.whitening import Whitening, joint_noise
@@ -123,20 +123,17 @@ class Alternatives:
         everything = _with_all(fit, models, columns)
         P, parameters = everything.parameters.count - len(columns), everything.parameters
         # Noise is what no model explains: that of a rigid arm would hide behind it what is looked for.
-        *found, joint = find_noise(problem, everything)
+        *factors, joint = noise_factors(problem, everything)
         labels = (random_folds(thinned, seed), joint_regions(thinned), tip_regions(thinned))
         with one_blas_thread():
             rows = []
-            tables = [observed.table for observed in problem.observations]
-            usual = [rms(getattr(table, name)) for table in tables for name in table.spread_of()]
-            factors = [noise.found / sigma for noise, sigma in zip(found, usual, strict=True)]
             covariances = with_noise(thinned.observations, factors)
             for observed, covariance, some, kept in zip(thinned.observations, covariances, even, fit.kept, strict=True):
                 at = Tangent.at(thinned, observed, fit.state, parameters).linearise()
                 N, m, D = at.residual.shape
                 used, J = kept[some], at.J.reshape(N, m * D, -1)
                 X = np.concatenate([J, at.residual.reshape(N, m * D, 1) - J[..., P:] @ values[:, None]], axis=2)
-                reading = joint_noise(at, thinned.arm.chain.reading_jacobian, joint.found)
+                reading = joint_noise(at, thinned.arm.chain.reading_jacobian, joint)
                 W = Whitening.of(covariance / np.where(used, 1.0, _REJECTED)[..., None, None], reading)
                 size = np.nan_to_num(thinned.metres_per_unit(observed, fit.state)) * used
                 rows.append((observed.pose, W(X), np.repeat(size, D, axis=1)[..., None] * X, used.sum(axis=1)))
