@@ -129,6 +129,13 @@ def inverse(T: Floats) -> Floats:
     return result
 
 
+def covariance_of(information: Floats) -> Floats:
+    """Invert an information matrix (P, P) whose rows differ in units, balanced first."""
+    scale = 1.0 / np.sqrt(np.diag(information))
+    result: Floats = np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
+    return result
+
+
 def one_blas_thread() -> AbstractContextManager[object]:
     """Keep linear algebra to one thread within a ``with``: two are slower at these sizes."""
     limits: AbstractContextManager[object] = _thread_pools().limit(limits=1, user_api="blas")

@@ -5,7 +5,8 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from urdfcal.planning.design import Candidates, choose, covariance
+from urdfcal.arrays import covariance_of
+from urdfcal.planning.design import Candidates, choose
 
 
 def problem(count: int = 9, seed: int = 0) -> tuple[Candidates, np.ndarray]:
@@ -28,7 +29,7 @@ def test_units_of_the_parameters_do_not_matter() -> None:
     other = Candidates(candidates.factors * unit, candidates.tip * unit[:, None])
     known_other = known * np.outer(unit, unit)
     np.testing.assert_allclose(other.gains(known_other), candidates.gains(known), rtol=1e-8)
-    np.testing.assert_allclose(covariance(known_other) * np.outer(unit, unit), covariance(known), rtol=1e-8)
+    np.testing.assert_allclose(covariance_of(known_other) * np.outer(unit, unit), covariance_of(known), rtol=1e-8)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -60,7 +61,7 @@ def test_no_more_are_chosen_than_reach_an_error() -> None:
 
 def test_nine_errors_in_ten_are_within_what_is_likely() -> None:
     candidates, known = problem()
-    draws = np.random.default_rng(1).multivariate_normal(np.zeros(5), covariance(known), 20_000)
+    draws = np.random.default_rng(1).multivariate_normal(np.zeros(5), covariance_of(known), 20_000)
     errors = np.linalg.norm(draws @ candidates.tip, axis=1)
     assert np.mean(errors <= candidates.likely(known)) == pytest.approx(0.9, abs=0.015)
     assert np.sqrt(np.mean(errors**2)) == pytest.approx(candidates.error(known), rel=0.02)

@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
+    from urdfcal.result.calibration import Calibration
+
 _FORMATS = (
     "urdf",
     "ros-kinematics",
@@ -67,18 +69,19 @@ def command(
         raise click.UsageError("--to mjcf needs --model FILE, a MuJoCo file of the robot")
     if target == "lerobot" and motors is None:
         raise click.UsageError("--to lerobot needs --motors FILE, LeRobot's calibration when the joints were read")
-    beside = result if result.is_dir() else result.parent
+    from urdfcal.result.calibration import Calibration
+
+    beside, calibration = result if result.is_dir() else result.parent, Calibration.load(result)
     written: Mapping[str, str | bytes]
-    remark = rigid_part(result)
+    remark = rigid_part(calibration)
     if target == "urdf":
-        written, remark = _region(result, beside, workspace)
+        written, remark = _region(calibration, beside, workspace)
     elif motors is not None:
         from urdfcal.output.exports.vendors import lerobot_calibration
-        from urdfcal.result.calibration import Calibration
 
-        written = lerobot_calibration(Calibration.load(result), motors)
+        written = lerobot_calibration(calibration, motors)
     else:
-        written = _files(result, beside, target, link_keys=link_keys, add_frames=add_frames, model=model)
+        written = _files(calibration, beside, target, link_keys=link_keys, add_frames=add_frames, model=model)
     folder = output or (beside if model is None else model.parent)
     with files.staged(folder) as stage:
         for name, content in written.items():
@@ -89,24 +92,20 @@ def command(
         click.echo(remark)
 
 
-def rigid_part(result: Path) -> str:
+def rigid_part(calibration: Calibration) -> str:
     """Say that what is written of an arm that bends is its rigid part; nothing of one that does not."""
-    from urdfcal.result.calibration import Calibration
-
-    models = dict.fromkeys(name for of in Calibration.load(result).document.joint_models.values() for name in of)
+    models = dict.fromkeys(name for of in calibration.document.joint_models.values() for name in of)
     if not models:
         return ""
     return f"- it is the rigid part: no such file can hold {', '.join(models)}; compensate and the library do"
 
 
-def _region(result: Path, beside: Path, workspace: str | None) -> tuple[Mapping[str, str | bytes], str]:
+def _region(calibration: Calibration, beside: Path, workspace: str | None) -> tuple[Mapping[str, str | bytes], str]:
     """The URDF of the best rigid arm for a workspace, and what it loses."""
     from urdfcal.cli.workspace import configurations
     from urdfcal.output.exports import tables
-    from urdfcal.result.calibration import Calibration
     from urdfcal.result.rigid import best_rigid
 
-    calibration = Calibration.load(result)
     urdf = tables.corrected_urdf(calibration, beside)
     what, q, torques, previous = configurations(calibration, workspace)
     fit = best_rigid(calibration, q, torques, previous)
@@ -121,12 +120,10 @@ def _region(result: Path, beside: Path, workspace: str | None) -> tuple[Mapping[
 
 
 def _files(
-    result: Path, beside: Path, target: str, *, link_keys: bool, add_frames: bool, model: Path | None
+    calibration: Calibration, beside: Path, target: str, *, link_keys: bool, add_frames: bool, model: Path | None
 ) -> Mapping[str, str | bytes]:
     from urdfcal.output.exports import frames, mjcf, tables, vendors
-    from urdfcal.result.calibration import Calibration
 
-    calibration = Calibration.load(result)
     if target == "ros-static-tf" and not add_frames:
         return frames.static_transforms(frames.found_frames(calibration))
     if target == "dh-csv":

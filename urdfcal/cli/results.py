@@ -45,7 +45,7 @@ def apply(result: Path, urdf: str, output: Path | None) -> None:
     calibration = Calibration.load(result)
     files.write_bytes(output, calibration.apply_to_urdf(Urdf.read(urdf)))
     click.echo(output)
-    if remark := rigid_part(result):
+    if remark := rigid_part(calibration):
         click.echo(remark)
     if domain := calibration.document.domain:
         units = {joint.name: joint.unit for joint in calibration.chain.actuated_joints}

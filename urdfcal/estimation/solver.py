@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from urdfcal.arrays import one_blas_thread
+from urdfcal.arrays import covariance_of, one_blas_thread
 from urdfcal.errors import CalibrationError, CameraError
 from urdfcal.estimation.least_squares import LeastSquares, Neighbourhood, NormalEquations
 from urdfcal.estimation.robust import REJECTED, HuberWeights, find_outliers, keep_weights, unit_weights
@@ -116,8 +116,7 @@ class Solution:
     @property
     def covariance(self) -> Floats:
         """(count, count) of the active parameters, widened by their spread, and for a misfit if that is not known."""
-        scale = 1.0 / np.sqrt(np.diag(self.information))
-        inverse: Floats = np.linalg.inv(self.information * np.outer(scale, scale)) * np.outer(scale, scale)
+        inverse = covariance_of(self.information)
         if self.spread is not None:
             return inverse + self.spread
         return inverse * self.reduced_chi2 if self.misfit else inverse

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import frozen, one_blas_thread
+from urdfcal.arrays import covariance_of, frozen, one_blas_thread
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -47,7 +47,7 @@ class Candidates:
 
     def error(self, information: Floats) -> float:
         """Return the tip's expected rms error at an information (P, P). [m]."""
-        return float(np.sqrt(np.sum((covariance(information) @ self.tip) * self.tip)))
+        return float(np.sqrt(np.sum((covariance_of(information) @ self.tip) * self.tip)))
 
     def likely(self, information: Floats) -> float:
         """Return what the tip's rms error is at most in nine of ten arms, at an information (P, P). [m].
@@ -55,7 +55,7 @@ class Candidates:
         The squared error is a sum of squares of normal numbers: a chi-square of as many degrees of freedom as give it
         its mean and variance (Welch and Satterthwaite), by the cube root of Wilson and Hilferty.
         """
-        strengths = np.linalg.eigvalsh(self.tip.T @ covariance(information) @ self.tip)
+        strengths = np.linalg.eigvalsh(self.tip.T @ covariance_of(information) @ self.tip)
         mean, freedom = float(np.sum(strengths)), float(np.sum(strengths) ** 2 / np.sum(strengths**2))
         spread = 2.0 / (9.0 * freedom)
         return float(np.sqrt(mean * (1.0 - spread + _NINE_IN_TEN * np.sqrt(spread)) ** 3))
@@ -63,7 +63,7 @@ class Candidates:
     def gains(self, information: Floats) -> Floats:
         """Return what each pose (N,) would take from the tip's expected squared error. [m^2]."""
         N, r, P = self.factors.shape
-        C = covariance(information)
+        C = covariance_of(information)
         with one_blas_thread():
             G = self.factors.reshape(-1, P) @ C
             B = (G @ self.tip).reshape(N, r, -1)
@@ -79,13 +79,6 @@ class Candidates:
     def best(self, information: Floats, free: Bools) -> int:
         """Return the pose that brings most, of those that are free (N,)."""
         return int(np.argmax(np.where(free, self.gains(information), -np.inf)))
-
-
-def covariance(information: Floats) -> Floats:
-    """Invert an information (P, P), its units balanced."""
-    scale = 1.0 / np.sqrt(np.diag(information))
-    result: Floats = np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
-    return result
 
 
 def choose(
