@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import pinocchio as pin
+from scipy.linalg.lapack import dposv
 
 from urdfcal.robot.kinematics import Buffers
 from urdfcal.robot.mechanism import se3
@@ -24,8 +25,8 @@ _STEPS, _SLOW = 12, 0.03
 # Arrived, on the scale of the reach, and a step that is none [rad]: what is left is rounding.
 _ARRIVED = 1e-10
 # An arm of fewer joints than this cannot reach every pose: where it is closest, derivatives are from this near. [rad]
-_FREEDOM, _NEAR = 6, 1e-4
-_EYE = np.eye(3)
+_FREEDOM, _NEAR = 6, 1e-3
+_EYES = {n: np.eye(n) for n in (3, 6)}
 
 
 class TrueValuesOfOne(Protocol):
@@ -49,13 +50,18 @@ class AsTold:
     mechanism: Mechanism
 
     @cached_property
-    def _zero(self) -> Floats:
-        zero: Floats = self.mechanism.joint_values(np.zeros(len(self.mechanism.actuated)))
-        return zero
+    def _affine(self) -> tuple[Floats, Floats] | None:
+        """The derivative (n, k) and the values (n,) at zero; None where all joints are actuated."""
+        chain = self.mechanism
+        J, zero = chain.reading_jacobian, chain.joint_values(np.zeros(len(chain.actuated)))
+        return None if np.array_equal(J, np.eye(len(J))) and not zero.any() else (J, zero)
 
     def values(self, q: Floats) -> Floats:
         """Compute for a command (k,) the values (n,) of all joints. [rad or m]."""
-        result: Floats = self.mechanism.reading_jacobian @ q + self._zero
+        if self._affine is None:
+            return q
+        J, zero = self._affine
+        result: Floats = J @ q + zero
         return result
 
     def slopes(self, q: Floats) -> Floats:
@@ -166,42 +172,59 @@ def reach_pose(
         before, length = length, sqrt(step @ step)
         if exact and short and length < _ARRIVED and drift < _NEAR:
             return q, error
-        # What cannot be reached is least where the derivatives are right.
-        anew = length > _SLOW * before or (short and length < _NEAR < drift)
         q, drift = q + step, drift + length
-        if (q < lower).any() or (q > upper).any():
+        # What cannot be reached is least where the derivatives are right.
+        anew = length > _SLOW * before or (short and drift > _NEAR)
+        if not np.logical_and(lower <= q, q <= upper).all():
             return None
     return None
 
 
 def _inverse(J: Floats, reach: float, weak: float) -> Floats | None:
-    """What turns an error (6,) of the tip into a step (k,), position first; None where a direction is weak."""
-    J_p, J_o, k = J[:3] / reach, J[3:], J.shape[1]
-    A = _inverted(J_p @ J_p.T, 0, weak)
-    if A is None:
-        return None
-    P = J_p.T @ A
-    turned = J_o @ P
-    J_left = J_o - turned @ J_p
-    A = _inverted(J_left @ J_left.T, max(0, _FREEDOM - k), weak)
-    if A is None:
-        return None
-    inverse = np.empty((k, 6))
-    Q = inverse[:, 3:] = J_left.T @ A
-    inverse[:, :3] = (P - Q @ turned) / reach
+    """What turns an error (6,) of the tip into a step (k,), position first; None where a direction is weak.
+
+    Joints that can serve both need no order: what serves them with the least step is the same.
+    """
+    J[:3] /= reach
+    k = J.shape[1]
+    if k >= _FREEDOM:
+        A = _inverted(J @ J.T)
+        if A is None:
+            return None
+        inverse: Floats = J.T @ A
+    else:
+        J_p, J_o = J[:3], J[3:]
+        A = _strong(J_p @ J_p.T, 0, weak)
+        if A is None:
+            return None
+        P = J_p.T @ A
+        turned = J_o @ P
+        J_left = J_o - turned @ J_p
+        A = _strong(J_left @ J_left.T, _FREEDOM - k, weak)
+        if A is None:
+            return None
+        inverse = np.empty((k, 6))
+        Q = inverse[:, 3:] = J_left.T @ A
+        inverse[:, :3] = P - Q @ turned
+    inverse[:, :3] /= reach
     return inverse
 
 
-def _inverted(A: Floats, missing: int, weak: float) -> Floats | None:
+def _strong(A: Floats, missing: int, weak: float) -> Floats | None:
     """The inverse of A (3, 3), damped where so many of its directions are missing; None where another is weak.
 
     The least eigenvalue is at least one over the sum of the inverse ones.
     """
     if missing:
-        A = A + weak**2 * _EYE
-    try:
-        inverse = np.asarray(np.linalg.inv(A), dtype=float)
-    except np.linalg.LinAlgError:
+        A.flat[::4] += weak**2
+    inverse = _inverted(A)
+    if inverse is None:
         return None
     others = inverse.trace() - missing / weak**2
     return inverse if others < (0.5 if missing else 1.0) / weak**2 else None
+
+
+def _inverted(A: Floats) -> Floats | None:
+    """The inverse of a symmetric matrix; None where it is not positive definite."""
+    _, inverse, failed = dposv(A, _EYES[len(A)])
+    return None if failed else inverse

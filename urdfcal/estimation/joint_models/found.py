@@ -156,6 +156,10 @@ class FoundJointModels:
     def _of_one(self) -> tuple[OneCommand, ...]:
         return tuple(model.of_one(of.values) for model, of in zip(self.models, self.found, strict=True))
 
+    @cached_property
+    def _told(self) -> AsTold:
+        return AsTold(self.mechanism)
+
     def of_one(self, torques: Floats | None = None, previous: Floats | None = None) -> TrueValuesOfCommand:
         """Return what the joints do when one command is given.
 
@@ -166,7 +170,7 @@ class FoundJointModels:
         chain = self.mechanism
         return TrueValuesOfCommand(
             self._of_one,
-            AsTold(chain),
+            self._told,
             None if torques is None else chain.torques(torques[None]),
             None if previous is None else chain.joint_values(previous[None]),
         )
