@@ -19,7 +19,7 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-from collections import Counter, defaultdict
+from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import cache, partial
@@ -237,14 +237,14 @@ def judge(session: Session, data: Simulated, scenario: Scenario, size: float = 0
     return Outcome(word, true, calibration.evidence.tip.interval[1], reasons)
 
 
-def run(rig: str, index: int, seed: int, half: bool) -> tuple[int, str, Outcome | None]:
+def run(rig: str, index: int, seed: int, half: bool) -> tuple[str, Outcome | None]:
     scenario, data = list(scenarios())[index], clean(rig, seed)
     try:
         size = doubling(rig, index) * (0.5 if half else 1.0) if scenario.size else 0.0
         session = scenario.make(data, size)
     except UrdfcalError:
-        return index, rig, None  # such a session cannot be, or the robot has nothing of the kind
-    return index, rig, judge(session, data, scenario, size)
+        return rig, None  # such a session cannot be, or the robot has nothing of the kind
+    return rig, judge(session, data, scenario, size)
 
 
 @cache
@@ -279,43 +279,45 @@ def main() -> int:
     listed = list(scenarios())
     chosen = [k for k, scenario in enumerate(listed) if arguments.only in scenario.name]
     with ProcessPoolExecutor(arguments.processes) as pool:
-        jobs = [
-            pool.submit(run, rig, k, seed, half)
+        jobs = {
+            k: [
+                pool.submit(run, rig, k, seed, half)
+                for rig in arguments.rigs.split(",")
+                for half in ((False, True) if listed[k].size else (False,))
+                for seed in range(arguments.seeds)
+            ]
             for k in chosen
-            for rig in arguments.rigs.split(",")
-            for half in ((False, True) if listed[k].size else (False,))
-            for seed in range(arguments.seeds)
-        ]
+        }
         tidy = [(rig, pool.submit(run_clean, rig, seed)) for rig in CLEAN_RIGS for seed in range(arguments.clean)]
-        outcomes: defaultdict[int, list[Outcome]] = defaultdict(list)
-        for job in jobs:
-            index, rig, outcome = job.result()
-            if outcome is not None:
-                outcomes[index].append(outcome)
-                if arguments.verbose and outcome.word != "named":
-                    print(
-                        f"{listed[index].name}, {rig}: {outcome.word}, {1e3 * outcome.error:.2f} mm, {outcome.reasons}"
-                    )
-        passed = report(listed, outcomes)
+        print(f"{'scenario':32} {'runs':>5} {'named':>6} {'said':>6} {'silent':>6}   silent and wrong", flush=True)
+        total, wrong = Counter[str](), 0
+        for k, of_scenario in jobs.items():
+            words, over = report(listed[k], [job.result() for job in of_scenario], verbose=arguments.verbose)
+            total += words
+            wrong += over
+        share = total["named"] / max(total.total(), 1)
+        print(f"cause named {share:.1%} (required {NAMED:.0%}), silent and wrong {wrong} (required 0)", flush=True)
+        passed = share >= NAMED and not wrong
         if arguments.clean:
             passed &= report_clean([(rig, job.result()) for rig, job in tidy])
     return int(not passed)
 
 
-def report(listed: list[Scenario], outcomes: dict[int, list[Outcome]]) -> bool:
-    total, wrong = Counter(), 0
-    print(f"{'scenario':32} {'runs':>5} {'named':>6} {'said':>6} {'silent':>6}   silent and wrong")
-    for k, found in outcomes.items():
-        words = Counter(outcome.word for outcome in found)
-        over = sum(outcome.over and outcome.word == "silent" for outcome in found)
-        total += words
-        wrong += 0 if listed[k].conditional else over
-        note = " (conditional on the scale)" if listed[k].conditional and over else ""
-        counts = " ".join(f"{words[word]:6}" for word in ("named", "said", "silent"))
-        print(f"{listed[k].name:32} {len(found):5} {counts}   {over}{note}")
-    share = total["named"] / max(total.total(), 1)
-    print(f"cause named {share:.1%} (required {NAMED:.0%}), silent and wrong {wrong} (required 0)")
-    return share >= NAMED and wrong == 0
+def report(scenario: Scenario, runs: list[tuple[str, Outcome | None]], *, verbose: bool) -> tuple[Counter[str], int]:
+    """Print a scenario's line; return how its runs ended, and how many were silent and wrong without a condition."""
+    found = [(rig, outcome) for rig, outcome in runs if outcome is not None]
+    words = Counter(outcome.word for _, outcome in found)
+    over = sum(outcome.over and outcome.word == "silent" for _, outcome in found)
+    note = " (conditional on the scale)" if scenario.conditional and over else ""
+    counts = " ".join(f"{words[word]:6}" for word in ("named", "said", "silent"))
+    print(f"{scenario.name:32} {len(found):5} {counts}   {over}{note}", flush=True)
+    for rig, outcome in found if verbose else ():
+        if outcome.word != "named":
+            print(
+                f"    {rig}: {outcome.word}, {1e3 * outcome.error:.2f} mm (claimed at most "
+                f"{1e3 * outcome.claimed:.2f}), {outcome.reasons}"
+            )
+    return words, 0 if scenario.conditional else over
 
 
 def report_clean(found: list[tuple[str, Outcome]]) -> bool:
