@@ -140,7 +140,8 @@ class World:
         """The tip's rms error over the workspace, the best alignment at the base. [m]"""
         chain = calibration.chain
         q = chain.random_values(WORKSPACE, np.random.default_rng(1))
-        readings = Readings(q, np.arange(len(q)), AT_REST, previous=np.roll(q, 1, axis=0))
+        each = np.arange(len(q))
+        readings = Readings(q, each, AT_REST, np.zeros_like(each), previous=np.roll(q, 1, axis=0))
         found = calibration.problem.joint_values(readings, calibration.fit.state)
         here = tip_poses(chain.with_placements(calibration.placements), found)[:, :3, 3]
         true = tip_poses(chain.with_placements(self.data.truth.placements), self.joint_values(readings))[:, :3, 3]

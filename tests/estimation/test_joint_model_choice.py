@@ -12,6 +12,7 @@ from urdfcal.estimation.alignment import kabsch
 from urdfcal.estimation.evaluation import explain
 from urdfcal.estimation.joint_model_choice import Alternatives, _transfers
 from urdfcal.estimation.joint_models import JOINT_MODELS, Readings
+from urdfcal.estimation.joint_models.compliance import Compliance
 from urdfcal.estimation.joint_models.linear import LinearJointModel
 from urdfcal.estimation.uncertainty import tip_error
 from urdfcal.estimation.validation import hold_out, random_folds
@@ -49,12 +50,21 @@ def lagging(data, size: float):
     return seen(data, data.truth.q - size * (readings.q - readings.previous))
 
 
+def load_backlash(data, size: float):
+    (j,) = (data.session.chain.names.index("panda_joint4"),)
+    load = Compliance.of(data.session).features(Readings.of(data.session))[:, j]
+    q = np.array(data.truth.q)
+    q[:, j] += size * np.sign(load)
+    return seen(data, q)
+
+
 WORLDS: dict[str, tuple[Callable, float, str | None]] = {
     "compliance": (sagging, 3e-5, None),
     "lag": (lagging, 5e-4, None),
     "gain": (partial(gain, share=0.33), 1e-3, "panda_joint3"),
     "harmonics": (partial(harmonic, share=0.5, order=1), 1e-3, "panda_joint4"),
     "backlash": (partial(backlash, share=0.2), 1.5e-3, "panda_joint2"),
+    "gravity_backlash": (load_backlash, 5e-4, "panda_joint4"),
 }
 
 

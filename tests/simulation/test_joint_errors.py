@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 UR5_JOINT = 2  # the elbow
 RANGES = {"compliance": (1e-5, 7e-5), "backlash": (1e-4, 1e-3), "lag": (1e-4, 5e-4), "gain": (2e-4, 7e-4)}
+RANGES["gravity_backlash"] = RANGES["backlash"]
 
 
 def simulated_with(errors: dict[str, Any], rig: str = "ur5", poses: int = 10, seed: int = 0, **said: Any) -> Simulated:
@@ -65,12 +66,17 @@ def test_joints_are_where_each_error_puts_them() -> None:
         torque = [(energy(q + step) - energy(q - step)) / 2e-5 for step in steps]
         np.testing.assert_allclose(error, -4e-5 * np.array(torque), atol=1e-9)
 
+    bent = errors_of(simulated_with({"compliance": 4e-5}))
     data = simulated_with({"gain": -1e-3})
     np.testing.assert_allclose(errors_of(data), -1e-3 * data.truth.readings, atol=1e-15)
     data = simulated_with({"lag": 3e-4})
     np.testing.assert_allclose(errors_of(data), -3e-4 * in_order(data.truth.readings), atol=1e-15)
     data = simulated_with({"backlash": 1e-3})
     np.testing.assert_allclose(errors_of(data), -0.5e-3 * np.sign(in_order(data.truth.readings)), atol=1e-15)
+    data = simulated_with({"gravity_backlash": 1e-3})
+    sagging = np.sign(np.where(np.abs(bent) > 4e-5 * 0.01, bent, 0.0))
+    np.testing.assert_allclose(errors_of(data), 0.5e-3 * sagging, atol=1e-15)
+    assert not sagging[:, 0].any()  # gravity does not load an upright axis
     data = simulated_with({"eccentricity": {"elbow_joint": 1e-3}}, poses=40)
     error, q = errors_of(data), data.truth.readings[:, UR5_JOINT]
     waves = np.stack([np.sin(q), np.cos(q), np.sin(2.0 * q), np.cos(2.0 * q)], axis=1)
@@ -100,7 +106,7 @@ def test_realistic_ones_are_drawn_for_each_kind_on_its_own(rig: str) -> None:
         ((model, p),) = alone.truth.joint_errors.items()
         np.testing.assert_array_equal(p, together.truth.joint_errors[model])
         assert not np.array_equal(p, simulated_with({name: "default"}, rig, 6, 1).truth.joint_errors[model])
-        size = np.abs(p) * (2.0 if name == "backlash" else 1.0)
+        size = np.abs(p) * (2.0 if name.endswith("backlash") else 1.0)
         if name == "eccentricity":
             first = np.hypot(*p.reshape(-1, 4)[:, :2].T)
             assert np.all((first >= 1e-4) & (first <= 1e-3))
@@ -109,7 +115,7 @@ def test_realistic_ones_are_drawn_for_each_kind_on_its_own(rig: str) -> None:
             sliding = np.array([joint.prismatic for joint in alone.session.chain.joints])
             least, most = RANGES[name]
             assert np.all((size[~sliding] >= least) & (size[~sliding] <= most))
-            factor = {"compliance": 0.02, "backlash": 0.1}.get(name, 1.0)
+            factor = {"compliance": 0.02, "backlash": 0.1, "gravity_backlash": 0.1}.get(name, 1.0)
             assert np.all((size[sliding] >= factor * least) & (size[sliding] <= factor * most))
 
 

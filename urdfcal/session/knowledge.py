@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 ArmGeometry: TypeAlias = Literal["dh", "offsets", "full", "none"]
 Freedom: TypeAlias = Literal["fixed", "refine", "free"]
 TimeOffset: TypeAlias = Literal["free", "fixed"]
-JointError: TypeAlias = Literal["compliance", "eccentricity", "backlash", "lag", "gain"]
+JointError: TypeAlias = Literal["compliance", "eccentricity", "backlash", "lag", "gain", "gravity_backlash"]
 ErrorSizes: TypeAlias = Mapping[JointError, float | Mapping[str, float] | Literal["default"]]
 """Sizes of what is wrong with the joints of a simulated robot: of all, of each by name, or realistic ones."""
 

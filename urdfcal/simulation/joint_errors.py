@@ -12,8 +12,10 @@ from urdfcal.estimation.joint_models import Readings
 from urdfcal.estimation.joint_models.backlash import Backlash
 from urdfcal.estimation.joint_models.compliance import Compliance
 from urdfcal.estimation.joint_models.gain import Gain
+from urdfcal.estimation.joint_models.gravity_backlash import GravityBacklash
 from urdfcal.estimation.joint_models.harmonics import Harmonics
 from urdfcal.estimation.joint_models.lag import Lag
+from urdfcal.estimation.joint_models.under_torque import UnderTorque
 from urdfcal.session.knowledge import JointError
 
 if TYPE_CHECKING:
@@ -71,6 +73,8 @@ _KINDS: dict[JointError, _Kind] = {
     "lag": _Kind(Lag, (1e-4, 5e-4), factor=-1.0),
     # Ball screws of ISO 3408 classes 7 to 10.
     "gain": _Kind(Gain, (2e-4, 7e-4), either=True),
+    # As backlash, of gears that the arm's weight turns back.
+    "gravity_backlash": _Kind(GravityBacklash, (1e-4, 1e-3), sliding=0.1, factor=0.5),
 }
 
 
@@ -145,8 +149,11 @@ def _applied(kind: type[LinearJointModel], positions: Positions) -> LinearJointM
     if model is None:
         (name,) = (name for name, of in _KINDS.items() if of.model is kind)
         what, remedy = "it is an error of arms that stand still", "Leave it out, or simulate poses, not a trajectory."
-        if kind is Compliance:
-            what, remedy = "the URDF has no masses to bend under", "Leave it out, or give the links <inertial>."
+        if issubclass(kind, UnderTorque):
+            what, remedy = (
+                "the URDF has no masses that would load its joints",
+                "Leave it out, or give the links <inertial>.",
+            )
         elif kind is Harmonics:
             what, remedy = "no joint turns", "Leave it out."
         raise SessionError(what, where=f"errors.{name}", remedy=remedy)

@@ -10,6 +10,7 @@ from urdfcal.estimation.joint_models.backlash import Backlash
 from urdfcal.estimation.joint_models.base import JointModel, Readings, Term
 from urdfcal.estimation.joint_models.compliance import Compliance
 from urdfcal.estimation.joint_models.gain import Gain
+from urdfcal.estimation.joint_models.gravity_backlash import GravityBacklash
 from urdfcal.estimation.joint_models.harmonics import Harmonics
 from urdfcal.estimation.joint_models.lag import Lag
 from urdfcal.estimation.joint_models.linear import LinearJointModel
@@ -31,6 +32,7 @@ JOINT_MODELS: tuple[type[JointModel], ...] = (
     Harmonics,
     MotorHarmonics,
     Backlash,
+    GravityBacklash,
 )
 """Every joint model there is. A new one is a file of its own and a name here."""
 

@@ -2,27 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from urdfcal.errors import SessionError
-from urdfcal.estimation.joint_models.linear import LinearJointModel, Prior
-from urdfcal.robot.gravity import Masses, masses_of
+from urdfcal.estimation.joint_models.linear import Prior
+from urdfcal.estimation.joint_models.under_torque import UnderTorque
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping
 
-    from urdfcal.arrays import Bools, Floats
+    from urdfcal.arrays import Floats
     from urdfcal.estimation.joint_models.base import Readings
-    from urdfcal.estimation.joint_models.linear import OneCommand, Setting
+    from urdfcal.estimation.joint_models.linear import OneCommand
+    from urdfcal.robot.gravity import Masses
     from urdfcal.robot.mechanism import Joint
-    from urdfcal.session.model import Positions
 
 
 @dataclass(frozen=True, eq=False)
-class Compliance(LinearJointModel):
+class Compliance(UnderTorque):
     """Each joint gives way by its compliance times its torque: as measured, or what holds the arm against gravity.
 
     Measured torques have the sign that the maker gives them; compliances then have it, too.
@@ -30,10 +29,6 @@ class Compliance(LinearJointModel):
     Strain-wave and cycloidal gears of arms of 5 to 30 kg yield by 1e-5 to 7e-5 rad/(N m): catalogues give 1e4 to 1e5
     N m/rad at the output (Harmonic Drive CSG-20 to 40: 1.3e4 to 1.2e5; Nabtesco RV-20E: 1.7e5); a UR10 before a laser
     tracker has 1.7e-5, an arm of seven axes with measured torques 6.5e-5. Ball screws: 1e7 to 1e9 N/m; belts 1e6.
-
-    Attributes:
-        masses: that the joints carry in each part of the session; none where torques are measured.
-        gravity: (3,) in the base link's frame. [m/s^2]
     """
 
     name: ClassVar[str] = "compliance"
@@ -44,59 +39,17 @@ class Compliance(LinearJointModel):
     together: ClassVar[bool] = True
     certain: ClassVar[float] = 0.0
 
-    masses: tuple[Masses, ...] = field(kw_only=True)
-    gravity: Floats = field(kw_only=True)
-
-    @classmethod
-    def depends_on(cls, session: Positions) -> dict[str, Any] | None:
-        """Take measured torques, else the masses of URDF and payload."""
-        if session.torques is not None:
-            return {"masses": (), "gravity": session.gravity}
-        payloads = session.payloads or (session.payload,) * len(session.parts)
-        urdf, chain = session.urdf, session.chain
-        masses = () if urdf is None else tuple(masses_of(urdf, chain, payload) for payload in payloads)
-        return {"masses": masses, "gravity": session.gravity} if masses and None not in masses else None
-
-    @classmethod
-    def again(cls, setting: Setting, inputs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-        """Take the masses."""
-        return {"masses": setting.masses, "gravity": setting.gravity}
-
     def features(self, readings: Readings) -> Floats:
-        """Return the torques, against which a joint gives way.
-
-        Raises:
-            SessionError: they were measured where the compliance was found, and are not known here.
-        """
-        tau = readings.torques
-        if self.masses:
-            tau = np.empty_like(readings.q)
-            for part, here in self._parts(readings):
-                tau[here] = self.masses[part].torques(readings.q[here], self.gravity)
-        if tau is None:
-            raise SessionError(
-                "the compliance is that under measured torques, and these readings have none",
-                where="torques",
-                remedy="Give the torques of every pose (`urdfcal compensate --torques FILE.csv`).",
-            )
-        carried: Floats = -(tau @ self.mechanism.reading_jacobian)[:, self.joints]
-        return carried
+        """Return the torques, against which a joint gives way."""
+        return self.carried(readings)
 
     def slopes(self, readings: Readings) -> Floats:
         """Return those of the torques; measured ones do not follow the readings."""
         found = np.zeros((*readings.q.shape, readings.q.shape[1]))
-        for part, here in self._parts(readings):
+        for part, here in self.parts(readings):
             found[here] = self.masses[part].slopes(readings.q[here], self.gravity)
         result: Floats = -(self.mechanism.reading_jacobian.T @ found)[:, self.joints]
         return result
-
-    def _parts(self, readings: Readings) -> Iterator[tuple[int, Bools | slice]]:
-        """The parts of the session that the arm carried something in, and which readings are of them."""
-        if len(self.masses) == 1:
-            yield 0, slice(None)
-            return
-        for part in np.unique(readings.part) if self.masses else ():
-            yield part, readings.part == part
 
     def of_one(self, p: Floats) -> OneCommand:
         """Take the torques straight from Pinocchio where gravity gives them."""
