@@ -21,6 +21,7 @@ from urdfcal.pipeline import calibrate
 from urdfcal.robot.gravity import masses_of
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.session.knowledge import Estimate
+from urdfcal.session.trajectory import AT_REST
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -35,7 +36,8 @@ AS_GIVEN = Estimate("dh", "fixed", "fixed")
 
 
 def calibrated(session: Session, **joint_models: object) -> FittedCalibration:
-    return calibrate(replace(session, estimate=AS_GIVEN, joint_models=joint_models), force=True)
+    estimate = replace(AS_GIVEN, gravity=session.estimate.gravity)
+    return calibrate(replace(session, estimate=estimate, joint_models=joint_models), force=True)
 
 
 def chosen(calibration: FittedCalibration) -> dict[str, set[str]]:
@@ -193,3 +195,34 @@ def test_a_measured_ur10_holds_in_another_region(here: str, there: str, most: fl
     chain = calibration.chain.with_placements(calibration.placements)
     (residual,) = explain(chain, read_session(shared / f"ur10_{there}"), bends=calibration.joint_models).residuals
     assert np.sqrt(np.mean(np.sum(residual**2, axis=1))) < most
+
+
+def test_an_arm_that_bends_tells_where_gravity_points(simulated: Callable) -> None:
+    # The base leans by 30 degrees, and the session knows nothing of it.
+    data = simulated("panda", poses=60)
+    down = 9.81 * np.array([0.5, 0.0, -np.sqrt(0.75)])
+    leaning = replace(data, session=replace(data.session, gravity=down))
+    session = sagging(leaning, 4e-5)
+    upright = replace(session, gravity=data.session.gravity)
+    found = calibrated(replace(upright, estimate=replace(AS_GIVEN, gravity="free")))
+    assert set(chosen(found)) == {"leaning_compliance"}
+    model = next(m for m in found.problem.joint_models if m.name == "leaning_compliance")
+    direction, sigma = model.direction(found.fit.state[model.key], found.sigmas_of(model.key))
+    assert np.arccos(direction @ down / 9.81) < 3.0 * sigma < 0.2
+    assert any("gravity points along [0." in warning for warning in found.document.warnings)
+    # As true as with the direction known, but for what it costs to find it.
+    (known, told, not_told) = (
+        bent_error(of, data, session) for of in (calibrated(session), found, calibrated(upright))
+    )
+    assert told < 1.5 * known
+    assert not_told > 2.0 * told
+
+
+def bent_error(calibration: FittedCalibration, data, session) -> float:
+    chain = data.session.chain
+    q = chain.random_values(200, np.random.default_rng(1))
+    load = Compliance.of(session).features(Readings(q, np.arange(200), AT_REST, np.zeros(200, dtype=np.intp)))
+    true = tip_poses(chain.with_placements(data.truth.placements), q + 4e-5 * load)[:, :3, 3]
+    here = calibration.forward(chain.readings(q))[:, :3, 3]
+    T = kabsch(here, true)
+    return float(np.sqrt(np.mean(np.sum((here @ T[:3, :3].T + T[:3, 3] - true) ** 2, axis=1))))

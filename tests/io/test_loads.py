@@ -82,7 +82,11 @@ def test_loads_are_read_and_written_back(tmp_path: Path) -> None:
         ("payload: {link: tip, mass: 0, center: [0, 0, 0]}", "0 is not greater than 0"),
         ("payload: {link: tip, mass: 1}", "the key 'center' is missing"),
         ("gravity: [0, 0, -981]", r"session.yaml:12:1, key 'gravity': gravity of 981 m/s\^2.*in the base link's frame"),
-        ("gravity: {direction: free}", r"key 'gravity': the direction of gravity cannot be estimated.*write \[x, y, z"),
+        (
+            "gravity: {direction: free}",
+            r"gravity: where gravity points shows in how .*no masses.*Write it as \[x, y, z",
+        ),
+        ("gravity: {direction: up}", "key 'gravity.*direction.*free"),
         ("gear_ratio: {rol: 121}", "key 'gear_ratio.rol': .*'roll'"),
         ("gear_ratio: {roll: -121}", "-121 is not greater than 0"),
         ("gear_ratio: {elbow: 121}", "elbow"),  # a mimic joint has no reading of its own

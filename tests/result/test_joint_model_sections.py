@@ -15,6 +15,7 @@ from tests.worlds import sagging, seen
 from urdfcal.errors import OutputError, RobotError, SessionError
 from urdfcal.estimation.blocks.arm import ARM
 from urdfcal.estimation.joint_models import Readings
+from urdfcal.estimation.joint_models.gravity_backlash import GravityBacklash
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.session.knowledge import Payload
@@ -33,7 +34,8 @@ def bent(simulated: Callable) -> FittedCalibration:
     """An arm that sags, with a payload, and with every model that applies switched on."""
     data = simulated("ur5", poses=40)
     session = replace(sagging(data, 3e-5), payload=LOAD, gear_ratio={"elbow_joint": 101.0})
-    on = {kind.name: kind.of(session) is not None for kind in LINEAR}
+    # A load changes sides where another payload is on the arm: what it does otherwise is smooth.
+    on = {kind.name: kind.of(session) is not None and kind is not GravityBacklash for kind in LINEAR}
     return calibrate(replace(session, joint_models=on), force=True)
 
 
@@ -182,3 +184,14 @@ def test_files_whose_joint_models_make_no_sense_are_refused(
     (tmp_path / "calibration.json").write_text(json.dumps(data))
     with pytest.raises(OutputError, match=message):
         urdfcal.Calibration.load(tmp_path)
+
+
+def test_the_side_that_a_load_presses_to_is_known_without_the_session(simulated: Callable, tmp_path: Path) -> None:
+    session = simulated("ur5", poses=20).session
+    on = {kind.name: kind is GravityBacklash for kind in LINEAR}
+    found = calibrate(replace(session, joint_models=on), force=True)
+    found.save(tmp_path / "calibration.json")
+    loaded = urdfcal.Calibration.load(tmp_path)
+    expected = found.joint_values(session.readings)
+    assert np.abs(expected - session.q).max() > 1e-6
+    np.testing.assert_array_equal(loaded.joint_values(session.readings), expected)

@@ -139,7 +139,12 @@ def gather(
     absurd = fit.reduced_chi2 > MISFIT_CHI2 or cut > MANY_OUTLIERS * (cut + kept)
     tip = _tip(problem, fit, regions, holds=not findings and fit.reduced_chi2 < DOUBTFUL_CHI2)
     calibrated = session.chain.with_placements(problem.arm.placements(problem.offsets(fit.state)))
-    bends = tuple(m.summary(problem.readings, fit.state[m.key]) for m in models if np.any(fit.state[m.key]))
+    sigmas = fit.parameters.sigmas(fit.covariance)
+    bends = tuple(
+        m.summary(problem.readings, fit.state[m.key], sigmas[fit.parameters.columns(m.key)])
+        for m in models
+        if np.any(fit.state[m.key])
+    )
     return Evidence(
         noise=noise,
         scale=find_scale(problem, fit, unexplained),

@@ -5,7 +5,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, WrapValidator, create_model, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    WrapValidator,
+    create_model,
+    model_validator,
+)
 
 from urdfcal.estimation.joint_models import JOINT_MODELS
 from urdfcal.estimation.measurements import MEASUREMENTS, Measurement
@@ -165,13 +175,16 @@ class PayloadKeys(Keys):
     center: Vector
 
 
-def _known_direction(gravity: Any) -> Any:
-    if isinstance(gravity, dict):
-        raise ValueError(  # noqa: TRY004  # pydantic's way
-            "the direction of gravity cannot be estimated: measure how the base leans, and write [x, y, z] in the base "
-            "link's frame, in m/s^2"
-        )
-    return gravity
+class DirectionKeys(Keys):
+    """A direction that is to be found."""
+
+    direction: Literal["free"]
+
+
+_Gravity = Annotated[
+    Annotated[Vector, Tag("[vector]")] | Annotated[DirectionKeys, Tag("[direction]")],
+    Discriminator(lambda value: "[direction]" if isinstance(value, dict) else "[vector]"),
+]
 
 
 class StandKeys(Keys):
@@ -231,7 +244,7 @@ class SetupFile(Keys):
     joint_models: _JointModels = Field(default={})
     scale: ScaleKeys | None = None
     payload: PayloadKeys | None = None
-    gravity: Annotated[Vector | None, BeforeValidator(_known_direction)] = None
+    gravity: _Gravity | None = None
     gear_ratio: dict[Name, Positive] = Field(default={})
 
     @model_validator(mode="after")
@@ -252,13 +265,13 @@ class SetupFile(Keys):
             "led_distances": tuple(LedDistance(**dict(distance)) for distance in self.led_distances),
             "place_distances": tuple(PlaceDistance(**dict(distance)) for distance in self.place_distances),
             "noise": Noise(**own, other=noise),
-            "estimate": Estimate(**dict(self.estimate)),
+            "estimate": Estimate(**dict(self.estimate), gravity=getattr(self.gravity, "direction", None)),
             "tolerances": Tolerances(tolerances.length, tolerances.angle, tolerances.zero, exceptions),
             "joint_models": self.joint_models,
             "scale_sigma": None if self.scale is None else self.scale.sigma,
             "payload": None if self.payload is None else Payload(**dict(self.payload)),
             "gear_ratio": self.gear_ratio,
-            **({} if self.gravity is None else {"gravity": np.array(self.gravity)}),
+            **({"gravity": np.array(self.gravity)} if isinstance(self.gravity, tuple | list) else {}),
         }
 
 

@@ -171,7 +171,8 @@ def _write_files(folder: Path, session: Positions, urdf: Urdf) -> None:
             write_measurements(folder / f"{table.kind}.csv", session, table)
         content["exclude"] = session.excluded.named
         content["moved"] = {what: list(labels) for what, labels in session.moved.items()}
-    estimate = _said(**vars(session.estimate))
+    estimate = _said(**{**vars(session.estimate), "gravity": None})
+    gravity = [] if np.array_equal(session.gravity, STANDARD_GRAVITY) else session.gravity.tolist()
     content |= {
         "noise": _said(**{**vars(session.noise), "other": None}, **session.noise.other),
         "estimate": {key: value if isinstance(value, str) else dict(value) for key, value in estimate.items()},
@@ -181,7 +182,7 @@ def _write_files(folder: Path, session: Positions, urdf: Urdf) -> None:
         },
         "scale": _said(sigma=session.scale_sigma),
         "payload": {} if session.payload is None else _said(**vars(session.payload)),
-        "gravity": [] if np.array_equal(session.gravity, STANDARD_GRAVITY) else session.gravity.tolist(),
+        "gravity": _said(direction=session.estimate.gravity) or gravity,
         "gear_ratio": dict(session.gear_ratio),
     }
     content["tolerances"] |= {name: dict(values) for name, values in session.tolerances.joints.items()}

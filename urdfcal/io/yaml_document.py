@@ -158,7 +158,8 @@ def _allowed(model: type[BaseModel], keys: Sequence[str | int]) -> list[str]:
             choices = list(_models_in(choices[0].model_fields[str(key)].annotation)) or choices
         elif str(key).startswith("["):
             kind = str(key)[1:-1]
-            choices = [of for of in choices if kind in get_args(of.model_fields["kind"].annotation)] or choices
+            of_kind = [of for of in choices if (at := of.model_fields.get("kind")) and kind in get_args(at.annotation)]
+            choices = of_kind or choices
     return list(choices[0].model_fields)
 
 

@@ -9,9 +9,9 @@ from pydantic import Field
 
 from urdfcal.arrays import frozen
 from urdfcal.estimation.joint_models import JOINT_MODELS
-from urdfcal.estimation.joint_models.compliance import Compliance
 from urdfcal.estimation.joint_models.found import FoundJointModels, FoundModel
 from urdfcal.estimation.joint_models.linear import LinearJointModel
+from urdfcal.estimation.joint_models.under_torque import UnderTorque
 from urdfcal.result.evidence_sections import Section, Sigmas, Transform, Triple
 from urdfcal.robot.gravity import STANDARD_GRAVITY, Masses, masses_of, place_of
 from urdfcal.robot.mechanism import BASE, Tip
@@ -101,7 +101,7 @@ def joint_model_sections(of: FittedCalibration) -> dict[str, Any]:
                 gain_mm=None if gain is None else 1e3 * gain,
                 **({"inputs": inputs} if inputs else {}),
             )
-        if isinstance(block, Compliance) and block.masses:
+        if isinstance(block, UnderTorque) and block.masses:
             load["masses"] = _masses(of)
     if entries:
         load = {"load": LoadSection(gravity=of.session.gravity.tolist(), **{**load, **_payload(of)})}

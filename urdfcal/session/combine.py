@@ -127,7 +127,7 @@ def _estimate(parts: Mapping[str, Session], cameras: _JoinedCameras) -> Estimate
         for what, words in by_camera(of.estimate, dict(zip(of.rig.names, names, strict=True))).items():
             said[what] |= words or {}
     said = {what: words or None for what, words in said.items()}
-    said |= {what: _said(parts, f"estimate.{what}") for what in ("geometry", "time_offset")}
+    said |= {what: _said(parts, f"estimate.{what}") for what in ("geometry", "time_offset", "gravity")}
     return Estimate(**said)
 
 

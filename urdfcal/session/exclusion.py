@@ -11,7 +11,7 @@ import numpy as np
 
 from urdfcal.errors import SessionError
 from urdfcal.names import check_known
-from urdfcal.session.knowledge import Estimate, Excluded
+from urdfcal.session.knowledge import Excluded
 from urdfcal.session.model import MIN_POSES
 from urdfcal.session.moves import BASE_LINK
 from urdfcal.session.trajectory import Trajectory
@@ -158,11 +158,10 @@ def _of(session: Session, cameras: Ints, leds: Ints, excluded: Excluded) -> Sess
         moved={what: labels for what, labels in session.moved.items() if what in things},
         mounts=tuple(mount for mount in session.mounts if mount.camera in rig.names),
         leds=tuple(session.leds[i] for i in leds if i < len(session.leds)),
-        estimate=Estimate(
-            estimate.geometry,
-            _only(estimate.intrinsics, rig.names),
-            _only(estimate.extrinsics, rig.names),
-            estimate.time_offset,
+        estimate=replace(
+            estimate,
+            intrinsics=_only(estimate.intrinsics, rig.names),
+            extrinsics=_only(estimate.extrinsics, rig.names),
         ),
         motion=motion,
         measurements=tuple(tables),

@@ -151,12 +151,14 @@ class Estimate:
         intrinsics: of all cameras, or of each by name.
         extrinsics: of all cameras, or of each by name.
         time_offset: of every camera's clock from the robot's, where the arm moves; None is free.
+        gravity: its direction in the base link's frame, if it is to be found from how the arm bends; None is as given.
     """
 
     geometry: ArmGeometry | None = None
     intrinsics: Freedom | Mapping[str, Freedom] | None = None
     extrinsics: Freedom | Mapping[str, Freedom] | None = None
     time_offset: TimeOffset | None = None
+    gravity: Literal["free"] | None = None
 
     def of(self, what: Literal["intrinsics", "extrinsics"], camera: str) -> Freedom | None:
         """What the session says of one camera; None leaves it to the calibration."""

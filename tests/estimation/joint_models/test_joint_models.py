@@ -23,7 +23,7 @@ from urdfcal.estimation.joint_models.torque_basis import TorqueBasis
 from urdfcal.estimation.linearize import Tangent
 from urdfcal.estimation.problem import Problem
 from urdfcal.robot.tree_dh import rows_of
-from urdfcal.session.knowledge import Payload
+from urdfcal.session.knowledge import Estimate, Payload
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -46,7 +46,16 @@ def without_urdf(simulated: Callable) -> Session:
     return replace(at_rest(simulated), urdf=None)
 
 
-SESSIONS: dict[str, Callable[[Callable], Session]] = {"motor_harmonics": geared, "torque_basis": without_urdf}
+def leaning(simulated: Callable) -> Session:
+    """An arm whose base leans, nobody knows where to."""
+    return replace(at_rest(simulated), estimate=Estimate(gravity="free"))
+
+
+SESSIONS: dict[str, Callable[[Callable], Session]] = {
+    "motor_harmonics": geared,
+    "torque_basis": without_urdf,
+    "leaning_compliance": leaning,
+}
 """By name, a session for a model that applies to none of these, made from the fixture ``simulated``."""
 
 LINEAR = tuple(model for model in JOINT_MODELS if issubclass(model, LinearJointModel))

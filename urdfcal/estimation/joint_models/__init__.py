@@ -13,6 +13,7 @@ from urdfcal.estimation.joint_models.gain import Gain
 from urdfcal.estimation.joint_models.gravity_backlash import GravityBacklash
 from urdfcal.estimation.joint_models.harmonics import Harmonics
 from urdfcal.estimation.joint_models.lag import Lag
+from urdfcal.estimation.joint_models.leaning_compliance import LeaningCompliance
 from urdfcal.estimation.joint_models.linear import LinearJointModel
 from urdfcal.estimation.joint_models.motor_harmonics import MotorHarmonics
 from urdfcal.estimation.joint_models.time_offset import TimeOffsets
@@ -26,6 +27,7 @@ JOINT_MODELS: tuple[type[JointModel], ...] = (
     ZeroOffsets,
     TimeOffsets,
     Compliance,
+    LeaningCompliance,
     TorqueBasis,
     Lag,
     Gain,
@@ -41,7 +43,7 @@ def joint_models_of(session: Positions) -> tuple[JointModel, ...]:
     """Return the joint models that apply to a session, whether they are estimated or not.
 
     Raises:
-        SessionError: one that the session switches on does not apply to it.
+        SessionError: one that the session switches on does not apply to it, or what it leaves free cannot be found.
     """
     models = {kind.name: kind.of(session) for kind in JOINT_MODELS}
     for name, said in session.joint_models.items():
@@ -56,6 +58,13 @@ def joint_models_of(session: Positions) -> tuple[JointModel, ...]:
                 where="joint_models",
                 remedy=f"Leave it out, or write {name}: off.",
             )
+    if session.estimate.gravity is not None and models[LeaningCompliance.name] is None:
+        raise SessionError(
+            "where gravity points shows in how links of known mass bend, and "
+            + ("torques were measured" if session.torques is not None else "the URDF has no masses"),
+            where="gravity",
+            remedy="Write it as [x, y, z] in the base link's frame, in m/s^2, or leave it out.",
+        )
     return tuple(model for model in models.values() if model is not None)
 
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-import numpy as np
-
 from urdfcal.estimation.joint_models.linear import Prior
 from urdfcal.estimation.joint_models.under_torque import UnderTorque
 
@@ -44,12 +42,8 @@ class Compliance(UnderTorque):
         return self.carried(readings)
 
     def slopes(self, readings: Readings) -> Floats:
-        """Return those of the torques; measured ones do not follow the readings."""
-        found = np.zeros((*readings.q.shape, readings.q.shape[1]))
-        for part, here in self.parts(readings):
-            found[here] = self.masses[part].slopes(readings.q[here], self.gravity)
-        result: Floats = -(self.mechanism.reading_jacobian.T @ found)[:, self.joints]
-        return result
+        """Return those of the torques."""
+        return self.carried_slopes(readings)
 
     def of_one(self, p: Floats) -> OneCommand:
         """Take the torques straight from Pinocchio where gravity gives them."""

@@ -181,8 +181,9 @@ class LinearJointModel(JointModel):
         """Say what the parameters of some joints mean together, that err by so much at most. [mrad]."""
         return f"{self.name} of {joints}, by up to {most:.2g} mrad"
 
-    def summary(self, readings: Readings, p: Floats) -> str:
-        """Say what the parameters mean together, at some readings."""
+    def summary(self, readings: Readings, p: Floats, sigma: Floats) -> str:
+        """Say what the parameters, with their standard deviations, mean together at some readings."""
+        del sigma
         on = list(dict.fromkeys(np.array(self.names_of_joints)[p != 0.0].tolist()))
         joints = " and ".join(on) if len(on) <= _NAMED else "the joints"
         return self.sentence_of_all(joints, 1e3 * float(np.abs(self.values(readings, p)).max()))

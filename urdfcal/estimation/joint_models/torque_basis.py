@@ -9,6 +9,7 @@ import numpy as np
 
 from urdfcal.estimation.joint_models.compliance import Compliance
 from urdfcal.estimation.joint_models.linear import LinearJointModel, Prior
+from urdfcal.estimation.joint_models.under_torque import UnderTorque
 from urdfcal.robot.gravity import Masses, torque_regressor
 
 if TYPE_CHECKING:
@@ -51,7 +52,8 @@ class TorqueBasis(LinearJointModel):
     @classmethod
     def depends_on(cls, session: Positions) -> dict[str, Any] | None:
         """Apply where neither torques nor masses are known."""
-        if Compliance.of(session) is not None or Compliance.revolute is None:
+        weighed = session.torques is not None or UnderTorque.weights(session) is not None
+        if weighed or Compliance.revolute is None:
             return None
         chain = session.chain
         q = chain.random_values(_CONFIGURATIONS, np.random.default_rng(0))

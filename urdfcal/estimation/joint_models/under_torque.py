@@ -34,9 +34,14 @@ class UnderTorque(LinearJointModel):
 
     @classmethod
     def depends_on(cls, session: Positions) -> dict[str, Any] | None:
-        """Take measured torques, else the masses of URDF and payload."""
+        """Take measured torques, else the masses of URDF and payload under gravity, where its direction is known."""
         if session.torques is not None:
             return {"masses": (), "gravity": session.gravity}
+        return cls.weights(session) if session.estimate.gravity is None else None
+
+    @staticmethod
+    def weights(session: Positions) -> dict[str, Any] | None:
+        """Return the masses of URDF and payload, and gravity; None where there are none."""
         payloads = session.payloads or (session.payload,) * len(session.parts)
         urdf, chain = session.urdf, session.chain
         masses = () if urdf is None else tuple(masses_of(urdf, chain, payload) for payload in payloads)
@@ -48,8 +53,12 @@ class UnderTorque(LinearJointModel):
         del inputs
         return {"masses": setting.masses, "gravity": setting.gravity}
 
-    def torques(self, readings: Readings) -> Floats:
+    def torques(self, readings: Readings, gravity: Floats) -> Floats:
         """Return the torques (N, n) that all joints carry, with the sign of those that were measured. [N m or N].
+
+        Args:
+            readings: N of them.
+            gravity: (3,) in the base link's frame, for torques that were not measured. [m/s^2]
 
         Raises:
             SessionError: they were measured where the model was found, and are not known here.
@@ -58,7 +67,7 @@ class UnderTorque(LinearJointModel):
         if self.masses:
             tau = np.empty_like(readings.q)
             for part, here in self.parts(readings):
-                tau[here] = self.masses[part].torques(readings.q[here], self.gravity)
+                tau[here] = self.masses[part].torques(readings.q[here], gravity)
         if tau is None:
             raise SessionError(
                 f"the {self.name.replace('_', ' ')} is that under measured torques, and these readings have none",
@@ -67,10 +76,19 @@ class UnderTorque(LinearJointModel):
             )
         return tau
 
-    def carried(self, readings: Readings) -> Floats:
+    def carried(self, readings: Readings, gravity: Floats | None = None) -> Floats:
         """Return the torques (N, k), against which joints give way, of the parameters' joints."""
-        carried: Floats = -(self.torques(readings) @ self.mechanism.reading_jacobian)[:, self.joints]
+        tau = self.torques(readings, self.gravity if gravity is None else gravity)
+        carried: Floats = -(tau @ self.mechanism.reading_jacobian)[:, self.joints]
         return carried
+
+    def carried_slopes(self, readings: Readings, gravity: Floats | None = None) -> Floats:
+        """Return the derivative (N, k, n) of :meth:`carried`; measured torques do not follow the readings."""
+        found = np.zeros((*readings.q.shape, readings.q.shape[1]))
+        for part, here in self.parts(readings):
+            found[here] = self.masses[part].slopes(readings.q[here], self.gravity if gravity is None else gravity)
+        slopes: Floats = -(self.mechanism.reading_jacobian.T @ found)[:, self.joints]
+        return slopes
 
     def parts(self, readings: Readings) -> Iterator[tuple[int, Bools | slice]]:
         """Yield the parts of the session that the arm carried something in, and which readings are of them."""
