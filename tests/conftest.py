@@ -1,5 +1,11 @@
 from __future__ import annotations
 
+import os
+
+# Workers, and the commands that they start, share the cores: threads of linear algebra would wait for each other.
+# It counts if it is there before numpy is imported.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from urdfcal.arrays import one_blas_thread
 from urdfcal.errors import CalibrationError, SessionError, placed
 from urdfcal.estimation.assessment import assess
 from urdfcal.estimation.blocks.arm import no_offsets
@@ -77,7 +78,7 @@ def calibrate(
 
         session = read_session(session)
     session = resolve_moves(session)
-    with placed(session.folder or "session"):
+    with placed(session.folder or "session"), one_blas_thread():
         return _calibrate(
             session, method=method, priors=priors, starts=starts, seed=seed, force=force, progress=progress
         )
