@@ -47,7 +47,7 @@ def sheet(title: str, columns: list[str], texts: int = 1) -> Table:
 
 
 @contextmanager
-def progress_bar(what: str, total: int | None) -> Iterator[Callable[[int], None]]:
+def progress_bar(what: str, total: int | None) -> Iterator[Callable[[float], None]]:
     """Show a bar (a spinner where ``total`` is None) on standard error; yield what advances it."""
     from rich.console import Console
     from rich.progress import Progress

@@ -80,7 +80,7 @@ def command(
 
     setup, where = _read(start), parse_workspace(workspace)
     count = poses or (_DEFAULT if until is None else _MOST)
-    with progress_bar("planning", 2 * (candidates + count)) as advance:
+    with progress_bar("planning", candidates + 3 * count) as advance:
         planner = Planner(setup, workspace=where, candidates=candidates, seed=seed, progress=advance)
         found = planner.plan(count, until=until or 0.0, progress=advance)
     files = {}

@@ -22,7 +22,7 @@ from urdfcal.estimation.whitening import Whitening, joint_noise
 from urdfcal.planning.design import Candidates
 from urdfcal.robot.placements import PlacementTable
 from urdfcal.robot.tree_dh import rows_of
-from urdfcal.session.model import Positions, Setup
+from urdfcal.session.model import MIN_POSES, Positions, Setup
 from urdfcal.session.trajectory import Trajectory
 from urdfcal.simulation.scene import Scene
 from urdfcal.simulation.simulate import nominal_scene
@@ -128,7 +128,7 @@ class Belief:
         kept = parameters.active[self.parameters.active]
         return replace(self, parameters=parameters, information=self.information[np.ix_(kept, kept)])
 
-    def candidates(self, q: Floats, workspace: Floats, progress: Callable[[int], object] | None = None) -> Candidates:
+    def candidates(self, q: Floats, workspace: Floats, progress: Callable[[float], object] | None = None) -> Candidates:
         """Say what poses would tell, and what of it matters.
 
         Args:
@@ -136,15 +136,19 @@ class Belief:
             workspace: (M, n) where the tip is to be accurate. [rad or m]
             progress: called with the number of poses done since the last call.
         """
-        session = expected_session(self.setup, self.scene, q)
-        problem = Problem.of(session, self.problem.arm)
-        (observed,) = problem.observations
         A = tip_sensitivity(self.problem, self.state, self.parameters, workspace)
         R = np.linalg.qr(A.reshape(-1, self.parameters.count), mode="r") / np.sqrt(len(workspace))
-        return Candidates(self.factors(problem, observed, progress), np.ascontiguousarray(R.T))
+        return Candidates(self.told_by(q, progress), np.ascontiguousarray(R.T))
+
+    def told_by(self, q: Floats, progress: Callable[[float], object] | None = None) -> Floats:
+        """Return whitened Jacobians (N, r, P) of what poses (N, n) would show. [rad or m]."""
+        enough = q[np.arange(max(len(q), MIN_POSES)) % len(q)]  # of fewer no session can be
+        problem = Problem.of(expected_session(self.setup, self.scene, enough), self.problem.arm)
+        (observed,) = problem.observations
+        return self.factors(problem, observed, progress)[: len(q)]
 
     def factors(
-        self, problem: Problem, observed: Observations, progress: Callable[[int], object] | None = None
+        self, problem: Problem, observed: Observations, progress: Callable[[float], object] | None = None
     ) -> Floats:
         """Whitened Jacobians (N, r, P) of poses, of no more rows than there are parameters."""
         tangent = Tangent.at(problem, observed, self.state, self.parameters)

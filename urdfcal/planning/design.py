@@ -18,14 +18,14 @@ from urdfcal.arrays import covariance_of, frozen, one_blas_thread
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from urdfcal.arrays import Bools, Floats
+    from urdfcal.arrays import Floats
 
 # Passes of the exchange; the second one changes little, and what a third one changes is below 0.1 %.
 _PASSES = 3
 # Nine estimates in ten are at most so many standard deviations off.
 _NINE_IN_TEN = 1.2816
-# A pose is exchanged for one that is better by more than rounding.
-_BETTER = 1e-6
+BETTER = 1e-6
+"""A pose is exchanged for one that is better by more than rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,9 +40,17 @@ class Candidates:
     factors: Floats
     tip: Floats
 
+    def of(self, which: Sequence[int]) -> Candidates:
+        """Return some of them, in that order."""
+        return Candidates(self.factors[np.array(which, dtype=np.intp)], self.tip)
+
+    def __add__(self, other: Candidates) -> Candidates:
+        """Return these and others, which serve the same."""
+        return Candidates(np.concatenate([self.factors, other.factors]), self.tip)
+
     def information(self, chosen: Sequence[int]) -> Floats:
         """Return what some of them add together, (P, P)."""
-        F = self.factors[np.array(chosen, dtype=np.intp)].reshape(-1, self.factors.shape[2])
+        F = self.of(chosen).factors.reshape(-1, self.factors.shape[2])
         return np.asarray(F.T @ F)
 
     def error(self, information: Floats) -> float:
@@ -76,9 +84,22 @@ class Candidates:
         informations = [known + self.information(chosen[:k]) for k in range(len(chosen) + 1)]
         return frozen([self.error(of) for of in informations]), frozen([self.likely(of) for of in informations])
 
-    def best(self, information: Floats, free: Bools) -> int:
-        """Return the pose that brings most, of those that are free (N,)."""
-        return int(np.argmax(np.where(free, self.gains(information), -np.inf)))
+    def best(self, information: Floats, allowed: Callable[[int], bool], above: float = -np.inf) -> int | None:
+        """Return the pose that brings most, of those that are allowed; None where none brings more than ``above``.
+
+        What is allowed is asked of one after the other, the best ones first.
+        """
+        return first_allowed(self.gains(information), allowed, above)
+
+
+def first_allowed(gains: Floats, allowed: Callable[[int], bool], above: float = -np.inf) -> int | None:
+    """Return the largest of gains (N,) that is allowed; None where none of these is above a value."""
+    for k in np.argsort(-gains, kind="stable").tolist():
+        if gains[k] <= above:
+            return None
+        if allowed(k):
+            return int(k)
+    return None
 
 
 def choose(
@@ -86,9 +107,9 @@ def choose(
     known: Floats,
     count: int,
     *,
-    free: Bools | None = None,
+    allowed: Callable[[int], bool] | None = None,
     until: float = 0.0,
-    progress: Callable[[int], object] | None = None,
+    progress: Callable[[float], object] | None = None,
 ) -> tuple[int, ...]:
     """Choose poses one by one, each the one that brings most, then exchange each for a better one while there is any.
 
@@ -96,50 +117,55 @@ def choose(
         candidates: to choose from, each once.
         known: (P, P) information without them, priors included.
         count: how many at most.
-        free: (N,) which of them may be chosen; all by default.
+        allowed: which of them may be chosen; all by default. It is asked only of those that would be.
         until: enough when the tip's rms error is no larger in nine of ten arms. [m]
         progress: called with the number of poses chosen since the last call.
 
     Returns:
         Indices of the chosen ones, what brings most first.
     """
-    free = np.ones(len(candidates.factors), dtype=bool) if free is None else free.copy()
     chosen: list[int] = []
+
+    def free(k: int) -> bool:
+        return k not in chosen and (allowed is None or allowed(k))
+
     information = known + candidates.information(chosen)
-    while len(chosen) < count and free.any() and candidates.likely(information) > until:
-        chosen.append(candidates.best(information, free))
-        free[chosen[-1]] = False
-        information = information + candidates.information(chosen[-1:])
+    while len(chosen) < count and candidates.likely(information) > until:
+        best = candidates.best(information, free)
+        if best is None:
+            break
+        chosen.append(best)
+        information = information + candidates.information([best])
         if progress is not None:
             progress(1)
     for _ in range(_PASSES):
         if not _exchange(candidates, known, chosen, free):
             break
-    ordered = _ordered(candidates, known, chosen)
-    _, likely = candidates.course(known, ordered)
-    # What was exchanged may have made the last ones needless.
-    return ordered[: int(np.argmax(likely <= until))] if likely[-1] <= until else ordered
+    return tuple(chosen[k] for k in enough(candidates.of(chosen), known, until))
 
 
-def _exchange(candidates: Candidates, known: Floats, chosen: list[int], free: Bools) -> bool:
+def enough(candidates: Candidates, known: Floats, until: float = 0.0) -> list[int]:
+    """Order all poses, those that bring most first, as many as make the tip's error no larger than ``until``. [m]."""
+    order: list[int] = []
+
+    def left(k: int) -> bool:
+        return k not in order
+
+    while len(order) < len(candidates.factors):
+        information = known + candidates.information(order)
+        best = candidates.best(information, left)
+        if best is None or candidates.likely(information) <= until:
+            break
+        order.append(best)
+    return order
+
+
+def _exchange(candidates: Candidates, known: Floats, chosen: list[int], free: Callable[[int], bool]) -> bool:
     """Put a better pose in the place of each one, where there is one; say whether that changed anything."""
     changed = False
     for place, old in enumerate(chosen):
-        others = known + candidates.information([k for k in chosen if k != old])
-        gains = candidates.gains(others)
-        best = int(np.argmax(np.where(free, gains, -np.inf)))
-        if free[best] and gains[best] > gains[old] * (1.0 + _BETTER):
-            free[old], free[best], chosen[place] = True, False, best
-            changed = True
+        gains = candidates.gains(known + candidates.information([k for k in chosen if k != old]))
+        best = first_allowed(gains, free, gains[old] * (1.0 + BETTER))
+        if best is not None:
+            chosen[place], changed = best, True
     return changed
-
-
-def _ordered(candidates: Candidates, known: Floats, chosen: Sequence[int]) -> tuple[int, ...]:
-    """Bring poses into the order in which they bring most."""
-    some = Candidates(candidates.factors[np.array(chosen, dtype=np.intp)], candidates.tip)
-    left = np.ones(len(chosen), dtype=bool)
-    order: list[int] = []
-    for _ in chosen:
-        order.append(some.best(known + some.information(order), left))
-        left[order[-1]] = False
-    return tuple(chosen[k] for k in order)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import evenly, frozen
+from urdfcal.arrays import frozen
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -17,9 +17,8 @@ if TYPE_CHECKING:
 
 # A move is checked this often: a tip 1 m away goes 2 cm between, half of what its clearance leaves. [rad or m]
 _STRIDE = 0.02
-# Poses that a way may lead over, and to how many of the nearest it may go on from each: 300 of 2,000 candidates of a
-# ur5 connect what straight moves from pose to pose leave apart, in a second.
-_VIAS, _NEIGHBOURS = 300, 10
+# To how many of the nearest poses a way may go on from each.
+_NEIGHBOURS = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +50,10 @@ class Moves:
         """
         self._is_free, self._touches_not = is_free, touches_not
         self._known: dict[tuple[bytes, bytes], bool] = {}
+
+    def clear(self, q: Floats) -> bool:
+        """Return whether the arm keeps clear of everything at ``q`` (n,)."""
+        return self._is_free is None or self._is_free(q)
 
     def free(self, a: Floats, b: Floats) -> bool:
         """Return whether the arm can move from ``a`` (n,) straight to ``b`` (n,)."""
@@ -104,7 +107,7 @@ class Roadmap:
 
 
 def route(
-    q: Floats, start: Floats | None, moves: Moves, vias: Floats, progress: Callable[[int], object] | None = None
+    q: Floats, start: Floats | None, moves: Moves, vias: Floats, progress: Callable[[float], object] | None = None
 ) -> Route:
     """Find a short way through poses: to the nearest, then 2-opt; around what is in the way over other poses.
 
@@ -118,7 +121,7 @@ def route(
     points = q if start is None else np.vstack([start, q])
     first = 0 if start is None else 1
     order = _two_opt(_nearest(distances(points)), distances(points))
-    every = np.vstack([points, vias[evenly(np.arange(len(vias)), _VIAS)]])
+    every = np.vstack([points, vias])
     roadmap = Roadmap(every, moves)
     way, pose, unreached, last = [points[0]], [-first], [], 0
     for k in order[1:]:

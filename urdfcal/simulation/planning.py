@@ -17,7 +17,7 @@ from urdfcal.rotations import turn_z_to
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from urdfcal.arrays import Floats, Ints
+    from urdfcal.arrays import Bools, Floats, Ints
     from urdfcal.robot.mechanism import Mechanism
     from urdfcal.robot.urdf.urdf import Urdf
     from urdfcal.session.model import Setup
@@ -302,14 +302,29 @@ def in_view(scene: Scene, needed: int, rng: np.random.Generator, margin: float =
     while drawn < _MOST_BATCHES * _BATCH and sum(len(batch) for batch in q) < needed:
         readings = rng.uniform(lower[actuated], upper[actuated], (_BATCH, len(actuated)))
         values = scene.chain.joint_values(readings)
-        pixels = scene.pixels(values)
-        # A mimic joint may leave its own limits while its master keeps to them.
-        good = ((values >= lower) & (values <= upper)).all(axis=1)
-        good &= scene.in_image(pixels, margin).all(axis=(1, 2)) & scene.faced(values).all(axis=(1, 2))
+        good, pixels = are_in_view(scene, values, margin)
         q.append(values[good])
         uv.append(pixels[good])
         drawn += _BATCH
     return np.concatenate(q)[:needed], np.concatenate(uv)[:needed], drawn
+
+
+def are_in_view(scene: Scene, q: Floats, margin: float = MARGIN) -> tuple[Bools, Floats]:
+    """Return which of some poses (N, n) are within the limits and have every LED in view of every camera, facing it.
+
+    Args:
+        scene: the arm and cameras.
+        q: joint values. [rad or m]
+        margin: from the images' borders. [px]
+
+    Returns:
+        (N,) which, and the pixels (N, C, L, 2) of all.
+    """
+    lower, upper = joint_limits(scene.chain)
+    pixels = scene.pixels(q)
+    # A mimic joint may leave its own limits while its master keeps to them.
+    within = np.all((q >= lower) & (q <= upper), axis=1)
+    return within & scene.in_image(pixels, margin).all(axis=(1, 2)) & scene.faced(q).all(axis=(1, 2)), pixels
 
 
 def _cells(scene: Scene, q: Floats, uv: Floats) -> Ints:
