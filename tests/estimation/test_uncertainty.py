@@ -12,7 +12,8 @@ from urdfcal.estimation.model_spec import ModelSpec
 from urdfcal.estimation.parameters import choose_parameters
 from urdfcal.estimation.problem import Problem
 from urdfcal.estimation.start import first_state
-from urdfcal.estimation.uncertainty import tip_covariance
+from urdfcal.estimation.uncertainty import tip_covariance, tip_error, tip_rms_with
+from urdfcal.pipeline import calibrate
 from urdfcal.robot.dh import DHTable
 from urdfcal.robot.kinematics import tip_poses
 
@@ -71,3 +72,22 @@ def test_the_covariance_is_the_scatter_of_aligned_tips(arm: tuple[Problem, Simpl
     predicted = tip_covariance(problem, covariance_of(fit, sigmas), q)
     size = np.trace(predicted, axis1=1, axis2=2)[:, None, None]
     np.testing.assert_allclose(measured / size, predicted / size, atol=0.1)
+
+
+def test_more_of_the_same_narrows_what_is_measured_and_not_what_is_known(simulated: Callable) -> None:
+    calibration = calibrate(simulated("ur5", poses=16).session, force=True)
+    problem, fit = calibration.problem, calibration.fit
+    rms, _ = tip_error(problem, fit)
+    assert tip_rms_with(problem, fit, 1.0) == pytest.approx(rms)
+    assert 0.5 * rms < tip_rms_with(problem, fit, 4.0) < 0.8 * rms
+    without = calibrate(simulated("ur5", poses=16).session, force=True, priors=False)
+    rms, _ = tip_error(without.problem, without.fit)
+    assert tip_rms_with(without.problem, without.fit, 4.0) == pytest.approx(0.5 * rms, rel=1e-3)
+
+
+def test_where_the_residuals_exceed_the_noise_more_poses_are_said_to_bring_nothing(simulated: Callable) -> None:
+    session = simulated("ur5", poses=16).session
+    assert calibrate(session, force=True).evidence.tip.rms_with_more is not None
+    careless = calibrate(session.with_noise({"pixel": 0.02}), force=True)
+    assert careless.evidence.tip.rms_with_more is None
+    assert careless.document.tip.more.poses == 5

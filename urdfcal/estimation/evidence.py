@@ -18,7 +18,7 @@ from urdfcal.estimation.joint_models.linear import LinearJointModel
 from urdfcal.estimation.noise import find_noise
 from urdfcal.estimation.regions import joint_regions, tip_regions
 from urdfcal.estimation.scale import find_scale
-from urdfcal.estimation.uncertainty import rigid_loss, tip_error
+from urdfcal.estimation.uncertainty import rigid_loss, tip_error, tip_rms_with
 from urdfcal.estimation.validation import hold_out, region_interval, rms_samples
 
 if TYPE_CHECKING:
@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 
 # Of thousands of poses an even selection is left out region by region: what they show there is no noise.
 _MOST_POSES = 1000
+# Further poses of which is said what they would bring; of so many that five more change nothing, as many again.
+_MORE, _MANY = 5, 50
 
 
 @dataclass(frozen=True)
@@ -63,10 +65,14 @@ class TipError:
     Attributes:
         rms: of positions, after the best alignment at the base. [m]
         interval: 95 %, of the estimate's covariance where the model holds; else up to what left-out regions show. [m]
+        more: a number of further poses like those measured.
+        rms_with_more: what they would bring; None where the residuals exceed the noise, and the model is the limit. [m]
     """
 
     rms: float
     interval: tuple[float, float]
+    more: int
+    rms_with_more: float | None
 
 
 @dataclass(frozen=True)
@@ -162,9 +168,16 @@ def gather(
 
 def _tip(problem: Problem, fit: Solution, regions: Regions, *, holds: bool) -> TipError:
     expected, (low, high) = tip_error(problem, fit)
+    poses = len(problem.poses)
+    more = _MORE if poses < _MANY else poses
+    # Of an effect that is named but lost in the noise more poses tell more, too.
+    with_more = None if fit.misfit else tip_rms_with(problem, fit, 1.0 + more / poses)
     if holds:
-        return TipError(expected, (low, high))
-    return TipError(max(expected, regions.rms), (low, max(high, regions.interval[1])))
+        return TipError(expected, (low, high), more, with_more)
+    worse = max(expected, regions.rms)
+    if with_more is not None:  # what left-out regions show beyond what is expected stays
+        with_more = float(np.sqrt(worse**2 - expected**2 + with_more**2))
+    return TipError(worse, (low, max(high, regions.interval[1])), more, with_more)
 
 
 def _regions(problem: Problem, comparison: Comparison) -> tuple[Regions, Floats]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import rms
+from urdfcal.arrays import covariance_of, rms
 from urdfcal.estimation.alignment import kabsch
 from urdfcal.estimation.blocks.arm import ARM
 from urdfcal.estimation.joint_models import Readings
@@ -89,6 +89,25 @@ def tip_error(problem: Problem, fit: Solution, seed: int = 0) -> tuple[float, tu
         strengths = np.maximum(np.linalg.eigvalsh(factor.T @ gram @ factor), 0.0)
         ends.append(float(np.percentile(np.sqrt(normal @ strengths), percentile)))
     return float(np.sqrt(np.sum(strengths))), (ends[0], ends[1])
+
+
+def tip_rms_with(problem: Problem, fit: Solution, factor: float, seed: int = 0) -> float:
+    """Compute what rms error of the tip would be expected over the workspace if more were measured of the same kind.
+
+    Args:
+        problem: the arm and its joint models.
+        fit: the estimate.
+        factor: how many times as much as there is.
+        seed: of the configurations.
+
+    Returns:
+        The expected rms, if the model holds. [m]
+    """
+    _, J = fit.parameters.prior_residuals(fit.state)
+    priors = J.T @ J
+    A = aligned_motion(problem, fit, seed).reshape(-1, fit.parameters.count)
+    covariance = covariance_of(priors + factor * (fit.information - priors))
+    return float(np.sqrt(max(np.sum((A @ covariance) * A), 0.0) / _WORKSPACE))
 
 
 def aligned_motion(problem: Problem, fit: Solution, seed: int = 0) -> Floats:

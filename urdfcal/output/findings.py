@@ -124,30 +124,48 @@ def headline(document: ResultData) -> str:
 
 
 def claims(document: ResultData) -> tuple[str, ...]:
-    """What error of the tip is claimed, and what that is conditional on; nothing in files that do not say it."""
+    """What error of the tip is claimed, what that is conditional on, and what more poses would bring.
+
+    Nothing in files that do not say it.
+    """
     if "tip" not in document:
         return ()
-    tip, regions, scale = document["tip"], document["regions"], document["scale"]
+    tip, regions = document["tip"], document["regions"]
     low, high = tip["interval_mm"]
     expected = (
         f"tip {tip['rms_mm']:.2g} mm rms expected over the workspace (95 %: {low:.2g} to {high:.2g}), "
         f"{regions['rms_mm']:.2g} mm, the measurements' noise included, found in regions left out"
     )
+    return (expected, _condition(document["scale"]), *_more_poses(document))
+
+
+def _condition(scale: ResultData) -> str:
+    """What a claimed error rests on: the unit of length."""
     permille = scale["tip_mm_per_permille"]
     if not permille:
-        return (
-            expected,
-            "lengths are those of the nominal arm within its tolerances: nothing measured has one",
-        )
+        return "lengths are those of the nominal arm within its tolerances: nothing measured has one"
     factor = ""
     if scale["factor_sigma"] is not None:
         factor = f"; all lengths come out {1e2 * scale['factor']:+.2g} +- {1e2 * scale['factor_sigma']:.1g} %"
     if (declared := scale["declared_sigma"]) is not None:
         known = f"the scale is known to {1e2 * declared:.2g} %, which is in the interval"
-        return expected, f"{known}: 0.1 % of it is {permille:.2g} mm at the tip{factor}"
+        return f"{known}: 0.1 % of it is {permille:.2g} mm at the tip{factor}"
     if scale.get("unit") == "distances":
-        return expected, f"if the known distances are right: 0.1 % of them is {permille:.2g} mm at the tip{factor}"
-    return expected, f"if the scale is right: 0.1 % of it is {permille:.2g} mm at the tip{factor}"
+        return f"if the known distances are right: 0.1 % of them is {permille:.2g} mm at the tip{factor}"
+    return f"if the scale is right: 0.1 % of it is {permille:.2g} mm at the tip{factor}"
+
+
+def _more_poses(document: ResultData) -> tuple[str, ...]:
+    """What further poses would bring; nothing in files that do not say it."""
+    more = document["tip"].get("more")
+    if more is None:
+        return ()
+    if more["rms_mm"] is None:
+        noise = document["fit"]["reduced_chi2"] ** 0.5
+        return (f"the model is the limit, not the poses: the residuals are {noise:.2g} times the declared noise",)
+    count = "as many poses again" if more["poses"] == document["fit"]["poses"] else f"{more['poses']} more poses"
+    plan = "; urdfcal plan finds better ones" if document["cameras"] else ""
+    return (f"{count} like these would bring {document['tip']['rms_mm']:.2g} -> {more['rms_mm']:.2g} mm{plan}",)
 
 
 def look_up(document: ResultData, key: str | Sequence[str]) -> Any:

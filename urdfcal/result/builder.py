@@ -31,6 +31,7 @@ from urdfcal.rotations import matrix_to_rpy
 from urdfcal.session.moves import BASE_LINK as BASE_PART
 
 if TYPE_CHECKING:
+    from urdfcal.estimation.evidence import TipError
     from urdfcal.estimation.observations import Observations
     from urdfcal.result.fitted import FittedCalibration
 
@@ -318,13 +319,22 @@ def _validation(of: FittedCalibration) -> Plain:
     }
 
 
+def _tip(tip: TipError) -> Plain:
+    with_more = None if tip.rms_with_more is None else 1e3 * tip.rms_with_more
+    return {
+        "rms_mm": 1e3 * tip.rms,
+        "interval_mm": [1e3 * end for end in tip.interval],
+        "more": {"poses": tip.more, "rms_mm": with_more},
+    }
+
+
 def _evidence(of: FittedCalibration) -> Plain:
     """What speaks for and against the estimate beside its residuals."""
     evidence, session = of.evidence, of.session
     regions, scale = evidence.regions, evidence.scale
     q, names = session.chain.readings(session.q), session.chain.actuated
     return {
-        "tip": {"rms_mm": 1e3 * evidence.tip.rms, "interval_mm": [1e3 * end for end in evidence.tip.interval]},
+        "tip": _tip(evidence.tip),
         "regions": {
             "count": regions.count,
             "rms_nominal_mm": 1e3 * regions.rms_nominal,

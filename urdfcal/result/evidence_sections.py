@@ -61,11 +61,22 @@ class IdentifiabilitySection(Section):
     lost: list[str]
 
 
+class MorePosesEntry(Section):
+    """What further poses like those measured would bring. [mm].
+
+    ``rms_mm`` is None where the residuals exceed the noise: the model is the limit then, not the poses.
+    """
+
+    poses: int
+    rms_mm: float | None
+
+
 class TipSection(Section):
     """The error of the calibrated tip that is to be expected over the workspace, the bases aligned. [mm]."""
 
     rms_mm: float
     interval_mm: Interval
+    more: MorePosesEntry | None = None
 
 
 class RegionsSection(Section):
