@@ -89,8 +89,16 @@ def test_what_makes_no_sense_is_refused(arguments: list[str], message: str, caps
     assert not Path("plan.csv").exists()
 
 
-def test_of_a_result_the_session_is_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
-    Path("result").mkdir()
+def test_a_result_is_planned_from_and_says_how_to_go_on(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["simulate", "elbow3r", "-o", "s", "--poses", "12"]) == 0
+    assert run(["calibrate", "s", "-o", "result", "-q"]) == 0
+    capsys.readouterr()
+    for start in ("result", "result/calibration.json"):
+        assert run(["plan", start, *RIG[2:], "--poses", "3"]) == 0
+        said = capsys.readouterr()
+        assert "plan.csv: 3 poses" in said.out
+        assert "tolerances: {length: " in said.out
+        assert not said.err  # collisions are looked for
+        assert "urdf: elbow3r_calibrated.urdf\n" in said.out
     Path("result/calibration.json").write_text("{}")
     assert run(["plan", "result", "-o", "plan.csv"]) == 2
-    assert "Name the session" in capsys.readouterr().err

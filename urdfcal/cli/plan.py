@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from urdfcal.planning.planner import Plan
+    from urdfcal.result.calibration import Calibration
+    from urdfcal.robot.urdf.urdf import Urdf
     from urdfcal.session.model import Setup
 
 # Poses that are enough for any arm: what more bring is below a tenth.
@@ -38,7 +40,7 @@ class Length(click.ParamType[float]):
 
 
 @click.command("plan")
-@click.argument("start", metavar="SESSION|RIG")
+@click.argument("start", metavar="SESSION|RESULT|RIG")
 @click.option("-o", "--output", type=PATH, required=True, help="Table to write, as joints.csv.")
 @click.option(
     "--poses", type=click.IntRange(min=1), show_default=False,
@@ -66,10 +68,11 @@ def command(
 ) -> int:  # fmt: skip
     """Plan the poses to measure next, those that make the tip most accurate.
 
-    From a SESSION with a few measured poses, or from a RIG (a shipped rig's name or a folder) before anything is
-    measured. In every pose the arm keeps clear of itself, the table and the cameras, and every camera sees every LED;
-    moves from row to row, straight in joint space, are free as well. Rows named pass1, pass2, ... only lead around
-    something. Watch the first run: what else stands around the arm is not known here.
+    From a SESSION with a few measured poses; before anything is measured from a RIG (a shipped rig's name or a
+    folder), or for an arm that was calibrated before from its RESULT, if the cameras still stand where they stood.
+    In every pose the arm keeps clear of itself, the table and the cameras, and every camera sees every LED; moves from
+    row to row, straight in joint space, are free as well. Rows named pass1, pass2, ... only lead around something.
+    Watch the first run: what else stands around the arm is not known here.
 
     Exit status 1 says that --until cannot be reached.
     """
@@ -77,11 +80,13 @@ def command(
     from urdfcal.planning.files import FORMATS, WRITERS, as_csv
     from urdfcal.planning.planner import Planner
     from urdfcal.planning.workspace import parse_workspace
+    from urdfcal.result.calibration import Calibration
 
     setup, where = _read(start), parse_workspace(workspace)
     count = poses or (_DEFAULT if until is None else _MOST)
     with progress_bar("planning", candidates + 3 * count) as advance:
-        planner = Planner(setup, workspace=where, candidates=candidates, seed=seed, progress=advance)
+        urdf = _urdf_of(start, setup) if isinstance(setup, Calibration) else None
+        planner = Planner(setup, urdf=urdf, workspace=where, candidates=candidates, seed=seed, progress=advance)
         found = planner.plan(count, until=until or 0.0, progress=advance)
     files = {}
     if found.count:
@@ -95,24 +100,49 @@ def command(
         click.echo(json.dumps(_as_dict(found), indent=2))
     else:
         _print(found, [str(path) for path in files], until)
+        if isinstance(setup, Calibration):
+            click.echo(_how_to_go_on(setup))
     return int(until is not None and found.likely[-1] > until)
 
 
-def _read(start: str) -> Setup:
-    """Read a session, or a rig."""
+def _read(start: str) -> Setup | Calibration:
+    """Read a session, a result, or a rig."""
     from pathlib import Path
 
-    from urdfcal.errors import SessionError
     from urdfcal.io.folder import read_rig, read_session
     from urdfcal.io.shipped_rigs import find_rig
+    from urdfcal.result.calibration import FILE_NAME, Calibration
 
     path = Path(start)
     if (path / "session.yaml").is_file() or path.name == "session.yaml":
         return read_session(path)
-    if (path / "calibration.json").is_file() or path.name == "calibration.json":
-        remedy = "Name the session that it was calibrated from: it says where cameras and LEDs are."
-        raise SessionError("a result does not say what is to be measured with", where=start, remedy=remedy)
+    if (path / FILE_NAME).is_file() or path.name == FILE_NAME:
+        return Calibration.load(path)
     return read_rig(find_rig(start))
+
+
+def _urdf_of(start: str, calibration: Calibration) -> Urdf | None:
+    """Read the corrected URDF beside a result, if it is still there."""
+    from pathlib import Path
+
+    from urdfcal.result.calibration import corrected_name
+    from urdfcal.robot.urdf.urdf import Urdf
+
+    path = Path(start)
+    beside = (path if path.is_dir() else path.parent) / corrected_name(calibration.document.robot.urdf)
+    return Urdf.read(beside) if beside.is_file() else None
+
+
+def _how_to_go_on(calibration: Calibration) -> str:
+    """Say what makes few poses enough: that the arm is known, but for the joints' zeros."""
+    from urdfcal.planning.recalibration import tolerances_of
+    from urdfcal.result.calibration import corrected_name
+
+    known, urdf = tolerances_of(calibration.document), corrected_name(calibration.document.robot.urdf)
+    return (
+        "few poses are enough where what is known is said, in their session.yaml:\n"
+        f"  urdf: {urdf}\n  tolerances: {{length: {known.length:.2g}, angle: {known.angle:.2g}}}"
+    )
 
 
 def _print(plan: Plan, paths: list[str], until: float | None) -> None:

@@ -81,13 +81,17 @@ class Belief:
         Raises:
             SessionError: something is not given, such as where an LED is.
         """
-        scene = nominal_scene(rig)
-        session = expected_session(rig, scene, q)
+        return cls.of_scene(rig, nominal_scene(rig), q)
+
+    @classmethod
+    def of_scene(cls, setup: Setup, scene: Scene, q: Floats) -> Belief:
+        """Take the arm, its cameras and LEDs to be where they are in a scene, poses (N, n) of which they see."""
+        session = expected_session(setup, scene, q)
         problem = Problem.of(session, _arm_of(session))
         state = first_state(session, problem.arm, no_offsets(problem.arm))
         spec = replace(nominal(session, state), geometry=_geometry(session))
         parameters = choose_parameters(session, problem, state, spec)
-        return cls(rig, scene, problem, state, parameters, _by_priors(parameters, state), 1.0, None)
+        return cls(setup, scene, problem, state, parameters, _by_priors(parameters, state), 1.0, None)
 
     @classmethod
     def of_calibration(cls, calibration: FittedCalibration) -> Belief:

@@ -12,8 +12,10 @@ from urdfcal.errors import CalibrationError, SessionError
 from urdfcal.pipeline import calibrate
 from urdfcal.planning.belief import Belief, check_plannable
 from urdfcal.planning.prospect import Prospect, unfree
+from urdfcal.planning.recalibration import scene_of
 from urdfcal.planning.route import NOWHERE, route
 from urdfcal.planning.workspace import workspace_values
+from urdfcal.result.calibration import Calibration
 from urdfcal.session.model import Session
 from urdfcal.session.rig_description import RigDescription
 from urdfcal.simulation.planning import MARGIN, in_view
@@ -25,7 +27,9 @@ if TYPE_CHECKING:
     from urdfcal.arrays import Floats, Ints
     from urdfcal.planning.workspace import WorkspaceOfInterest
     from urdfcal.robot.mechanism import Mechanism
+    from urdfcal.robot.urdf.urdf import Urdf
     from urdfcal.session.model import Setup
+    from urdfcal.simulation.scene import Scene
 
 # Before anything is measured, the base's place as a user gives it. [m, rad]
 _BASE_OFF = (0.03, 0.02)
@@ -65,12 +69,13 @@ class Plan:
 
 
 class Planner:
-    """Plan poses one by one or many at once, from a rig, or from a session with a few measured ones."""
+    """Plan poses one by one or many at once, from a rig, an earlier result, or a session with a few measured ones."""
 
     def __init__(
         self,
-        setup: Setup,
+        setup: Setup | Calibration,
         *,
+        urdf: Urdf | None = None,
         workspace: WorkspaceOfInterest = None,
         candidates: int = 2000,
         seed: int = 0,
@@ -79,7 +84,9 @@ class Planner:
         """Start from what is there; the work is done when the first pose is asked for.
 
         Args:
-            setup: a session, or a rig where nothing is measured yet.
+            setup: a session; where nothing is measured yet a rig, or an earlier calibration of the arm, whose cameras
+                still stand where they stood.
+            urdf: with a calibration the corrected one, without which collisions are not looked for.
             workspace: where the tip is to be accurate: joint values (M, n), a CSV file of them, two corners of a box
                 in the base link's frame [m], or "session"; the joints' ranges by default.
             candidates: how many poses to choose from.
@@ -89,8 +96,15 @@ class Planner:
         Raises:
             SessionError: no camera measures, the arm moves while it is measured, or nothing says where it stands.
         """
+        # Where all is thought to be, and the margin to keep for what it may be off; of a session nothing.
+        self._known: tuple[tuple[Setup, Scene, float], ...] = ()
+        if isinstance(setup, Calibration):
+            setup, scene = scene_of(setup, urdf)
+            self._known = ((setup, scene, MARGIN),)
         check_plannable(setup)
-        if not isinstance(setup, (Session, RigDescription)):
+        if isinstance(setup, RigDescription):
+            self._known = ((setup, nominal_scene(setup), base_margin(setup)),)
+        if not self._known and not isinstance(setup, Session):
             remedy = "Give a session with a few poses, or a rig with its stand."
             raise SessionError("nothing says where the arm stands", where=str(setup.folder or "setup"), remedy=remedy)
         if candidates < 1:
@@ -160,26 +174,23 @@ class Planner:
 
     def _prepare(self, session: Session | None) -> Prospect:
         if self._prepared is None:
-            self._prepared = self._from_rig(self._setup) if session is None else self._from_session(session)
+            self._prepared = self._from_scene(*self._known[0]) if session is None else self._from_session(session)
         return self._prepared
 
     def _from_session(self, session: Session) -> Prospect:
         try:
             belief = Belief.of_calibration(calibrate(session, force=True, seed=self._seed))
         except CalibrationError:
-            if not isinstance(self._setup, RigDescription):
+            if not self._known:
                 raise
-            return self._from_rig(self._setup)
+            return self._from_scene(*self._known[0])
         return self._with_candidates(belief, session, MARGIN)
 
-    def _from_rig(self, setup: Setup) -> Prospect:
-        if not isinstance(setup, RigDescription):
-            raise SessionError("nothing is measured", where="plan", remedy="Give a session to go on from.")
-        scene, margin = nominal_scene(setup), base_margin(setup)
+    def _from_scene(self, setup: Setup, scene: Scene, margin: float) -> Prospect:
         q, _, _ = in_view(scene.outlined(), _TO_START, np.random.default_rng(self._seed), margin)
         if len(q) < _TO_START:
             raise unfree(len(q), len(q), margin)
-        return self._with_candidates(Belief.of_rig(setup, q), None, margin)
+        return self._with_candidates(Belief.of_scene(setup, scene, q), None, margin)
 
     def _with_candidates(self, belief: Belief, session: Session | None, margin: float) -> Prospect:
         workspace = workspace_values(self._workspace, belief.setup.chain, session, self._seed)

@@ -263,7 +263,7 @@ def _camera(of: FittedCalibration, c: int) -> Plain:
     if len(moved):
         sigma[pose] = moved
     entry = {
-        **_of(camera, "intrinsics", "distortion_model", "distortion"),
+        **_of(camera, "resolution", "intrinsics", "distortion_model", "distortion"),
         "link": attachments.frames[frame],
         pose: inverse(T) if frame else T,
         "sigma": sigma,

@@ -157,7 +157,7 @@ class CameraSigmas(Section):
 
 
 class CameraEntry(Section):
-    """A camera: its lens, and its pose in the world or on its link."""
+    """A camera: its lens, and its pose in the world or on its link; resolution is None in files of version 0.1."""
 
     intrinsics: Row
     distortion_model: str
@@ -167,6 +167,7 @@ class CameraEntry(Section):
     T_link_camera: Transform | None = None
     sigma: CameraSigmas
     time_offset: TimeOffsetEntry | None = None
+    resolution: Annotated[list[int], Field(min_length=2, max_length=2)] | None = None
 
     @model_validator(mode="after")
     def _has_a_pose(self) -> CameraEntry:
