@@ -42,6 +42,16 @@ class Browser:
     def screenshot(self) -> bytes:
         return base64.b64decode(self._send("Page.captureScreenshot")["data"])
 
+    def emulate(self, width: int, *, dark: bool) -> None:
+        """A screen of so many CSS pixels, of a user who likes it dark or light."""
+        self._send("Emulation.setDeviceMetricsOverride", width=width, height=800, deviceScaleFactor=1, mobile=True)
+        scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
+        self._send("Emulation.setEmulatedMedia", media="screen", features=[scheme])
+
+    def content_width(self) -> int:
+        """How wide the page is, which may be wider than the screen."""
+        return int(self._send("Page.getLayoutMetrics")["cssContentSize"]["width"])
+
     def close(self) -> None:
         self._process.terminate()
         self._process.wait(20)

@@ -27,7 +27,8 @@ from rerun.experimental import ViewerClient
 from urdfcal.io.folder import read_rig, read_session
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.output import recording
-from urdfcal.output.findings import Overview, write_report
+from urdfcal.output.findings import Overview
+from urdfcal.output.report import write_report
 from urdfcal.pipeline import calibrate
 from urdfcal.simulation.simulate import simulate
 

@@ -209,6 +209,7 @@ def test_every_key_that_is_read_is_written(tmp_path: Path, session: Session) -> 
         payload=Payload("tip", 1.2, np.array([0.0, 0.0, 0.05])),
         gravity=np.array([9.81, 0.0, 0.0]),
         gear_ratio={"roll": 121.0},
+        about={"serial": "0042", "date": "2026-11-27"},
         torques=np.zeros(session.q.shape),
         previous=session.q[::-1],
     )
@@ -218,5 +219,5 @@ def test_every_key_that_is_read_is_written(tmp_path: Path, session: Session) -> 
     # Distances of places are written in test_sockets.py, where there are places.
     assert set(SessionFile.model_fields) - set(written) == other_tables | {"frames", "exclude", "place_distances"}
     found = read_session(tmp_path / "out")
-    for field in ("led_distances", "estimate", "joint_models", "scale_sigma", "gear_ratio", "moved"):
+    for field in ("led_distances", "estimate", "joint_models", "scale_sigma", "gear_ratio", "about", "moved"):
         assert getattr(found, field) == getattr(full, field), field

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 from tests.worlds import sagging
-from urdfcal.output.charts import all_charts, figures
-from urdfcal.output.findings import Overview, write_report
+from urdfcal.output.charts import all_charts
+from urdfcal.output.figures import figures
+from urdfcal.output.findings import Overview
 from urdfcal.output.joint_charts import contribution_chart, joint_model_charts
 from urdfcal.output.recording import layout
+from urdfcal.output.report import write_report
 from urdfcal.pipeline import calibrate
 
 if TYPE_CHECKING:

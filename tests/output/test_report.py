@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import base64
 import json
 import re
 import shutil
@@ -11,13 +12,19 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from tests.browser import Browser
 from urdfcal.cameras.rig import Rig
 from urdfcal.estimation.measurements import Detections
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
-from urdfcal.output.charts import _map
-from urdfcal.output.findings import Overview, headline, look_up, sample_workspace, write_report
+from urdfcal.output.arms import Shape
+from urdfcal.output.charts import parameter_charts
+from urdfcal.output.figures import figures, workspace_maps
+from urdfcal.output.findings import Overview, headline, look_up, sample_workspace
 from urdfcal.output.palette import UNMEASURED
+from urdfcal.output.portrait import portrait, triangles
+from urdfcal.output.report import _correlated_pairs, write_report
+from urdfcal.output.worst import worst
 from urdfcal.pipeline import calibrate
 from urdfcal.session.knowledge import Estimate
 from urdfcal.simulation.simulate import simulate
@@ -113,6 +120,116 @@ def test_verdict_stands_first_and_what_is_lost_is_said(calibration, page):
     assert f"{outlier['residual']:.2f} px" in text
 
 
+def test_what_is_known_of_the_arm_is_said_and_no_folder_of_this_machine(calibration, tmp_path):
+    session = replace(calibration.session, about={"serial": "00<42>"}, urdf_reference="/home/me/secret/arm.urdf")
+    session = replace(session, sha256={"/home/me/secret/arm.urdf": "0" * 64})
+    write_report(tmp_path / "report.html", Overview.of(replace(calibration, session=session)))
+    page = Page((tmp_path / "report.html").read_text())
+    assert "serial 00<42>" in page.text
+    assert "arm.urdf" in page.text
+    assert "secret" not in (tmp_path / "report.html").read_text()
+
+
+def test_the_worst_measurements_are_listed_by_how_unlikely_they_are(calibration, page):
+    table = Overview.of(calibration).scene.tables[0]
+    found = worst(Overview.of(calibration))
+    assert [miss.sigmas for miss in found] == sorted(table.size, reverse=True)[:10]
+    assert found[0].outlier
+    assert found[0].pose == calibration.session.poses[int(table.pose[np.argmax(table.size)])]
+    k = int(np.argmax(table.size))
+    assert found[0].residual == pytest.approx(np.linalg.norm((table.predicted - table.measured)[k]))
+    assert "Worst first" in page.text
+    assert f"{found[1].residual:.3f}" in page.text
+
+
+def test_they_are_shown_on_their_pictures(calibration, tmp_path):
+    import cv2
+
+    session, first = calibration.session, worst(Overview.of(calibration))[0]
+    folder = tmp_path / "images" / first.camera
+    folder.mkdir(parents=True)
+    camera = session.rig.cameras[session.rig.index(first.camera)]
+    cv2.imwrite(str(folder / f"{first.pose}.png"), np.full(camera.resolution[::-1], 90, dtype=np.uint8))
+    overview = Overview.of(replace(calibration, session=replace(session, folder=tmp_path)))
+    assert [bool(miss.crop) for miss in worst(overview)] == [
+        (miss.pose, miss.camera) == (first.pose, first.camera) for miss in worst(overview)
+    ]
+    crop = ElementTree.fromstring(worst(overview)[0].crop)  # noqa: S314  # our own
+    side = float(crop.get("viewBox").split()[2])
+    ring, cross = crop.find("{*}circle"), crop.find("{*}path").get("d")
+    assert float(ring.get("cx")) == pytest.approx(side / 2, abs=1.0)
+    x = np.mean([float(x) for x in re.findall(r"M([-\d.]+)", cross)][1:])
+    assert abs(x - float(ring.get("cx"))) <= first.residual
+    write_report(tmp_path / "report.html", overview)
+    assert "data:image/png" in (tmp_path / "report.html").read_text()
+
+
+def test_parameters_that_go_together_are_named(calibration):
+    pairs = _correlated_pairs(calibration)
+    parameters, covariance = calibration.fit.parameters, calibration.fit.covariance
+    names = np.array(parameters.names)[parameters.active].tolist()
+    for one, other, value in pairs:
+        i, j = names.index(one), names.index(other)
+        assert value == pytest.approx(covariance[i, j] / np.sqrt(covariance[i, i] * covariance[j, j]))
+        assert abs(value) > 0.9
+    assert pairs == sorted(pairs, key=lambda pair: -abs(pair[2]))
+
+
+def test_an_led_whose_place_is_hardly_known_is_explained(calibration, tmp_path):
+    overview = Overview.of(calibration)
+    write_report(tmp_path / "known.html", overview)
+    leds = {name: {**led, "sigma": [0.06, 0.06, 0.001]} for name, led in overview.document["leds"].items()}
+    write_report(tmp_path / "report.html", replace(overview, document={**overview.document, "leds": leds}))
+    said = "is hardly known by itself"
+    assert [said in (tmp_path / f"{name}.html").read_text() for name in ("known", "report")] == [False, True]
+
+
+def test_residuals_before_and_after_are_in_one_scale_beside_an_arrow_of_a_known_length(calibration):
+    scene = Overview.of(calibration).scene
+    rows = figures(Overview.of(calibration))["fields"].rows
+    charts = [chart for row in rows for chart in row]
+    assert {chart.title.split(", ")[-1] for chart in charts} == {f"{scene.pixel_factor:g} x"}
+    for chart in charts:
+        marks, ((_, _, text),) = {mark.name: mark for mark in chart.marks}, chart.labels
+        (arrow,) = marks["reference"].x
+        assert (arrow[1] - arrow[0]) / scene.pixel_factor == pytest.approx(float(text.removesuffix(" px")))
+    nominal = np.concatenate([chart.marks[1].x[:, 1] - chart.marks[1].x[:, 0] for chart in rows[0]])
+    after = np.concatenate([chart.marks[1].x[:, 1] - chart.marks[1].x[:, 0] for chart in rows[1]])
+    assert np.std(after) < 0.5 * np.std(nominal)
+
+
+def test_tolerances_stand_beside_the_corrections(calibration):
+    for chart in parameter_charts(calibration):
+        marks = {mark.name: mark for mark in chart.marks}
+        widest = np.abs(marks["tolerances"].x).max()
+        assert widest == pytest.approx(1.0 if chart.name == "lengths" else 5.0)
+
+
+@pytest.mark.parametrize("shape", [
+    Shape("box", (0.2, 0.4, 0.6), np.eye(4)),
+    Shape("cylinder", (0.1, 0.5), np.eye(4)),
+    Shape("sphere", (0.3,), np.eye(4)),
+])  # fmt: skip
+def test_shapes_have_surfaces_of_their_size(shape):
+    found = triangles(shape).reshape(-1, 3)
+    size = {"box": shape.size, "cylinder": (2 * shape.size[0],) * 2 + shape.size[-1:], "sphere": (0.6,) * 3}[shape.kind]
+    np.testing.assert_allclose(np.ptp(found, axis=0), size, rtol=0.06)
+    np.testing.assert_allclose(found.mean(axis=0), 0.0, atol=0.02)
+
+
+def test_an_arm_with_meshes_has_its_picture(calibration):
+    import cv2
+
+    ur5 = calibrate(simulate(read_rig(find_rig("ur5")), seed=1, poses=15).session, force=True)
+    data = np.frombuffer(base64.b64decode(portrait(Overview.of(ur5))), np.uint8)
+    picture = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+    assert max(picture.shape[:2]) == pytest.approx(480, abs=3)
+    opaque = picture[..., 3] > 128
+    assert 0.02 < opaque.mean() < 0.6
+    grey = opaque & (np.ptp(picture[..., :3], axis=2) < 40)
+    assert grey.mean() > 0.01, "the arm, not only the LEDs"
+
+
 def test_the_page_needs_nothing_else(path, page):
     assert "script" not in {tag for tag, _ in page.elements}
     assert [link for link in page.links if not link.startswith(("#", "data:"))] == []
@@ -120,11 +237,11 @@ def test_the_page_needs_nothing_else(path, page):
     assert "url(" not in re.sub(r"url\(#\w+\)", "", path.read_text())
 
 
-def test_figures_are_well_formed_and_without_clashing_ids(path):
-    figures = re.findall(r"<svg.*?</svg>", path.read_text(), flags=re.DOTALL)
-    assert len(figures) == 6
+def test_figures_are_well_formed_and_without_clashing_ids(calibration, path):
+    drawn = re.findall(r"<svg.*?</svg>", path.read_text(), flags=re.DOTALL)
+    assert len(drawn) == sum(len(row) for of in figures(Overview.of(calibration)).values() for row in of.rows)
     definitions = {}
-    for figure in figures:
+    for figure in drawn:
         for element in ElementTree.fromstring(figure).iter():  # noqa: S314  # our own
             if name := element.get("id"):
                 content = ElementTree.tostring(element)
@@ -199,13 +316,13 @@ def test_the_map_is_grey_where_nothing_was_measured(calibration):
     np.testing.assert_array_equal(workspace.measured, inside)
     assert 0 < inside.sum() < len(inside)
     below = replace(workspace, measured=workspace.tip[:, 2] < np.median(workspace.tip[:, 2]))
-    grey, known = _map("nominal", below, 1e3 * below.before).marks
+    nominal, calibrated = workspace_maps(below)
+    grey, known = nominal.marks
     assert (grey.name, grey.color) == ("not measured", UNMEASURED)
     assert len(grey.x) > 0 < len(known.x) == len(known.color)
     assert np.mean(grey.y) > np.mean(known.y)
-    assert (
-        len(_map("nominal", replace(below, measured=np.zeros(len(inside), dtype=bool)), below.before).marks[1].x) == 0
-    )
+    assert nominal.colors == calibrated.colors
+    assert all(len(of.marks[1].x) == 0 for of in workspace_maps(replace(below, measured=np.zeros(len(inside), bool))))
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
@@ -224,6 +341,21 @@ def test_a_browser_shows_it_without_errors_or_requests(path, tmp_path):
     assert (tmp_path / "page.png").stat().st_size > 20_000
     assert "CONSOLE" not in ended.stderr, ended.stderr
     assert requested(net) == set()
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
+def test_on_a_telephone_nothing_runs_off_the_page_and_dark_is_dark(path, tmp_path):
+    import cv2
+
+    browser = Browser(tmp_path / "home")
+    try:
+        browser.open(path.as_uri())
+        browser.emulate(400, dark=True)
+        assert browser.content_width() == 400
+        picture = cv2.imdecode(np.frombuffer(browser.screenshot(), np.uint8), cv2.IMREAD_GRAYSCALE)
+    finally:
+        browser.close()
+    assert np.median(picture) < 60
 
 
 def requested(net):

@@ -5,13 +5,39 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from urdfcal.output.chart import Chart, Mark, Scale, svg
+from urdfcal.output.chart import Chart, Mark, Scale
 from urdfcal.output.palette import CALIBRATED
+from urdfcal.output.svg import Figure, figure_html, figure_svg
 
 
 def drawn(*marks: Mark, **changes: object) -> ElementTree.Element:
     chart = Chart(**{"name": "c", "title": "<a> & b", "x": Scale(0, 1), "y": Scale(0, 1), "marks": marks} | changes)
-    return ElementTree.fromstring(svg([[chart]], 200))  # noqa: S314  # our own
+    return ElementTree.fromstring(figure_svg(Figure([[chart]], 200)))  # noqa: S314  # our own
+
+
+def test_a_page_may_be_dark_and_narrow_and_a_file_is_on_white() -> None:
+    chart = Chart(
+        "c", "title", Scale(0, 1), Scale(0, 1), [Mark("bars", "b", [[0, 0, 1, 1]], [[0, 1, 1, 0]], CALIBRATED)]
+    )
+    alone = Figure([[chart, chart], [chart]], 200)
+    page, file = figure_html(alone), figure_svg(alone)
+    assert page.count("<svg") == 3
+    assert 'stroke="var(--calibrated,#12875a)"' in page
+    widths = [float(width) for width in re.findall(r'viewBox="0 0 (\d+)', page)]
+    assert max(widths) <= 420, "readable on a telephone"
+    assert file.count("<svg") == 1
+    assert "var(" not in file
+    assert 'fill="#ffffff"' in file
+
+
+def test_a_legend_and_a_label_are_written_and_bars_have_room_for_their_numbers() -> None:
+    mark = Mark("lines", "nominal", [0.0, 1.0], [0.0, 1.0], CALIBRATED)
+    figure = drawn(mark, legend=("nominal",), labels=((0.5, 0.5, "2 px"),), colors=Scale(0.001, 0.002))
+    texts = ["".join(element.itertext()) for element in figure.iter() if element.tag.endswith("}text")]
+    assert "\u25cf nominal" in texts
+    assert "2 px" in texts
+    right = max(float(e.get("x")) + 6.4 * len(e.text or "") for e in figure.iter() if (e.text or "").startswith("0.00"))
+    assert right <= float(figure.get("viewBox").split()[2]) + 30.0
 
 
 def paths(figure: ElementTree.Element, color: str) -> list[str]:

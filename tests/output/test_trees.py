@@ -13,10 +13,11 @@ from urdfcal.arrays import inverse
 from urdfcal.cameras.rig import Rig
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
-from urdfcal.output.findings import Overview, write_report
+from urdfcal.output.findings import Overview
 from urdfcal.output.images import arm_in_images, overlays
 from urdfcal.output.placing import RobotPoses
 from urdfcal.output.recording import write_recording
+from urdfcal.output.report import write_report
 from urdfcal.output.scene import build_scene
 from urdfcal.output.stream import CORNER
 from urdfcal.pipeline import calibrate

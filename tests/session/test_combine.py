@@ -134,6 +134,14 @@ def test_what_is_said_of_things_goes_with_them(two: tuple[Session, Session]) -> 
     assert one.warnings == ("b: odd",)
 
 
+def test_what_is_known_of_all_is_said_once_and_the_rest_by_name(two: tuple[Session, Session]) -> None:
+    about = ({"serial": "0042", "operator": "A"}, {"serial": "0042", "operator": "B", "site": "lab"})
+    monday, tuesday = (replace(of, about=said) for of, said in zip(two, about, strict=True))
+    assert combine({"monday": monday, "tuesday": tuesday}).about == {
+        "serial": "0042", "monday/operator": "A", "tuesday/operator": "B", "tuesday/site": "lab",
+    }  # fmt: skip
+
+
 def test_a_tracker_and_cameras_are_two_worlds(two: tuple[Session, Session]) -> None:
     a, b = two
     pose = np.arange(len(b.poses))

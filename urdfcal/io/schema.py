@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import date
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 import numpy as np
@@ -227,6 +228,16 @@ class ExcludeKeys(Keys):
 _Led = Annotated[LedKeys, BeforeValidator(lambda value: {} if value is None else value)]
 
 
+def _plainly(value: Any) -> Any:
+    """Texts of numbers and dates as well: a serial number is one of both to YAML."""
+    if not isinstance(value, dict):
+        return value
+    return {key: str(of) if isinstance(of, (int, float, date)) else of for key, of in value.items()}
+
+
+_About = Annotated[dict[Name, str], BeforeValidator(_plainly)]
+
+
 class SetupFile(Keys):
     """What rig.yaml and session.yaml share."""
 
@@ -246,6 +257,7 @@ class SetupFile(Keys):
     payload: PayloadKeys | None = None
     gravity: _Gravity | None = None
     gear_ratio: dict[Name, Positive] = Field(default={})
+    about: _About = Field(default={})
 
     @model_validator(mode="after")
     def _something_is_seen(self) -> SetupFile:
@@ -271,6 +283,7 @@ class SetupFile(Keys):
             "scale_sigma": None if self.scale is None else self.scale.sigma,
             "payload": None if self.payload is None else Payload(**dict(self.payload)),
             "gear_ratio": self.gear_ratio,
+            "about": self.about,
             **({"gravity": np.array(self.gravity)} if isinstance(self.gravity, tuple | list) else {}),
         }
 

@@ -150,8 +150,10 @@ class VisibleLink:
     shapes: tuple[Shape, ...]
 
 
-def visible_links(urdf: Urdf, chain: Mechanism) -> tuple[tuple[VisibleLink, ...], tuple[str, ...]]:
-    """Collect the links of the arm that have something to show.
+def visible_links(
+    urdf: Urdf, chain: Mechanism, *, collision: bool = False
+) -> tuple[tuple[VisibleLink, ...], tuple[str, ...]]:
+    """Collect the links of the arm that have something to show, or to collide with.
 
     These are the links that its joints carry, what is fixed to them, and everything beyond the last joints (a gripper's
     fingers, at zero joint values); other limbs of a larger robot are left out.
@@ -165,9 +167,9 @@ def visible_links(urdf: Urdf, chain: Mechanism) -> tuple[tuple[VisibleLink, ...]
         robot = yourdfpy.URDF.load(io.BytesIO(urdf.data), load_meshes=False, build_scene_graph=False).robot
     except ValueError as error:  # a word that should be a number, or a shape that is none
         return (), (f"The recording does not show the robot's shapes: {error}.",)
-    visuals = {link.name: link.visuals for link in robot.links}
+    visuals = {link.name: link.collisions if collision else link.visuals for link in robot.links}
     # A material is known by its name everywhere, wherever it is given its colour.
-    materials = [*robot.materials, *(visual.material for found in visuals.values() for visual in found)]
+    materials = [*robot.materials, *(visual.material for link in robot.links for visual in link.visuals)]
     colors = {
         material.name: tuple(material.color.rgba.tolist()) for material in materials if material and material.color
     }
@@ -209,7 +211,8 @@ def _shape(urdf: Urdf, visual: Any, colors: Mapping[str, Rgba]) -> Shape:
         ValueError: its mesh has another format, or its numbers are too few.
     """
     T = np.eye(4) if visual.origin is None else visual.origin
-    color, geometry = colors.get(visual.material.name) if visual.material else None, visual.geometry
+    material, geometry = getattr(visual, "material", None), visual.geometry  # collisions have no material
+    color = colors.get(material.name) if material else None
     if geometry.mesh is not None:
         folder = urdf.path.parent if urdf.path else None
         path = find_urdf(geometry.mesh.filename.removeprefix("file://"), relative_to=folder)

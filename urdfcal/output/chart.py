@@ -1,22 +1,18 @@
-"""Charts as data: drawn here as SVG for the report, and into the recording as lines and dots (entities.py).
+"""Charts as data: drawn as SVG for the report (svg.py), and into the recording as lines and dots (entities.py).
 
 One description serves both. The recording needs such charts because rerun's own plots run over the chosen timeline
-only; drawing the report's with matplotlib took a quarter of the time of a whole calibration. As SVG text stays text,
-and nothing is fetched.
+only; drawing the report's with matplotlib took a quarter of the time of a whole calibration.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from html import escape
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 
-from urdfcal.output.palette import CALIBRATED, INK, NOMINAL, OUTLIER, viridis
-
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -27,15 +23,6 @@ Color: TypeAlias = "tuple[int, ...] | NDArray[np.uint8]"
 # A logarithmic range shorter than this factor has hardly a round number inside.
 _FLAT = 4.0
 _TICKS = 5
-# Units of a figure whose page gives it a width: text of 11 looks like the page's.
-_WIDTH, _FONT, _LETTER, _ROW = 720.0, 11, 6.6, 15.0
-_TOP, _BOTTOM, _LABEL, _RIGHT, _GAP = 24.0, 18.0, 15.0, 10.0, 12.0
-_BAR, _BAR_ROOM = 7.0, 42.0
-_WIDTHS = {"dots": 4.0, "lines": 1.3, "hairlines": 0.8}
-# Darker than the recording's, on white paper.
-_PAPER: dict[tuple[int, ...], str] = {CALIBRATED: "#12875a", NOMINAL: "#3d63c4", INK: "#555", OUTLIER: "#b030b0"}
-# Shades of a colour that look the same share a path: 50,000 elements would stall the browser.
-_SHADES = 12
 
 
 @dataclass(frozen=True)
@@ -99,10 +86,10 @@ class Scale:
 
 @dataclass(frozen=True, eq=False)
 class Mark:
-    """Dots, lines or cells of a chart.
+    """Dots, lines, bars or cells of a chart.
 
     Attributes:
-        kind: dots, lines or cells; cells are squares of side ``size`` around their values.
+        kind: dots, lines, outlines of bars (:func:`bars`), or cells, squares of side ``size`` around their values.
         name: of its own in the chart.
         x: (K,) values, of lines also (L, K).
         y: (K,) or (L, K) values.
@@ -110,7 +97,7 @@ class Mark:
         size: of cells, in the values' unit.
     """
 
-    kind: Literal["dots", "lines", "hairlines", "cells"]
+    kind: Literal["dots", "lines", "hairlines", "bars", "cells"]
     name: str
     x: ArrayLike
     y: ArrayLike
@@ -134,6 +121,7 @@ class Chart:
         equal: whether both axes have one unit.
         axes: whether the report draws axes and grid.
         colors: range of the values that cells' colours stand for.
+        labels: texts, each centred above a place (x, y).
     """
 
     name: str
@@ -147,6 +135,7 @@ class Chart:
     equal: bool = False
     axes: bool = True
     colors: Scale | None = None
+    labels: tuple[tuple[float, float, str], ...] = ()
 
     def ticks(self, width: float, height: float) -> tuple[dict[float, str], dict[float, str]]:
         """Where both axes of an area of the given size are marked, from the left and from the top, and with what."""
@@ -174,121 +163,3 @@ def bars(at: Floats, length: Floats, half: float) -> tuple[Floats, Floats]:
     zero = np.zeros_like(length)
     across = np.stack([at - half, at - half, at + half, at + half], axis=-1)
     return across, np.stack([zero, length, length, zero], axis=-1)
-
-
-def svg(rows: Sequence[Sequence[Chart]], height: float) -> str:
-    """Draw charts beside and below each other.
-
-    Args:
-        rows: the charts, each row as wide as the page.
-        height: of a row, where its charts' names do not need more; 720 is the width.
-    """
-    parts: list[str] = []
-    top = 0.0
-    for row in rows:
-        names = max(len(chart.y.names or ()) for chart in row)
-        tall, left, unit = max(height, _ROW * names + _TOP + _BOTTOM), 0.0, _WIDTH / sum(c.breadth for c in row)
-        for chart in row:
-            parts += _chart(chart, left, top, unit * chart.breadth - _GAP, tall)
-            left += unit * chart.breadth
-        top += tall
-    return (
-        f'<svg viewBox="0 0 {_WIDTH:g} {top:g}" xmlns="http://www.w3.org/2000/svg" font-size="{_FONT}" fill="#333" '
-        f'stroke-linecap="round" stroke-linejoin="round">{"".join(parts)}</svg>'
-    )
-
-
-def _chart(chart: Chart, left: float, top: float, width: float, height: float) -> Iterator[str]:
-    names = chart.y.ticks().values() if chart.axes else ()
-    beside = max([8.0, *(8.0 + _LETTER * len(name) for name in names)])
-    room = width - beside - (_BAR_ROOM if chart.colors else _RIGHT)
-    below = (_BOTTOM if chart.axes else 2.0) + (_LABEL if chart.x_label else 0.0)
-    across, tall = room, height - _TOP - below
-    if chart.equal:
-        unit = min(across / (chart.x.high - chart.x.low), tall / (chart.y.high - chart.y.low))
-        across, tall = unit * (chart.x.high - chart.x.low), unit * (chart.y.high - chart.y.low)
-    yield f'<g transform="translate({left + beside:.1f} {top + _TOP:.1f})">'
-    yield _text(0, -9, chart.title)
-    yield from _legend(chart, room)
-    if chart.axes:
-        yield from _axes(chart, across, tall)
-    for mark in chart.marks:
-        yield from _mark(chart, mark, across, tall)
-    if chart.colors:
-        yield from _bar(chart.colors, across + 8.0, tall)
-    yield "</g>"
-
-
-def _legend(chart: Chart, end: float) -> Iterator[str]:
-    colors = {mark.name: mark.color for mark in chart.marks}
-    if sum(_LETTER * len(name) + 18.0 for name in (chart.title, *chart.legend)) > end:
-        return  # the page explains it
-    for name in reversed(chart.legend):
-        yield _text(end, -9, name, "end")
-        end -= _LETTER * len(name) + 6.0
-        yield f'<path d="M{end:.1f} -13h0" stroke="{_hex(colors[name])}" stroke-width="7"/>'
-        end -= 12.0
-
-
-def _axes(chart: Chart, width: float, height: float) -> Iterator[str]:
-    columns, rows = chart.ticks(width, height)
-    grid = [f"M{u:.1f} 0V{height:.1f}" for u in columns]
-    grid += [f"M0 {v:.1f}H{width:.1f}" for v in rows] if chart.y.names is None else []
-    yield f'<path d="{"".join(grid)}" stroke="#ebebeb" stroke-width=".8"/>'
-    yield f'<path d="M0 0V{height:.1f}H{width:.1f}" fill="none" stroke="#333" stroke-width=".8"/>'
-    yield from (_text(u, height + 13, name, "middle") for u, name in _apart(columns).items())
-    yield from (_text(-5, v + 4, name, "end") for v, name in rows.items())
-    if chart.x_label:
-        yield _text(width / 2, height + 13 + _LABEL, chart.x_label, "middle")
-
-
-def _apart(names: Mapping[float, str]) -> dict[float, str]:
-    """The names that fit beside each other."""
-    shown: dict[float, str] = {}
-    end = -np.inf
-    for u, name in names.items():
-        half = _LETTER * (len(name) + 1) / 2
-        if u - half > end:
-            shown[u], end = name, u + half
-    return shown
-
-
-def _mark(chart: Chart, mark: Mark, width: float, height: float) -> Iterator[str]:
-    shapes, color = chart.shapes(mark, width, height)
-    if mark.kind == "cells":
-        side = mark.size * width / (chart.x.high - chart.x.low)
-        elements = [f"M{u - side / 2:.1f} {v - side / 2:.1f}h{side:.2f}v{side:.2f}h-{side:.2f}z" for u, v in shapes]
-        style = 'fill="{0}" stroke="{0}" stroke-width=".3"'
-    else:
-        if mark.kind == "dots":
-            elements = [f"M{u:.1f} {v:.1f}h0" for u, v in shapes]
-        else:
-            elements = ["M" + "L".join(f"{u:.1f} {v:.1f}" for u, v in line) for line in shapes if len(line)]
-        style = f'fill="none" stroke="{{0}}" stroke-width="{_WIDTHS[mark.kind]}"'
-    paths: dict[str, dict[str, None]] = {}  # what is on the same spot appears once
-    shades = [color] * len(elements) if isinstance(color, tuple) else [tuple(c) for c in (color // _SHADES) * _SHADES]
-    for path, shade in zip(elements, shades, strict=True):
-        paths.setdefault(_hex(shade), {})[path] = None
-    for stroke, several in paths.items():
-        yield f'<path d="{"".join(several)}" {style.format(stroke)}/>'
-
-
-def _bar(scale: Scale, left: float, height: float) -> Iterator[str]:
-    """The colours that values stand for."""
-    count = 24
-    for k, color in enumerate(viridis(np.linspace(1.0, 0.0, count))):
-        yield (
-            f'<rect x="{left:.1f}" y="{k * height / count:.1f}" width="{_BAR}" height="{height / count + 0.3:.1f}" '
-            f'fill="{_hex(tuple(color))}"/>'
-        )
-    for value, name in scale.ticks().items():
-        yield _text(left + _BAR + 3, height * (1.0 - float(scale.share(value))) + 4, name)
-
-
-def _text(u: float, v: float, text: str, anchor: str = "start") -> str:
-    return f'<text x="{u:.1f}" y="{v:.1f}" text-anchor="{anchor}">{escape(text)}</text>'
-
-
-def _hex(color: Color) -> str:
-    shade = tuple(int(channel) for channel in color)
-    return _PAPER.get(shade, "#{:02x}{:02x}{:02x}".format(*shade[:3]))

@@ -7,27 +7,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.estimation.blocks.arm import LENGTHS
+from urdfcal.estimation.blocks.arm import LENGTHS, ArmBlock
 from urdfcal.output import palette
-from urdfcal.output.chart import Chart, Mark, Scale, bars, svg
+from urdfcal.output.chart import Chart, Mark, Scale, bars
 from urdfcal.output.joint_charts import contribution_chart, joint_model_charts
-from urdfcal.output.scene import CalibrationScene, ResidualTable, image_range
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from urdfcal.arrays import Floats
-    from urdfcal.cameras.camera import Camera
     from urdfcal.output.findings import Overview, Workspace
+    from urdfcal.output.scene import ResidualTable
     from urdfcal.result.fitted import FittedCalibration
 
 # Residuals in standard deviations beyond this are off the charts.
 _SIGMAS = 6.0
 _BINS = 8
-_CELLS = 24
-# A portrait image as wide as half the page would fill it.
-_TALLEST = 380.0
-_BAR_HEIGHT = 15
 SYMBOLS = {"theta": "\u03b8", "alpha": "\u03b1", "beta": "\u03b2"}
 
 RESIDUALS = """\
@@ -66,7 +59,7 @@ def joint_charts(calibration: FittedCalibration) -> list[Chart]:
 def residual_charts(overview: Overview) -> list[Chart]:
     """Residuals by pose and camera, against the declared noise, the distance, and every joint."""
     scene, calibration, table = overview.scene, overview.calibration, overview.scene.tables[0]
-    charts = [_by_pose(table), _spread(table)]
+    charts = [by_pose(table), spread(table)]
     if scene.pixels is not None:
         charts.insert(1, _by_camera(scene.pixels, [camera.name for camera in calibration.estimate.cameras]))
         distance = np.linalg.norm(scene.rays[:, 1] - scene.rays[:, 0], axis=1)
@@ -78,7 +71,7 @@ def residual_charts(overview: Overview) -> list[Chart]:
     return charts
 
 
-def _by_pose(table: ResidualTable) -> Chart:
+def by_pose(table: ResidualTable) -> Chart:
     """The rms residual of each pose, nominal and calibrated."""
     rms = {name: table.rms_by(table.pose, predicted) for name, predicted in table.by_arm.items()}
     pose = rms["nominal"][0]
@@ -102,7 +95,7 @@ def _by_camera(pixels: ResidualTable, names: list[str]) -> Chart:
     marks, tallest = [], 0.0
     for side, (name, predicted) in zip((-0.15, 0.15), pixels.by_arm.items(), strict=True):
         camera, rms = pixels.rms_by(pixels.camera, predicted)
-        marks.append(Mark("lines", name, *bars(side + camera.astype(float), rms, 0.1), palette.OF_ARM[name]))
+        marks.append(Mark("bars", name, *bars(side + camera.astype(float), rms, 0.1), palette.OF_ARM[name]))
         tallest = max(tallest, float(np.nanmax(rms, initial=0.0)))
     return Chart(
         "by camera",
@@ -113,7 +106,7 @@ def _by_camera(pixels: ResidualTable, names: list[str]) -> Chart:
     )
 
 
-def _spread(table: ResidualTable) -> Chart:
+def spread(table: ResidualTable) -> Chart:
     """How the residuals are distributed, beside the normal distribution that was declared."""
     edges, x = np.linspace(-_SIGMAS, _SIGMAS, 49), np.linspace(-_SIGMAS, _SIGMAS, 121)
     bell = np.exp(-(x**2) / 2) / np.sqrt(2 * np.pi)
@@ -151,8 +144,9 @@ def _against(name: str, title: str, value: Floats, table: ResidualTable) -> Char
 
 
 def parameter_charts(calibration: FittedCalibration) -> list[Chart]:
-    """Corrections of the arm's rows as bars with their 95 % intervals, lengths and angles apart."""
+    """Corrections of the arm's rows as bars with their 95 % intervals and tolerances, lengths and angles apart."""
     offsets, sigmas = 1e3 * calibration.estimate.offsets, 1e3 * calibration.sigmas()
+    tolerances = 1e3 * row_tolerances(calibration)
     columns, labels = calibration.geometry.columns, calibration.geometry.labels
     charts = []
     for kind, unit in (("lengths", "mm"), ("angles", "mrad")):
@@ -165,20 +159,36 @@ def parameter_charts(calibration: FittedCalibration) -> list[Chart]:
         across, along = bars(y, value, 0.25)
         names = [f"{labels[row]} {SYMBOLS.get(columns[k], columns[k])}" for row, k in np.argwhere(of_kind)]
         height = Scale(0.2, len(value) + 0.8, names=dict(zip(y.tolist(), names, strict=True)))
+        sides = np.concatenate([-tolerances[of_kind], tolerances[of_kind]])
+        both, known = np.concatenate([y, y]), np.isfinite(sides)
+        brackets = np.stack([sides, sides], axis=-1)[known], both[known, None] + [-0.4, 0.4]
         charts.append(
             Chart(
                 kind,
                 f"{kind} [{unit}]",
-                Scale.holding(ends, 0.0),
+                Scale.holding(ends, brackets[0], 0.0),
                 height,
                 [
-                    Mark("lines", "offsets", along, across, palette.CALIBRATED),
+                    Mark("bars", "offsets", along, across, palette.CALIBRATED),
                     Mark("lines", "intervals", ends, np.stack([y, y], axis=-1), palette.INK),
                     Mark("hairlines", "zero", [0.0, 0.0], [height.low, height.high], palette.INK),
+                    Mark("lines", "tolerances", *brackets, palette.OUTLIER),
                 ],
             )
         )
     return charts
+
+
+def row_tolerances(calibration: FittedCalibration) -> Floats:
+    """The tolerances (rows, columns) that the estimate has as priors, in rad and m; NaN where it has none."""
+    result = np.full(calibration.estimate.offsets.shape, np.nan)
+    parameters = calibration.fit.parameters
+    for block in parameters.blocks:
+        if isinstance(block, ArmBlock):
+            sigma = np.array(parameters.prior[parameters.columns(block.key)])
+            sigma[~np.isfinite(sigma)] = np.nan
+            result[block.places] = sigma
+    return result
 
 
 def paths(calibration: FittedCalibration) -> Floats:
@@ -225,100 +235,3 @@ def workspace_chart(workspace: Workspace) -> Chart:
         x_label="tip error [mm]",
         legend=("nominal", "calibrated"),
     )
-
-
-def figures(overview: Overview) -> dict[str, str]:
-    """Draw the figures of a report.
-
-    Returns:
-        SVG elements by name; those that the calibration has nothing for are left out.
-    """
-    scene, workspace, table = overview.scene, overview.workspace, overview.scene.tables[0]
-    corrections = parameter_charts(overview.calibration)
-    cost, _, step, *_ = convergence_charts(overview.calibration)
-    maps = [_map(name, workspace, 1e3 * error) for name, error in workspace.errors.items()]
-    found = {
-        "residuals": svg([[_by_pose(table), _spread(table)]], 230),
-        "workspace": svg([[*maps, workspace_chart(workspace)]], 250),
-        "convergence": svg([[cost, step]], 180),
-    }
-    by_cause, models = contribution_chart(overview.calibration), joint_model_charts(overview.calibration)
-    if by_cause is not None:
-        found["causes"] = svg([[by_cause]], 40 + _BAR_HEIGHT * len(by_cause.y.ticks()))
-    if models:
-        pairs = [models[first : first + 2] for first in range(0, len(models), 2)]
-        found["joint_models"] = svg([[*pair, *[_NOTHING] * (2 - len(pair))] for pair in pairs], 185)
-    if corrections:
-        found["corrections"] = svg([corrections], 100)
-    if scene.pixels is not None:
-        found["field"] = _fields(scene, scene.pixels, overview.calibration.estimate.cameras)
-    return found
-
-
-def _map(name: str, workspace: Workspace, error: Floats) -> Chart:
-    """The median tip error over the distance from the base's axis and the height, grey where nothing was measured."""
-    radius, height = np.hypot(workspace.tip[:, 0], workspace.tip[:, 1]), workspace.tip[:, 2]
-    size = max(np.ptp(radius), np.ptp(height)) / _CELLS
-    column, row = ((values - values.min()) // size for values in (radius, height))
-    cells, cell = np.unique(np.stack([column, row], axis=1), axis=0, return_inverse=True)
-    order = np.argsort(cell, kind="stable")
-    groups = np.split(error[order], np.cumsum(np.bincount(cell))[:-1])
-    median = np.array([np.median(group) for group in groups])
-    known = np.bincount(cell, workspace.measured) > 0
-    colors = Scale.holding(median[known], room=0.0)
-    x, y = radius.min() + (cells[:, 0] + 0.5) * size, height.min() + (cells[:, 1] + 0.5) * size
-    return Chart(
-        name,
-        f"{name} [mm]",
-        Scale(float(x.min() - size), float(x.max() + size)),
-        Scale(float(y.min() - size), float(y.max() + size)),
-        [
-            Mark("cells", "not measured", x[~known], y[~known], palette.UNMEASURED, size),
-            Mark("cells", "error", x[known], y[known], palette.viridis(colors.share(median[known])), size),
-        ],
-        x_label="from the base's z axis [m]",
-        equal=True,
-        colors=colors,
-    )
-
-
-def _fields(scene: CalibrationScene, pixels: ResidualTable, cameras: Sequence[Camera]) -> str:
-    """What is left of the residuals over each camera's image: a bent field means a wrong lens."""
-    fields = [_field(scene, pixels, c, camera) for c, camera in enumerate(cameras)]
-    columns = max(min(3, len(fields)), 2)
-    shape = max((field.y.high - field.y.low) / (field.x.high - field.x.low) for field in fields)
-    fields += [_NOTHING] * (-len(fields) % columns)
-    rows = [fields[first : first + columns] for first in range(0, len(fields), columns)]
-    return svg(rows, min((720 / columns - 30) * shape, _TALLEST) + 26)
-
-
-def _field(scene: CalibrationScene, pixels: ResidualTable, c: int, camera: Camera) -> Chart:
-    mine = pixels.camera == c
-    used, cut = mine & pixels.used & np.isfinite(pixels.predicted[:, 0]), pixels.measured[mine & pixels.outlier]
-    start, residual = pixels.measured[used], (pixels.predicted - pixels.measured)[used]
-    arrow = scene.field_factor * residual
-    across = 0.2 * np.column_stack([-arrow[:, 1], arrow[:, 0]])
-    end, neck = start + arrow, start + 0.7 * arrow
-    # Pixels are counted from the top: the vertical axis is turned round.
-    arrows = np.stack([start, end, neck + across, end, neck - across], axis=1) * [1.0, -1.0]
-    (left, right), (top, bottom) = image_range(camera.resolution, pixels.measured[mine])
-    width, height = camera.resolution
-    rms = np.sqrt(np.mean(np.sum(residual**2, axis=1))) if len(residual) else np.nan
-    colors = (0.8 * palette.by_sigma(pixels.size[used])).astype(np.uint8)
-    border = np.array([[0, 0], [width, 0], [width, -height], [0, -height], [0, 0]])
-    return Chart(
-        camera.name,
-        f"{camera.name}: {rms:.3g} px rms, arrows {scene.field_factor:g} x",
-        Scale(left, right),
-        Scale(-bottom, -top),
-        [
-            Mark("hairlines", "border", border[:, 0], border[:, 1], palette.FAINT),
-            Mark("lines", "residuals", arrows[..., 0], arrows[..., 1], colors),
-            Mark("dots", "outliers", cut[:, 0], -cut[:, 1], palette.OUTLIER),
-        ],
-        equal=True,
-        axes=False,
-    )
-
-
-_NOTHING = Chart("", "", Scale(0.0, 1.0), Scale(0.0, 1.0), [], axes=False)

@@ -34,7 +34,7 @@ _NUMBERS, _NAMES, _RIGHT, _ABOVE, _BELOW = 24.0, 75.0, 8.0, 6.0, 16.0
 # rerun takes negative radii as points on the screen instead of metres.
 _DOT, _SMALL_DOT, _THIN, _LINE, _ARROW = -4.0, -2.0, -0.8, -1.5, -3.0
 _HAIR, _NONE = -0.5, 0.0
-_RADII = {"dots": -2.0, "lines": -0.9, "hairlines": _HAIR}
+_RADII = {"dots": -2.0, "lines": -0.9, "bars": -0.9, "hairlines": _HAIR}
 # Below a nanometre an error is none. [m]
 _SMALLEST = 1e-9
 

@@ -1,30 +1,23 @@
-"""What report, recording and command line say of a calibration; and the report, one page that needs nothing else."""
+"""What report, recording and command line say of a calibration."""
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
-from datetime import datetime, timezone
 from functools import reduce
-from importlib import resources
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from urdfcal import files
 from urdfcal.arrays import Bools, Floats, frozen
 from urdfcal.estimation.alignment import kabsch
 from urdfcal.estimation.blocks.arm import LENGTHS
-from urdfcal.output import charts
-from urdfcal.output.palette import SIGMA_LEGEND, UNMEASURED
+from urdfcal.output.palette import SIGMA_LEGEND
 from urdfcal.output.scene import CalibrationScene, build_scene
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.robot.tree_dh import MOUNT
-from urdfcal.session.exclusion import summary
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-    from pathlib import Path
 
     from urdfcal.result.fitted import FittedCalibration
     from urdfcal.session.model import Setup
@@ -32,9 +25,6 @@ if TYPE_CHECKING:
 ResultData: TypeAlias = "Mapping[str, Any]"
 """What is in ``calibration.json``."""
 
-_TEMPLATE = "report.html.jinja"
-_OUTLIERS_SHOWN = 25
-_MINUS = "\N{MINUS SIGN}"
 # Enough for a map of 20 x 20 cells; drawing more takes longer and shows the same.
 _SAMPLES = 1500
 ELLIPSOID = 2.0
@@ -131,12 +121,14 @@ def claims(document: ResultData) -> tuple[str, ...]:
     if "tip" not in document:
         return ()
     tip, regions = document["tip"], document["regions"]
-    low, high = tip["interval_mm"]
-    expected = (
-        f"tip {tip['rms_mm']:.2g} mm rms expected over the workspace (95 %: {low:.2g} to {high:.2g}), "
-        f"{regions['rms_mm']:.2g} mm, the measurements' noise included, found in regions left out"
+    interval = "{:.2g} to {:.2g}".format(*tip["interval_mm"])
+    regions_mm = f"{regions['rms_mm']:.2g} mm where whole regions were held out"
+    return (
+        f"that is against what was measured, its noise included; {regions_mm}",
+        f"tip {tip['rms_mm']:.2g} mm rms (95 %: {interval}) expected over the workspace, without that noise",
+        _condition(document["scale"]),
+        *_more_poses(document),
     )
-    return (expected, _condition(document["scale"]), *_more_poses(document))
 
 
 def _condition(scale: ResultData) -> str:
@@ -146,13 +138,13 @@ def _condition(scale: ResultData) -> str:
         return "lengths are those of the nominal arm within its tolerances: nothing measured has one"
     factor = ""
     if scale["factor_sigma"] is not None:
-        factor = f"; all lengths come out {1e2 * scale['factor']:+.2g} +- {1e2 * scale['factor_sigma']:.1g} %"
+        factor = f"; all lengths come out {1e2 * scale['factor']:+.2g} ± {1e2 * scale['factor_sigma']:.1g} %"
+    tip = f"0.1 % of it is {permille:.2g} mm at the tip{factor}"
     if (declared := scale["declared_sigma"]) is not None:
-        known = f"the scale is known to {1e2 * declared:.2g} %, which is in the interval"
-        return f"{known}: 0.1 % of it is {permille:.2g} mm at the tip{factor}"
+        return f"the scale is known to {1e2 * declared:.2g} %, which is in the interval: {tip}"
     if scale.get("unit") == "distances":
         return f"if the known distances are right: 0.1 % of them is {permille:.2g} mm at the tip{factor}"
-    return f"if the scale is right: 0.1 % of it is {permille:.2g} mm at the tip{factor}"
+    return f"if the scale is right: {tip}"
 
 
 def _more_poses(document: ResultData) -> tuple[str, ...]:
@@ -261,76 +253,3 @@ def fastening_sentences(session: Setup) -> tuple[str, ...]:
 def listed(names: Sequence[str]) -> str:
     """Names as in a sentence: one, two and three."""
     return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
-
-
-def write_report(path: Path, overview: Overview, *, refused: bool = False) -> None:
-    """Write a calibration as one HTML page: verdict first, figures inside, no scripts, nothing fetched.
-
-    Args:
-        path: the file; replaced in one step.
-        overview: what to report.
-        refused: whether nothing else is written of it.
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
-    import jinja2
-    from markupsafe import Markup
-
-    calibration, document = overview.calibration, overview.document
-
-    def number(
-        key: str | tuple[str | int, ...], digits: int | None = None, scale: float = 1.0, signed: bool = False
-    ) -> Markup:
-        """Write a number of ``calibration.json`` into the page, its full value and key beside it.
-
-        No number gets into a table any other way, so that page and JSON cannot disagree.
-        """
-        path = tuple(key.split(".")) if isinstance(key, str) else tuple(map(str, key))
-        value = look_up(document, path)
-        if value is None:
-            text = "unknown"
-        elif digits is None:
-            text = f"{scale * value:.3g}"
-        else:  # rounding first, or tiny negative numbers print as -0.000
-            text = f"{round(scale * value, digits) + 0.0:{'+' if signed else ''}.{digits}f}"
-        return Markup('<data value="{}" data-key="{}">{}</data>').format(
-            json.dumps(value), "/".join(path), text.replace("-", _MINUS)
-        )
-
-    outliers, chi2 = document["outliers"], document["fit"]["reduced_chi2"]
-    largest = sorted(range(len(outliers)), key=lambda i: -outliers[i]["sigmas"])[:_OUTLIERS_SHOWN]
-    rows: dict[str, list[int]] = {}  # joint by joint, which entries of the DH list are its parameters
-    for i, entry in enumerate(document["dh"]):
-        rows.setdefault(entry["joint"], []).append(i)
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    template = environment.from_string(resources.files(__package__).joinpath(_TEMPLATE).read_text(encoding="utf-8"))
-    page = template.render(
-        document,
-        n=number,
-        meaning=HEADLINE,
-        claims=claims(document),
-        misfit="of unknown size in" if chi2 is None else f"{np.sqrt(chi2):.2g} times",
-        figures={name: Markup(svg) for name, svg in charts.figures(overview).items()},  # noqa: S704  # made by us, labels escaped
-        sigma_legend=SIGMA_LEGEND,
-        unmeasured=f"rgb{UNMEASURED}",
-        share=f"{100.0 * overview.workspace.measured.mean():.0f} %",
-        rows=list(rows.items()),
-        columns=[
-            f"{charts.SYMBOLS.get(c, c)} [{'mm' if c in LENGTHS else 'mrad'}]" for c in calibration.geometry.columns
-        ],
-        is_dh=calibration.geometry is calibration.table,
-        tips=listed([tip.link for tip in calibration.chain.tips]),
-        fastened=" ".join(fastening_sentences(calibration.session)),
-        excluded=summary(calibration.session.excluded.named),
-        mounts=MOUNTS if any(label.endswith(MOUNT) for label in calibration.geometry.labels) else "",
-        fixed=fixed_parameters(document),
-        largest=largest,
-        shown=_OUTLIERS_SHOWN,
-        refused=refused,
-        urdf_name=calibration.urdf_name,
-        date=f"{datetime.now(timezone.utc):%Y-%m-%d}",
-    )
-    files.write_text(path, page)

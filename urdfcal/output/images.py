@@ -114,8 +114,17 @@ def _fixed_point(uv: Floats) -> NDArray[np.int32]:
 
 def find_photographs(session: Session) -> tuple[dict[int, Path], ...]:
     """For each camera the image of each pose: of its targets, or of the first LED where several are lit one by one."""
+    found: list[dict[int, Path]] = [{} for _ in session.attachments.camera]
+    for mine, by_led in zip(found, find_shots(session), strict=False):
+        for (pose, _), path in by_led.items():
+            mine.setdefault(pose, path)
+    return tuple(found)
+
+
+def find_shots(session: Session) -> tuple[dict[tuple[int, int], Path], ...]:
+    """For each camera the image of each pose and LED, as an index of the session's; with -1 for the targets, first."""
     folder = session.folder / _FOLDER if session.folder is not None else None
-    none: tuple[dict[int, Path], ...] = ({},) * len(session.attachments.camera)
+    none: tuple[dict[tuple[int, int], Path], ...] = ({},) * len(session.attachments.camera)
     if folder is None or not folder.is_dir() or not none:
         return none
     from urdfcal.detection.image_index import read_index
@@ -126,16 +135,17 @@ def find_photographs(session: Session) -> tuple[dict[int, Path], ...]:
     except SessionError:  # a folder of other images: nothing that a calibration from tables should fail for
         return none
     # Videos stay where they are: every frame as an image of its own would be a hundred times their size.
-    found: list[dict[int, Path]] = [{} for _ in index.shots]
-    of_leds = [[shot.pose for shot in shots] for shots in index.shots]
-    for poses, files in ((index.pictures, index.picture_files), (of_leds, index.images)):
-        for mine, of_camera, images in zip(found, poses, files, strict=True):
+    found: list[dict[tuple[int, int], Path]] = [{} for _ in index.shots]
+    of_pictures = [[(pose, -1) for pose in poses] for poses in index.pictures]
+    of_leds = [[(shot.pose, shot.led) for shot in shots] for shots in index.shots]
+    for shots, files in ((of_pictures, index.picture_files), (of_leds, index.images)):
+        for mine, of_camera, images in zip(found, shots, files, strict=True):
             if not isinstance(images, Video):
-                for pose, image in zip(of_camera, images, strict=True):
-                    mine.setdefault(pose, image.path)
+                mine.update((shot, image.path) for shot, image in zip(of_camera, images, strict=True))
     lens = session.rig.lens
-    seen = [set(poses_of_camera(session, c).tolist() if lens.count(of) > 1 else found[of]) for c, of in enumerate(lens)]
-    return tuple({pose: found[of][pose] for pose in found[of] if pose in seen[c]} for c, of in enumerate(lens))
+    poses = [{pose for pose, _ in of} for of in found]
+    seen = [set(poses_of_camera(session, c).tolist() if lens.count(of) > 1 else poses[of]) for c, of in enumerate(lens)]
+    return tuple({shot: path for shot, path in found[of].items() if shot[0] in seen[c]} for c, of in enumerate(lens))
 
 
 def compressed(paths: Iterable[Path]) -> list[bytes]:

@@ -47,8 +47,8 @@ def contribution_chart(calibration: FittedCalibration) -> Chart | None:
         Scale(0.0, 1.05 * float(ends.max())),
         height,
         [
-            Mark("lines", "geometry", along[geometry], across[geometry], palette.NOMINAL),
-            Mark("lines", "joint models", along[~geometry], across[~geometry], palette.OUTLIER),
+            Mark("bars", "geometry", along[geometry], across[geometry], palette.NOMINAL),
+            Mark("bars", "joint models", along[~geometry], across[~geometry], palette.OUTLIER),
             Mark("lines", "intervals", ends, np.stack([y, y], axis=-1), palette.INK),
         ],
     )

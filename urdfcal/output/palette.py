@@ -56,6 +56,7 @@ def by_sigma(size: Floats) -> NDArray[np.uint8]:
 
 def viridis(share: Floats) -> NDArray[np.uint8]:
     """Colours from dark violet at 0 to yellow at 1, (M,) -> (M, 3)."""
+    share = np.nan_to_num(share)  # of no errors at all there is no scale
     return _between(share, np.linspace(0.0, 1.0, len(_VIRIDIS)), _VIRIDIS)
 
 

@@ -13,8 +13,9 @@ from urdfcal import files
 from urdfcal.errors import OutputError
 from urdfcal.output import charts
 from urdfcal.output.entities import chart_view, log_overview
-from urdfcal.output.findings import HEADLINE, Overview, headline, write_report
+from urdfcal.output.findings import HEADLINE, Overview, headline
 from urdfcal.output.palette import BACKGROUND, VERDICT_COLORS
+from urdfcal.output.report import write_report
 from urdfcal.output.scene import CalibrationScene, ResidualTable, image_range
 from urdfcal.output.stream import POSE
 from urdfcal.output.viewer import RECORDING

@@ -96,7 +96,13 @@ def build_document(of: FittedCalibration) -> ResultDocument:
         },
     }
     # Keys are absent where there is nothing to say.
-    parts = {"places": _places(of), "planes": _planes(of), "parameters": _parameters(of), "sessions": _sessions(of)}
+    parts = {
+        "about": dict(of.session.about),
+        "places": _places(of),
+        "planes": _planes(of),
+        "parameters": _parameters(of),
+        "sessions": _sessions(of),
+    }
     data |= {key: part for key, part in parts.items() if part}
     if excluded := of.session.excluded.named:
         data["provenance"]["excluded"] = excluded

@@ -282,6 +282,7 @@ class ResultDocument(Section):
 
     format: Literal["urdfcal/2"]
     robot: RobotSection
+    about: dict[str, str] = Field(default_factory=dict)
     dh: list[DHEntry]
     placements: dict[str, OriginEntry]
     T_world_base: Transform

@@ -86,6 +86,7 @@ def combine(sessions: Mapping[str, Session]) -> Session:
         "payloads": carried,
         "noise": _noise(parts),
         "estimate": _estimate(parts, cameras),
+        "about": _about(parts),
         "sha256": {f"{name}/{file}": sha256 for name, of in parts.items() for file, sha256 in of.sha256.items()},
         "folder": None,
         "parts": tuple(f"{name}/{part}" if part else name for name, of in parts.items() for part in of.parts),
@@ -102,6 +103,13 @@ def combine(sessions: Mapping[str, Session]) -> Session:
     }
     # What is not told apart is of the arm, or of the world, and must be the same.
     return Session(**own, **{of.name: _agreed(parts, of.name) for of in fields(Session) if of.name not in own})
+
+
+def _about(parts: Mapping[str, Session]) -> dict[str, str]:
+    """What is said of all sessions alike, and of the others by their names."""
+    common = dict(set.intersection(*(set(of.about.items()) for of in parts.values())))
+    own = {f"{name}/{key}": text for name, of in parts.items() for key, text in of.about.items() if key not in common}
+    return dict(sorted(common.items())) | own
 
 
 def _torques(parts: Mapping[str, Session]) -> Floats | None:

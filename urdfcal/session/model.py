@@ -74,6 +74,7 @@ class Setup(Rebuilt):
         gear_ratio: turns of the motor for one of the joint, by the joint's name.
         scale_sigma: of the share that the instrument's lengths may be too long by; where nothing is said the rig's,
             or None.
+        about: what else is to be known of it, such as the arm's serial number, the operator and the site.
         sha256: hash of every input file, by the name that the session gives it.
         folder: where it was read from.
         parts: names of what it was measured in: between parts the base, or what the cameras are on, was moved.
@@ -97,6 +98,7 @@ class Setup(Rebuilt):
     gravity: Floats = field(default_factory=lambda: STANDARD_GRAVITY)
     gear_ratio: Mapping[str, float] = field(default_factory=dict)
     scale_sigma: float | None = None
+    about: Mapping[str, str] = field(default_factory=dict)
     sha256: Mapping[str, str] = field(default_factory=dict)
     folder: Path | None = None
     parts: tuple[str, ...] = ("",)
@@ -104,7 +106,7 @@ class Setup(Rebuilt):
     def __post_init__(self) -> None:
         several = ("leds", "targets", "led_distances", "place_distances", "mounts")
         keep(self, **{name: tuple(getattr(self, name)) for name in several})
-        keep(self, sha256=ReadOnly(self.sha256), joint_models=ReadOnly(self.joint_models))
+        keep(self, **{name: ReadOnly(getattr(self, name)) for name in ("about", "sha256", "joint_models")})
         keep(self, gravity=finite_array(self.gravity, (3,), "gravity", "gravity"), gear_ratio=ReadOnly(self.gear_ratio))
         self._check_load()
         by_joint = {name: of for name, of in self.joint_models.items() if isinstance(of, Mapping)}

@@ -1,0 +1,242 @@
+"""The report's figures: which charts they hold, and those charts that the recording has views of its own for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from urdfcal.output import palette
+from urdfcal.output.chart import Chart, Mark, Scale
+from urdfcal.output.charts import by_pose, convergence_charts, parameter_charts, spread, workspace_chart
+from urdfcal.output.joint_charts import contribution_chart, joint_model_charts
+from urdfcal.output.scene import image_range
+from urdfcal.output.svg import Figure
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from urdfcal.arrays import Floats
+    from urdfcal.cameras.camera import Camera
+    from urdfcal.output.findings import Overview, Workspace
+    from urdfcal.output.scene import CalibrationScene, ResidualTable
+    from urdfcal.result.fitted import FittedCalibration
+
+# Of a map of the workspace, and of one of an image, along the longer side.
+_CELLS, _IMAGE_CELLS = 24, 10
+# A portrait image as wide as half the page would fill it.
+_TALLEST = 380.0
+_BAR_HEIGHT = 15
+# The arrow of a known length is about this share of an image's width.
+_REFERENCE = 0.12
+# Fields of residuals whose factors differ less are not drawn twice.
+_TWICE = 1.5
+
+
+def figures(overview: Overview) -> dict[str, Figure]:
+    """Put together a report's figures, by name; those that the calibration has nothing for are left out."""
+    scene, calibration, table = overview.scene, overview.calibration, overview.scene.tables[0]
+    corrections = parameter_charts(calibration)
+    cost, _, step, *_ = convergence_charts(calibration)
+    found = {
+        "residuals": Figure([[by_pose(table), spread(table)]], 230),
+        "workspace": Figure([[*workspace_maps(overview.workspace), workspace_chart(overview.workspace)]], 250),
+        "joints": Figure([[_joint_ranges(calibration)]], 60),
+        "convergence": Figure([[cost, step]], 180),
+    }
+    by_cause, models = contribution_chart(calibration), joint_model_charts(calibration)
+    if by_cause is not None:
+        found["causes"] = Figure([[by_cause]], 40 + _BAR_HEIGHT * len(by_cause.y.ticks()))
+    if models:
+        found["joint_models"] = Figure(_in_rows(models, 2), 185)
+    if corrections:
+        found["corrections"] = Figure([corrections], 100)
+    if scene.pixels is not None:
+        found |= _images(scene, scene.pixels, calibration.estimate.cameras)
+    return found
+
+
+def workspace_maps(workspace: Workspace) -> list[Chart]:
+    """The median tip error over distance from the base's axis and height, nominal and calibrated, in one scale."""
+    radius, height = np.hypot(workspace.tip[:, 0], workspace.tip[:, 1]), workspace.tip[:, 2]
+    size = max(np.ptp(radius), np.ptp(height)) / _CELLS
+    column, row = ((values - values.min()) // size for values in (radius, height))
+    cells, cell = np.unique(np.stack([column, row], axis=1), axis=0, return_inverse=True)
+    order = np.argsort(cell, kind="stable")
+    ends = np.cumsum(np.bincount(cell))[:-1]
+    median = {
+        name: np.array([1e3 * np.median(group) for group in np.split(error[order], ends)])
+        for name, error in workspace.errors.items()
+    }
+    known = np.bincount(cell, workspace.measured) > 0
+    colors = Scale.holding(*(of[known] for of in median.values()), logarithmic=True, room=0.0)
+    x, y = radius.min() + (cells[:, 0] + 0.5) * size, height.min() + (cells[:, 1] + 0.5) * size
+    return [
+        Chart(
+            name,
+            f"{name} [mm]",
+            Scale(float(x.min() - size), float(x.max() + size)),
+            Scale(float(y.min() - size), float(y.max() + size)),
+            [
+                Mark("cells", "not measured", x[~known], y[~known], palette.UNMEASURED, size),
+                Mark("cells", "error", x[known], y[known], _shades(colors, of[known]), size),
+            ],
+            x_label="from the z axis [m]",
+            equal=True,
+            colors=colors,
+        )
+        for name, of in median.items()
+    ]
+
+
+def _joint_ranges(calibration: FittedCalibration) -> Chart:
+    """Where between its limits each joint was measured."""
+    session = calibration.session
+    joints = [(j, joint) for j, joint in enumerate(session.chain.joints) if joint.mimic is None]
+    y = np.arange(len(joints), 0.0, -1.0)
+    share, ends = [], []
+    for j, joint in joints:
+        value = session.q[:, j]
+        low, high = joint.lower, joint.upper
+        if not np.isfinite(high - low):
+            low, high = (value.min(), value.max()) if joint.prismatic else (-np.pi, np.pi)
+            value = value if joint.prismatic else np.arctan2(np.sin(value), np.cos(value))
+        share.append(100.0 * (value - low) / (high - low))
+        ends.append([share[-1].min(), share[-1].max()])
+    values = np.array(share)
+    marks = [
+        Mark("hairlines", "limits", [[0.0, 100.0]] * len(y), np.stack([y, y], axis=-1), palette.INK),
+        Mark("lines", "measured", np.array(ends), np.stack([y, y], axis=-1), palette.CALIBRATED),
+        Mark("dots", "poses", values.ravel(), np.repeat(y, values.shape[1]), palette.CALIBRATED),
+    ]
+    names = {place: joint.name for place, (_, joint) in zip(y.tolist(), joints, strict=True)}
+    x = Scale.holding(values, 0.0, 100.0, room=0.02)
+    height = Scale(0.4, len(joints) + 0.6, names=names)
+    return Chart("ranges", "poses between the joint's limits [%]", x, height, marks)
+
+
+def _images(scene: CalibrationScene, pixels: ResidualTable, cameras: Sequence[Camera]) -> dict[str, Figure]:
+    """Residuals over each camera's image: nominal and calibrated, these enlarged, and their size."""
+    factor, enlarged = scene.pixel_factor, scene.field_factor
+    fields = {
+        "fields": [
+            _field(pixels, c, camera, name, factor) for name in ("nominal", "calibrated") for c, camera in _all(cameras)
+        ]
+    }
+    if enlarged > _TWICE * factor:
+        fields["enlarged"] = [_field(pixels, c, camera, "calibrated", enlarged) for c, camera in _all(cameras)]
+    fields["magnitudes"] = _magnitudes(pixels, cameras)
+    columns = max(min(3, len(cameras)), 2)
+    shape = max((field.y.high - field.y.low) / (field.x.high - field.x.low) for field in fields["fields"])
+    height = min((720 / columns - 30) * shape, _TALLEST) + 26
+    found = {name: Figure(_in_rows(charts, min(3, len(cameras))), height) for name, charts in fields.items()}
+    # There is a colour bar beside these, and no arrow of a known length below.
+    found["magnitudes"] = replace(
+        found["magnitudes"], height=min((720 / columns - 62) / _flattest(cameras), _TALLEST) + 28
+    )
+    return found
+
+
+def _flattest(cameras: Sequence[Camera]) -> float:
+    """The least width of an image for its height."""
+    return min(camera.resolution[0] / camera.resolution[1] for camera in cameras)
+
+
+def _all(cameras: Sequence[Camera]) -> list[tuple[int, Camera]]:
+    return list(enumerate(cameras))
+
+
+def _in_rows(charts: Sequence[Chart], columns: int) -> list[Sequence[Chart]]:
+    return [charts[first : first + columns] for first in range(0, len(charts), columns)]
+
+
+def _field(pixels: ResidualTable, c: int, camera: Camera, name: str, factor: float) -> Chart:
+    """A camera's residuals as arrows over its image, with one of a known length: a bent field means a wrong lens."""
+    mine, expected = pixels.camera == c, pixels.by_arm[name]
+    used, cut = mine & pixels.used & np.isfinite(expected[:, 0]), pixels.measured[mine & pixels.outlier]
+    start, residual = pixels.measured[used], (expected - pixels.measured)[used]
+    size = pixels.size_nominal if name == "nominal" else pixels.size
+    rms = np.sqrt(np.mean(np.sum(residual**2, axis=1))) if len(residual) else np.nan
+    colors = (0.8 * palette.by_sigma(size[used])).astype(np.uint8)
+    (left, right), (top, bottom) = image_range(camera.resolution, pixels.measured[mine])
+    length = reference_length(_REFERENCE * camera.resolution[0] / factor)
+    beneath = bottom + 0.06 * (right - left)
+    arrows = _arrows(start, factor * residual)
+    known = _arrows(np.array([[left, beneath]]), factor * np.array([[length, 0.0]]))
+    border = _border(camera)
+    return Chart(
+        f"{camera.name} {name}",
+        f"{camera.name}, {name}: {rms:.3g} px rms, {factor:g} x",
+        Scale(left, right),
+        Scale(-beneath - 0.03 * (right - left), -top),
+        [
+            Mark("hairlines", "border", border[:, 0], border[:, 1], palette.FAINT),
+            Mark("lines", "residuals", arrows[..., 0], arrows[..., 1], colors),
+            Mark("dots", "outliers", cut[:, 0], -cut[:, 1], palette.OUTLIER),
+            Mark("lines", "reference", known[..., 0], known[..., 1], palette.INK),
+        ],
+        equal=True,
+        axes=False,
+        labels=((left + factor * length + 0.08 * (right - left), -beneath - 0.04 * (right - left), f"{length:g} px"),),
+    )
+
+
+def _arrows(start: Floats, arrow: Floats) -> Floats:
+    """Outlines (S, 5, 2) of arrows; pixels are counted from the top, and the vertical axis is turned round."""
+    across = 0.2 * np.column_stack([-arrow[:, 1], arrow[:, 0]])
+    end, neck = start + arrow, start + 0.7 * arrow
+    result: Floats = np.stack([start, end, neck + across, end, neck - across], axis=1) * [1.0, -1.0]
+    return result
+
+
+def _border(camera: Camera) -> Floats:
+    width, height = camera.resolution
+    return np.array([[0.0, 0.0], [width, 0.0], [width, -height], [0.0, -height], [0.0, 0.0]])
+
+
+def reference_length(most: float) -> float:
+    """The largest of 1, 2, 5, 10 ... and their parts that is no longer."""
+    power = 10.0 ** np.floor(np.log10(most))
+    return float(power * max(m for m in (1, 2, 5) if m * power <= most * (1 + 1e-9)))
+
+
+def _magnitudes(pixels: ResidualTable, cameras: Sequence[Camera]) -> list[Chart]:
+    """How large the calibrated residuals are over each image, in one scale; without colour nothing was seen."""
+    found = []
+    for c, camera in _all(cameras):
+        used = (pixels.camera == c) & pixels.used & np.isfinite(pixels.predicted[:, 0])
+        size = max(camera.resolution) / _IMAGE_CELLS
+        cells, cell = np.unique(pixels.measured[used] // size, axis=0, return_inverse=True)
+        square = np.sum((pixels.predicted - pixels.measured)[used] ** 2, axis=1)
+        rms = np.sqrt(np.bincount(cell.ravel(), square, len(cells)) / np.maximum(np.bincount(cell.ravel()), 1))
+        found.append((camera, size, cells, rms))
+    colors = Scale.holding(*(rms for *_, rms in found), logarithmic=True, room=0.0)
+    charts = []
+    for camera, size, cells, rms in found:
+        (width, height), border = camera.resolution, _border(camera)
+        x, y = (cells[:, 0] + 0.5) * size, -(cells[:, 1] + 0.5) * size
+        share = len(cells) / (np.ceil(width / size) * np.ceil(height / size))
+        charts.append(
+            Chart(
+                f"{camera.name} magnitude",
+                f"{camera.name}: rms [px], in {100 * share:.0f} % of the image",
+                Scale(min(0.0, *(x - size / 2)), max(float(width), *(x + size / 2))),
+                Scale(min(-float(height), *(y - size / 2)), max(0.0, *(y + size / 2))),
+                [
+                    Mark("cells", "rms", x, y, _shades(colors, rms), size),
+                    Mark("hairlines", "border", border[:, 0], border[:, 1], palette.FAINT),
+                ],
+                equal=True,
+                axes=False,
+                colors=colors,
+            )
+        )
+    return charts
+
+
+def _shades(colors: Scale, values: Floats) -> NDArray[np.uint8]:
+    """Colours (K, 3) of values in a scale."""
+    return palette.viridis(np.clip(colors.share(values), 0.0, 1.0))

@@ -1,0 +1,150 @@
+"""The report: one HTML page that needs nothing else, for screens wide, narrow, light and dark, and for paper."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from datetime import datetime, timezone
+from importlib import resources
+from pathlib import PurePath
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from urdfcal import files
+from urdfcal.estimation.blocks.arm import LENGTHS
+from urdfcal.output.charts import SYMBOLS
+from urdfcal.output.figures import figures
+from urdfcal.output.findings import (
+    HEADLINE,
+    MOUNTS,
+    claims,
+    fastening_sentences,
+    fixed_parameters,
+    listed,
+    look_up,
+)
+from urdfcal.output.palette import SIGMA_LEGEND
+from urdfcal.output.portrait import portrait
+from urdfcal.output.svg import figure_html
+from urdfcal.output.worst import worst
+from urdfcal.robot.tree_dh import MOUNT
+from urdfcal.session.exclusion import summary
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from urdfcal.output.findings import Overview, ResultData
+    from urdfcal.result.fitted import FittedCalibration
+
+_TEMPLATE = "report.html.jinja"
+_OUTLIERS_SHOWN = 25
+_MINUS = "\N{MINUS SIGN}"
+# Parameters that are correlated more are told apart by little, and so many pairs are shown.
+_CORRELATED, _PAIRS = 0.9, 12
+# An LED's place that is known worse is told by predictions alone. [m]
+_HARDLY_KNOWN = 0.005
+
+
+def write_report(path: Path, overview: Overview, *, refused: bool = False) -> None:
+    """Write a calibration as one HTML page: verdict first, figures inside, no scripts, nothing fetched.
+
+    Args:
+        path: the file; replaced in one step.
+        overview: what to report.
+        refused: whether nothing else is written of it.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    import jinja2
+    from markupsafe import Markup
+
+    calibration, document = overview.calibration, overview.document
+
+    def number(
+        key: str | tuple[str | int, ...], digits: int | None = None, scale: float = 1.0, signed: bool = False
+    ) -> Markup:
+        """Write a number of ``calibration.json`` into the page, its full value and key beside it.
+
+        No number gets into a table any other way, so that page and JSON cannot disagree.
+        """
+        path = tuple(key.split(".")) if isinstance(key, str) else tuple(map(str, key))
+        value = look_up(document, path)
+        if value is None:
+            text = "unknown"
+        elif digits is None:
+            text = f"{scale * value:.3g}"
+        else:  # rounding first, or tiny negative numbers print as -0.000
+            text = f"{round(scale * value, digits) + 0.0:{'+' if signed else ''}.{digits}f}"
+        return Markup('<data value="{}" data-key="{}">{}</data>').format(
+            json.dumps(value), "/".join(path), text.replace("-", _MINUS)
+        )
+
+    pairs = _correlated_pairs(calibration)
+    outliers, chi2 = document["outliers"], document["fit"]["reduced_chi2"]
+    largest = sorted(range(len(outliers)), key=lambda i: -outliers[i]["sigmas"])[:_OUTLIERS_SHOWN]
+    rows: dict[str, list[int]] = {}  # joint by joint, which entries of the DH list are its parameters
+    for i, entry in enumerate(document["dh"]):
+        rows.setdefault(entry["joint"], []).append(i)
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    template = environment.from_string(resources.files(__package__).joinpath(_TEMPLATE).read_text(encoding="utf-8"))
+    page = template.render(
+        document,
+        n=number,
+        meaning=HEADLINE,
+        claims=claims(document),
+        misfit="of unknown size in" if chi2 is None else f"{np.sqrt(chi2):.2g} times",
+        portrait=portrait(overview),
+        worst=[replace(miss, crop=Markup(miss.crop)) for miss in worst(overview)],  # noqa: S704  # as of figures
+        pairs=pairs[:_PAIRS],
+        pair_count=len(pairs),
+        correlated=_CORRELATED,
+        hardly_known=_hardly_known(document),
+        short=_short,
+        figures={name: Markup(figure_html(figure)) for name, figure in figures(overview).items()},  # noqa: S704  # made by us, labels escaped
+        sigma_legend=SIGMA_LEGEND,
+        actuated=len(calibration.chain.actuated),
+        share=f"{100.0 * overview.workspace.measured.mean():.0f} %",
+        rows=list(rows.items()),
+        columns=[f"{SYMBOLS.get(c, c)} [{'mm' if c in LENGTHS else 'mrad'}]" for c in calibration.geometry.columns],
+        is_dh=calibration.geometry is calibration.table,
+        tips=listed([tip.link for tip in calibration.chain.tips]),
+        fastened=" ".join(fastening_sentences(calibration.session)),
+        excluded=summary(calibration.session.excluded.named),
+        mounts=MOUNTS if any(label.endswith(MOUNT) for label in calibration.geometry.labels) else "",
+        fixed=fixed_parameters(document),
+        largest=largest,
+        shown=_OUTLIERS_SHOWN,
+        refused=refused,
+        urdf_name=calibration.urdf_name,
+        date=f"{datetime.now(timezone.utc):%Y-%m-%d}",
+    )
+    files.write_text(path, page)
+
+
+def _short(name: str) -> str:
+    """A file's name as a page shows it, which others may read: without the folders of this machine."""
+    return PurePath(name).name if PurePath(name).is_absolute() else name
+
+
+def _hardly_known(document: ResultData) -> list[str]:
+    """LEDs whose place is hardly known."""
+    return [
+        name
+        for name, led in document["leds"].items()
+        if any(sigma is not None and sigma > _HARDLY_KNOWN for sigma in led["sigma"])
+    ]
+
+
+def _correlated_pairs(calibration: FittedCalibration) -> list[tuple[str, str, float]]:
+    """Pairs of estimated parameters whose errors go together, the most correlated first."""
+    parameters = calibration.fit.parameters
+    names = [name for name, active in zip(parameters.names, parameters.active, strict=True) if active]
+    sigma = np.sqrt(np.diag(calibration.fit.covariance))
+    correlation = np.triu(calibration.fit.covariance / np.outer(sigma, sigma), 1)
+    found = np.argwhere(np.abs(correlation) > _CORRELATED).tolist()
+    pairs = [(names[i], names[j], float(correlation[i, j])) for i, j in found]
+    return sorted(pairs, key=lambda pair: -abs(pair[2]))
