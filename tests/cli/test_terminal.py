@@ -46,7 +46,11 @@ def test_a_summary_fits_and_nothing_of_it_is_cut(tmp_path: Path, capsys: pytest.
     assert all(len(line) <= WIDTH for line in lines if str(tmp_path) not in line)
     document = json.loads((tmp_path / "o" / "calibration.json").read_text())
     joined = " ".join(text.split())
-    for said in ("rms error on held-out poses, nominal -> calibrated", "found in regions left out", "mm at the tip"):
+    for said in (
+        "rms error on held-out poses, nominal -> calibrated",
+        "where whole regions were held out",
+        "mm at the tip",
+    ):
         assert said in joined
     assert document["verdict"]["reasons"]
     for reason in document["verdict"]["reasons"]:

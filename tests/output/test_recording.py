@@ -63,7 +63,10 @@ class Recorded:
             if chunk.entity_path == entity and not chunk.is_static and component in batch.schema.names
         ]
         values = [np.array(row.as_py()) for row in batch.column(component)]
-        return dict(zip(batch.column(timeline).to_pylist(), values, strict=True))
+        at = batch.column(timeline).to_pylist()
+        if timeline == "pose":
+            at = [number - 1 for number in at]  # the viewer counts poses as people do
+        return dict(zip(at, values, strict=True))
 
     def all_rows(self, entity, component):
         """All instances, pose by pose."""
@@ -284,7 +287,7 @@ def test_common_normals_are_to_scale(calibration, recorded):
                 strips = recorded.all_rows(entity, "LineStrips3D:strips")
                 lengths = np.linalg.norm(strips[:, 1] - strips[:, 0], axis=-1)
                 np.testing.assert_allclose(lengths, abs(value), atol=1e-6)
-                assert recorded.static(entity, "LineStrips3D:labels")[0] == f"{name}{i + 1} {1e3 * value:.1f} mm"
+                assert recorded.static(entity, "LineStrips3D:labels")[0] == f"{name}{i + 1}"
             else:
                 assert abs(value) < 2e-3 * calibration.chain.reach
     assert "/base/dh/rows/a2" in recorded.entities

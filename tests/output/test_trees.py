@@ -45,7 +45,11 @@ def strips(recorded, entity, component):
     (batch,) = [b for chunk, b in recorded.chunks if chunk.entity_path == entity and component in b.schema.names]
     return {
         pose: [np.array(strip) for strip in row]
-        for pose, row in zip(batch.column("pose").to_pylist(), batch.column(component).to_pylist(), strict=True)
+        for pose, row in zip(
+            [number - 1 for number in batch.column("pose").to_pylist()],
+            batch.column(component).to_pylist(),
+            strict=True,
+        )
     }
 
 

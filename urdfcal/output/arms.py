@@ -75,9 +75,9 @@ def log_arms(layer: Layer, session: Session, scene: CalibrationScene) -> tuple[s
 
 
 def log_dh(layer: Layer, table: DHTable, scene: CalibrationScene) -> None:
-    """Log the DH frames as axes, and each row's way from one to the next, with d and a as labels.
+    """Log the DH frames as axes, and each row's way from one to the next, its lengths d and a by name.
 
-    Rows are numbered as in the table beside them, from 1.
+    Rows are numbered as in the table beside them, from 1, which has the lengths.
     """
     length, rows = 0.08 * table.chain.reach, scene.rows
     for i in range(rows.frames.shape[1]):
@@ -93,7 +93,7 @@ def log_dh(layer: Layer, table: DHTable, scene: CalibrationScene) -> None:
                 {"strips": rows.corners[:, i, k : k + 2].astype(np.float32)},
                 colors=PARAMETER_COLORS[name],
                 radii=0.004 * table.chain.reach,
-                labels=f"{name}{i + 1} {1e3 * value:.1f} mm",
+                labels=f"{name}{i + 1}",
                 show_labels=False,
             )
 

@@ -163,3 +163,9 @@ def bars(at: Floats, length: Floats, half: float) -> tuple[Floats, Floats]:
     zero = np.zeros_like(length)
     across = np.stack([at - half, at - half, at + half, at + half], axis=-1)
     return across, np.stack([zero, length, length, zero], axis=-1)
+
+
+def reference_length(most: float) -> float:
+    """The largest of 1, 2, 5, 10 ... and their parts that is no longer."""
+    power = 10.0 ** np.floor(np.log10(most))
+    return float(power * max(m for m in (1, 2, 5) if m * power <= most * (1 + 1e-9)))

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 # Residuals in standard deviations beyond this are off the charts.
 _SIGMAS = 6.0
 _BINS = 8
+# A joint that moves less than this tells nothing. [rad, m]
+_AT_REST = 1e-6
 SYMBOLS = {"theta": "\u03b8", "alpha": "\u03b1", "beta": "\u03b2"}
 
 RESIDUALS = """\
@@ -31,9 +33,19 @@ them near zero, a trend is an effect that the model lacks.
 """
 _COURSES = {"cost": "cost", "damping": "damping", "step": "step, in standard deviations of the estimate"}
 PART_COLORS = ("light blue", "orange", "violet")
+WORKSPACE = """\
+**Workspace.** Each dot is a place that the tip reaches, at joint values at random within the limits. Its colour is how
+far off the tip is there: for the nominal arm the distance to the calibrated one, the bases aligned; for the calibrated
+arm the predicted standard deviation. Both clouds have the colours of the bar, in mm. Blue: nominal, green: calibrated.
+
+Small dots: joint values outside of what was measured.
+"""
 CONVERGENCE = """\
 **Convergence**, iteration by iteration (0: nominal). Each joint's offsets in mm and mrad; light blue: theta, dark
 blue: d, red: a, orange: alpha, violet: beta. Hairlines: the estimate minus and plus one standard deviation.
+
+The cost may rise where outliers are cut and weights are renewed: it is another sum then. Damping grows while a step
+does not lower the cost; a large one at the end says that rounding alone is left.
 
 The same as time series: below `plots`, on the timeline `iteration`.
 """
@@ -46,7 +58,7 @@ def all_charts(overview: Overview) -> list[Chart]:
         *joint_charts(overview.calibration),
         *parameter_charts(overview.calibration),
         *convergence_charts(overview.calibration),
-        workspace_chart(overview.workspace),
+        colored_workspace_chart(overview.workspace),
     ]
 
 
@@ -67,6 +79,8 @@ def residual_charts(overview: Overview) -> list[Chart]:
     for j, joint in enumerate(calibration.chain.joints):
         unit = "m" if joint.prismatic else "rad"
         value = calibration.session.q[table.pose, j]
+        if np.ptp(value) < _AT_REST:
+            continue
         charts.append(_against(f"joint {j + 1}", f"{joint.name} [{unit}]", value, table))
     return charts
 
@@ -235,3 +249,15 @@ def workspace_chart(workspace: Workspace) -> Chart:
         x_label="tip error [mm]",
         legend=("nominal", "calibrated"),
     )
+
+
+def colored_workspace_chart(workspace: Workspace) -> Chart:
+    """The same beside what the colours of the recording's clouds stand for."""
+    return replace(workspace_chart(workspace), colors=error_colors(workspace))
+
+
+def error_colors(workspace: Workspace) -> Scale:
+    """What the colours of tip errors stand for, nominal and calibrated alike. [mm]."""
+    least, largest = (1e3 * limit for limit in workspace.range)
+    smallest = max(least, 1e-6)  # below a nanometre an error is none
+    return Scale(smallest, max(largest, 2.0 * smallest), logarithmic=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -9,11 +10,12 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from urdfcal.output import arms, palette
-from urdfcal.output.chart import Chart, Scale
-from urdfcal.output.charts import CONVERGENCE, PART_COLORS, RESIDUALS, all_charts, paths
+from urdfcal.output.chart import Chart, reference_length
+from urdfcal.output.charts import CONVERGENCE, PART_COLORS, RESIDUALS, WORKSPACE, all_charts, error_colors, paths
 from urdfcal.output.findings import ELLIPSOID, HEADLINE, Overview, Workspace, headline, parameter_text, pose_texts
 from urdfcal.output.images import arm_in_images, compressed, find_photographs, finite_pieces
 from urdfcal.output.joint_charts import JOINTS
+from urdfcal.output.scene import image_range
 from urdfcal.output.stream import CORNER, ITERATION, Layer
 from urdfcal.rotations import matrix_to_quaternion
 
@@ -28,22 +30,24 @@ if TYPE_CHECKING:
 # Size of the plotted area; only its shape is seen.
 _WIDTH, _HEIGHT = 150.0, 105.0
 # Rows with names need so much height each, lest the names overlap; beyond the limit they had better.
-_ROW, _TALLEST = 7.0, 205.0
+_ROW, _TALLEST = 12.0, 230.0
 # Room for tick labels: numbers and names to the left, and right, above and below.
-_NUMBERS, _NAMES, _RIGHT, _ABOVE, _BELOW = 24.0, 75.0, 8.0, 6.0, 16.0
+_NUMBERS, _NAMES, _RIGHT, _ABOVE, _BELOW, _LABEL = 24.0, 75.0, 8.0, 6.0, 16.0, 12.0
+# A bar of colours beside a chart: how far, how thick, in how many steps, and the room that it needs with its numbers.
+_APART, _THICK, _STEPS, _BAR = 6.0, 5.0, 24, 32.0
 # rerun takes negative radii as points on the screen instead of metres.
 _DOT, _SMALL_DOT, _THIN, _LINE, _ARROW = -4.0, -2.0, -0.8, -1.5, -3.0
 _HAIR, _NONE = -0.5, 0.0
 _RADII = {"dots": -2.0, "lines": -0.9, "bars": -0.9, "hairlines": _HAIR}
-# Below a nanometre an error is none. [m]
-_SMALLEST = 1e-9
+# A ring about what was detected, for the image's width, and its corners.
+_RING, _ROUND = 0.012, 25
 
 
 def log_overview(stream: RecordingStream, overview: Overview, entity_path: str) -> tuple[str, ...]:
     """Log what was worked out of a calibration; see ``log_calibration``."""
     calibration, scene = overview.calibration, overview.scene
     session = calibration.session
-    base = Layer(stream, entity_path, len(session.q))
+    base = Layer(stream, entity_path, len(session.q), session.time)
     base.fixed(rr.ViewCoordinates.RIGHT_HAND_Z_UP, rr.TransformAxes3D(axis_length=0.1 * session.chain.reach))
     warnings = arms.log_arms(base, session, scene)
     arms.log_dh(base.at("dh"), calibration.table, scene)
@@ -103,7 +107,7 @@ def _log_camera(base: Layer, index: int, camera: Camera, link: str | None, scene
     )
     if scene.pixels is not None:
         seen = np.flatnonzero(scene.pixels.camera == index)
-        _log_image(body.at("image"), scene, scene.pixels, seen)
+        _log_image(body.at("image"), scene, scene.pixels, camera, seen)
         seen = seen[np.isfinite(scene.rays[seen]).all(axis=(1, 2))]
         rays = base.at("rays", camera.name)
         strips = scene.rays[seen].astype(np.float32)
@@ -113,7 +117,7 @@ def _log_camera(base: Layer, index: int, camera: Camera, link: str | None, scene
     body.at("image", "border").fixed(rr.LineStrips2D([border], colors=palette.FAINT, radii=_THIN))
 
 
-def _log_image(image: Layer, scene: CalibrationScene, pixels: ResidualTable, seen: Ints) -> None:
+def _log_image(image: Layer, scene: CalibrationScene, pixels: ResidualTable, camera: Camera, seen: Ints) -> None:
     pose = pixels.pose[seen]
     detected, predicted, expected = (uv[seen] + CORNER for uv in (pixels.measured, pixels.predicted, pixels.nominal))
     for name, places, color in (
@@ -121,17 +125,31 @@ def _log_image(image: Layer, scene: CalibrationScene, pixels: ResidualTable, see
         ("predicted", predicted, palette.CALIBRATED),
         ("nominal", expected, palette.NOMINAL),
     ):
-        image.at(name).each(rr.Points2D, {"positions": places}, pose, colors=color, radii=_DOT)
+        # Small: what was detected is to be seen below. A ring shows where it is.
+        image.at(name).each(rr.Points2D, {"positions": places}, pose, colors=color, radii=_SMALL_DOT)
+    width = float(np.ptp(image_range(camera.resolution, pixels.measured[seen])[0]))
+    angle = np.linspace(0.0, 2.0 * np.pi, _ROUND)
+    ring = _RING * width * np.column_stack([np.cos(angle), np.sin(angle)])
+    rings = {"strips": (detected[:, None] + ring).astype(np.float32)}
+    image.at("ring").each(rr.LineStrips2D, rings, pose, colors=palette.MEASURED, radii=_THIN)
     arrows = {"origins": detected, "vectors": scene.pixel_factor * (expected - detected)}
     image.at("residual nominal").each(rr.Arrows2D, arrows, pose, colors=palette.NOMINAL)
     cut = pixels.outlier[seen]
     for name, factor, places, size in (
-        ("field", scene.field_factor, predicted, pixels.size[seen]),
+        ("field", scene.pixel_factor, predicted, pixels.size[seen]),
+        ("field enlarged", scene.field_factor, predicted, pixels.size[seen]),
         ("field nominal", scene.pixel_factor, expected, pixels.size_nominal[seen]),
     ):
         vectors, colors = factor * (places - detected)[~cut], palette.by_sigma(size[~cut])
         image.at(name).fixed(rr.Arrows2D(origins=detected[~cut], vectors=vectors, colors=colors, radii=_THIN))
-    image.at("outliers").fixed(rr.Points2D(detected[cut], colors=palette.OUTLIER, radii=_DOT))
+    image.at("outliers").fixed(rr.Points2D(detected[cut], colors=palette.OUTLIER, radii=_SMALL_DOT))
+    # Arrows of known lengths, for both enlargements.
+    for name, factor in (("scale", scene.pixel_factor), ("scale enlarged", scene.field_factor)):
+        length = reference_length(0.15 * width / factor)
+        corner = np.array([[0.03 * width, 0.9 * camera.resolution[1]]])
+        known = rr.Arrows2D(origins=corner, vectors=[[factor * length, 0.0]], labels=f"{length:g} px", radii=_THIN,
+                            colors=palette.MEASURED, show_labels=True)  # fmt: skip
+        image.at(name).fixed(known)
 
 
 def _log_leds(base: Layer, scene: CalibrationScene) -> None:
@@ -174,11 +192,9 @@ def _log_workspace(layer: Layer, workspace: Workspace) -> None:
 
     Where the configuration was not measured, the dot is small.
     """
-    smallest, largest = workspace.range
-    scale = Scale(max(smallest, _SMALLEST), max(largest, 2.0 * _SMALLEST), logarithmic=True)
-    radii = np.where(workspace.measured, _DOT, _SMALL_DOT)
+    scale, radii = error_colors(workspace), np.where(workspace.measured, _DOT, _SMALL_DOT)
     for name, error in workspace.errors.items():
-        colors = palette.viridis(scale.share(np.maximum(error, _SMALLEST)))
+        colors = palette.viridis(np.clip(scale.share(1e3 * error), 0.0, 1.0))
         layer.at(name).fixed(rr.Points3D(workspace.tip, colors=colors, radii=radii))
 
 
@@ -229,11 +245,12 @@ def _log_iterations(plot: Layer, first: int, values: Floats, series: rr.SeriesLi
 def chart_view(chart: Chart, root: str) -> rrb.View:
     """The view of a chart in a recording whose base link is ``root``."""
     beside, height = _room(chart)
-    name = f"{chart.title}, by {chart.x_label}" if chart.x_label else chart.title
+    right = _WIDTH + (_BAR if chart.colors else _RIGHT)
+    below = height + _BELOW + (_LABEL if chart.x_label else 0.0)
     return rrb.Spatial2DView(
         origin=f"{root}/charts/{rr.escape_entity_path_part(chart.name)}",
-        name=f"{name} (blue: nominal, green: calibrated)" if chart.legend else name,
-        visual_bounds=rrb.VisualBounds2D(x_range=[-beside, _WIDTH + _RIGHT], y_range=[-_ABOVE, height + _BELOW]),
+        name=chart.title,
+        visual_bounds=rrb.VisualBounds2D(x_range=[-beside, right], y_range=[-_ABOVE, below]),
         background=palette.BACKGROUND,
     )
 
@@ -249,6 +266,18 @@ def _log_chart(parent: Layer, chart: Chart) -> None:
     # rerun writes labels centred below their points.
     ticks = [*([u, height] for u in x), *([-beside / 2, v - 5.0] for v in y)]
     names = [*x.values(), *y.values()]
+    if chart.x_label:
+        ticks, names = [*ticks, [_WIDTH / 2, height + _LABEL]], [*names, chart.x_label]
+    if chart.colors:
+        share = np.linspace(1.0, 0.0, _STEPS)
+        ends = np.linspace(0.0, height, _STEPS + 1)
+        strips = [[[_WIDTH + _APART, a], [_WIDTH + _APART, b]] for a, b in pairwise(ends.tolist())]
+        bar = rr.LineStrips2D(strips, colors=palette.viridis(share), radii=_THICK / 2, draw_order=-1.0)
+        layer.at("colours").fixed(bar)
+        values = chart.colors.ticks()
+        place = height * (1.0 - chart.colors.share(list(values)))
+        ticks += [[_WIDTH + _APART + 0.4 * _BAR, v - 5.0] for v in place.tolist()]
+        names += values.values()
     layer.at("ticks").fixed(rr.Points2D(ticks, radii=_NONE, labels=names, colors=palette.INK, show_labels=True))
     for order, mark in enumerate(chart.marks):
         shapes, colors = chart.shapes(mark, _WIDTH, height)
@@ -277,6 +306,7 @@ def _log_texts(base: Layer, overview: Overview) -> None:
         ("residuals", RESIDUALS.format(parts=parts)),
         ("convergence", CONVERGENCE),
         ("joints", JOINTS),
+        ("workspace", WORKSPACE),
     ):
         texts.at(name).fixed(rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
     texts.at("poses").fixed(rr.AnyValues(poses=session.poses))

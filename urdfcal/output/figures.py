@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.output import palette
-from urdfcal.output.chart import Chart, Mark, Scale
+from urdfcal.output.chart import Chart, Mark, Scale, reference_length
 from urdfcal.output.charts import by_pose, convergence_charts, parameter_charts, spread, workspace_chart
 from urdfcal.output.joint_charts import contribution_chart, joint_model_charts
 from urdfcal.output.scene import image_range
@@ -195,12 +195,6 @@ def _arrows(start: Floats, arrow: Floats) -> Floats:
 def _border(camera: Camera) -> Floats:
     width, height = camera.resolution
     return np.array([[0.0, 0.0], [width, 0.0], [width, -height], [0.0, -height], [0.0, 0.0]])
-
-
-def reference_length(most: float) -> float:
-    """The largest of 1, 2, 5, 10 ... and their parts that is no longer."""
-    power = 10.0 ** np.floor(np.log10(most))
-    return float(power * max(m for m in (1, 2, 5) if m * power <= most * (1 + 1e-9)))
 
 
 def _magnitudes(pixels: ResidualTable, cameras: Sequence[Camera]) -> list[Chart]:

@@ -34,13 +34,15 @@ MOUNTS = (
     "first joint axis."
 )
 _LEGEND = f"""\
-Solid arm: **calibrated**. Blue ghost: **nominal**, as the URDF has it, placed to fit the measurements best. Its
-deviation and the residual arrows are enlarged **{{factor:g}} times**.
+Solid arm: **calibrated**. Blue ghost: **nominal**, as the URDF has it, placed to fit the measurements best.
+{{enlarged}}
 
 LED: white as measured, green by the calibrated arm, blue by the nominal one. Arrows from measured to predicted:
 {SIGMA_LEGEND}. Purple: taken out of the fit. White ellipsoid: {ELLIPSOID:g} standard deviations of the measurement,
 enlarged alike.
 """
+_ENLARGED = "Its deviation and the residual arrows are enlarged **{factor:g} times**."
+_TRUE_SIZE = "Its deviation and the residual arrows are large enough to be seen as they are."
 HEADLINE = "rms error on held-out poses"
 """What the one number means that says what a calibration is worth."""
 
@@ -175,7 +177,7 @@ def pose_texts(overview: Overview) -> list[str]:
     for m, (pose, led, cut) in enumerate(zip(leds.pose, leds.led, leds.outlier, strict=True)):
         taken_out = ", taken out of the fit" if cut else ""
         lines[pose].append(f"{names[led]} {new[m]:.2f} mm off, nominal {old[m]:.2f} mm{taken_out}")
-    legend = _LEGEND.format(factor=scene.factor)
+    legend = _LEGEND.format(enlarged=_ENLARGED.format(factor=scene.factor) if scene.factor > 1.0 else _TRUE_SIZE)
     if fastened := fastening_sentences(session):
         legend += "\n" + " ".join(fastened) + "\n"
     if overview.calibration.assessment.reasons:

@@ -36,6 +36,9 @@ _FOLDER = "images"
 # A 1.3-megapixel image takes about 100 kB then.
 _QUALITY = 80
 _GAP = 8
+# Images darker than this on the average are shown with a gamma of 2.2.
+_DARK = 50.0
+_BRIGHTER = np.round(255.0 * (np.arange(256) / 255.0) ** (1 / 2.2)).astype(np.uint8)
 _LEDS = (("detected", "sighted"), ("nominal", "nominal"), ("calibrated", "predicted"))
 
 
@@ -149,7 +152,7 @@ def find_shots(session: Session) -> tuple[dict[tuple[int, int], Path], ...]:
 
 
 def compressed(paths: Iterable[Path]) -> list[bytes]:
-    """Images as 8-bit JPEG, several at a time."""
+    """Images as 8-bit JPEG, several at a time; dark ones brightened, lest the arm beside a bright LED is not seen."""
     with ThreadPoolExecutor() as pool:
         return list(pool.map(_compressed, paths))
 
@@ -158,6 +161,8 @@ def _compressed(path: Path) -> bytes:
     import cv2
 
     image = cv2.imdecode(np.frombuffer(path.read_bytes(), dtype=np.uint8), cv2.IMREAD_ANYCOLOR)
+    if image is not None and image.mean() < _DARK:
+        image = cv2.LUT(image, _BRIGHTER)
     done, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
     return data.tobytes() if done else b""
 
@@ -208,7 +213,7 @@ def overlays(recording: Path, pose: str) -> dict[str, NDArray[np.uint8]]:
         raise OutputError(
             "no camera took part", where=str(recording), remedy="A tracker's points have no images to draw into."
         )
-    at, drawn = poses.index(pose), {}
+    at, drawn = poses.index(pose) + 1, {}
     for image in images:
         width, height = (int(side) for side in (value(image, "Pinhole:resolution") or [[0, 0]])[0])
         background = np.full((height, width, 3), 16, dtype=np.uint8)

@@ -17,9 +17,10 @@ from urdfcal.output.findings import HEADLINE, Overview, headline
 from urdfcal.output.palette import BACKGROUND, VERDICT_COLORS
 from urdfcal.output.report import write_report
 from urdfcal.output.scene import CalibrationScene, ResidualTable, image_range
-from urdfcal.output.stream import POSE
+from urdfcal.output.stream import POSE, TIME
 from urdfcal.output.viewer import RECORDING
 from urdfcal.result.calibration import FILE_NAME, Calibration, corrected_name
+from urdfcal.session.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -39,7 +40,7 @@ REFUSED = "refused"
 _HALF_VIEW = np.radians(55 / 2)
 _ASPECT = 1.2
 # What belongs to other tabs than the arm's.
-_ELSEWHERE = ("plots", "charts", "banner", "texts", "workspace")
+_ELSEWHERE = ("plots", "charts", "banner", "texts", "workspace", "dh")
 
 
 def write_results(
@@ -157,6 +158,7 @@ def layout(overview: Overview, active: int = 0) -> rrb.Blueprint:
         active: the tab to open with.
     """
     scene, calibration = overview.scene, overview.calibration
+    moved = isinstance(calibration.session.motion, Trajectory)
     images = [
         f"{ROOT}/cameras/{rr.escape_entity_path_part(camera.name)}/image" for camera in calibration.estimate.cameras
     ]
@@ -168,7 +170,9 @@ def layout(overview: Overview, active: int = 0) -> rrb.Blueprint:
     beside = rrb.Vertical(
         rrb.TextDocumentView(origin=f"{ROOT}/texts/about", name="What you see"),
         rrb.TimeSeriesView(
-            origin=f"{ROOT}/plots/residual_{unit}", name=f"Residual of each pose, rms without outliers [{unit}]"
+            origin=f"{ROOT}/plots/residual_{unit}",
+            name=f"rms of each pose [{unit}]",
+            plot_legend=rrb.PlotLegend(visible=False),  # it would cover the curves
         ),
         row_shares=[3, 2],
     )
@@ -177,7 +181,8 @@ def layout(overview: Overview, active: int = 0) -> rrb.Blueprint:
         rrb.Vertical(_banner(overview), both, row_shares=[1, 13], name="Arm"),
     ]
     if scene.pixels is not None:
-        tabs.append(rrb.Grid(*_images(images, overview, scene.pixels), grid_columns=len(images), name="Pixels"))
+        views = _images(images, overview, scene.pixels)
+        tabs.append(rrb.Grid(*views, grid_columns=len(views) // len(images), name="Pixels"))
     tabs += [
         _grid("convergence", charts.convergence_charts(calibration)),
         *([_grid("joints", joints)] if (joints := charts.joint_charts(calibration)) else []),
@@ -187,7 +192,8 @@ def layout(overview: Overview, active: int = 0) -> rrb.Blueprint:
     ]
     return rrb.Blueprint(
         rrb.Tabs(*tabs, active_tab=active),
-        rrb.TimePanel(state="collapsed", timeline=POSE, play_state="paused", fps=2.0),
+        # Poses one by one, twice a second; an arm that moved as it did.
+        rrb.TimePanel(state="collapsed", timeline=TIME if moved else POSE, play_state="paused", fps=2.0),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
     )
@@ -209,16 +215,16 @@ def _parameters(overview: Overview) -> rrb.Container:
     towards = viewpoint(overview.scene)[0] - viewpoint(overview.scene)[1]
     target = overview.scene.frames[0, :, :3, 3].mean(axis=0)
     arm = _space(
-        "DH rows to scale: d along each joint's axis, a along the common normal to the next",
+        "DH rows to scale: d blue, a red",
         ["+ $origin/dh/**", "+ $origin/led/predicted"],
         target + 1.1 * reach * towards / np.linalg.norm(towards),
         target,
         overrides={row: rr.LineStrips3D.from_fields(show_labels=True) for row in rows},
     )
     bars = [chart_view(chart, ROOT) for chart in charts.parameter_charts(overview.calibration)]
-    text = rrb.TextDocumentView(origin=f"{ROOT}/texts/parameters", name="DH rows: nominal, offset, standard deviation")
+    text = rrb.TextDocumentView(origin=f"{ROOT}/texts/parameters", name="DH rows: nominal, offset ± deviation")
     return rrb.Horizontal(
-        arm, rrb.Vertical(rrb.Horizontal(*bars), text, row_shares=[3, 2]), column_shares=[2, 3], name="Parameters"
+        arm, rrb.Vertical(rrb.Horizontal(*bars), text, row_shares=[3, 2]), column_shares=[1, 2], name="Parameters"
     )
 
 
@@ -229,20 +235,18 @@ def _workspace(overview: Overview) -> rrb.Container:
     eye = middle + 2.2 * reach * np.array([0.8, -1.0, 0.5]) / np.linalg.norm([0.8, -1.0, 0.5])
     tips = overview.calibration.chain.tips
     tip = "tip" if len(tips) == 1 else tips[0].link
-    titles = (f"Nominal: distance to the calibrated {tip}", "Calibrated: predicted standard deviation")
-    smallest, largest = (1e3 * limit for limit in workspace.range)
-    scale = f"violet {smallest:.2g}, yellow {largest:.2g} mm; small: not measured"
     views = [
         _space(
-            f"{title}, {1e3 * error.min():.2g} to {1e3 * error.max():.2g} mm ({scale})",
+            f"{name} {tip}: {1e3 * error.min():.2g} to {1e3 * error.max():.2g} mm off",
             [f"+ $origin/workspace/{name}", "+ $origin/calibrated/**"],
             eye,
             middle,
         )
-        for title, (name, error) in zip(titles, workspace.errors.items(), strict=True)
+        for name, error in workspace.errors.items()
     ]
-    shares = chart_view(charts.workspace_chart(workspace), ROOT)
-    return rrb.Vertical(rrb.Horizontal(*views), shares, row_shares=[3, 2], name="Workspace")
+    shares = chart_view(charts.colored_workspace_chart(workspace), ROOT)
+    text = rrb.TextDocumentView(origin=f"{ROOT}/texts/workspace", name="How to read this")
+    return rrb.Vertical(rrb.Horizontal(*views), rrb.Horizontal(shares, text), row_shares=[3, 2], name="Workspace")
 
 
 def _grid(name: str, shown: list[Chart]) -> rrb.Container:
@@ -251,21 +255,29 @@ def _grid(name: str, shown: list[Chart]) -> rrb.Container:
 
 
 def _images(images: list[str], overview: Overview, pixels: ResidualTable) -> list[rrb.View]:
-    """The residuals of all poses, nominal above and calibrated below, with the arm of this pose."""
+    """The residuals of all poses of each camera: nominal, calibrated alike, and enlarged; with the arm of this pose."""
     scene, cameras = overview.scene, overview.calibration.estimate.cameras
+    of_arm = {
+        "nominal": ("arm/nominal", "nominal", "residual\\ nominal"),
+        "calibrated": ("arm/calibrated", "predicted"),
+    }
+    kinds = [("nominal", scene.pixel_factor, "field\\ nominal", "scale")]
+    kinds.append(("calibrated", scene.pixel_factor, "field", "scale"))
+    if scene.field_factor > scene.pixel_factor:
+        kinds.append(("calibrated", scene.field_factor, "field\\ enlarged", "scale\\ enlarged"))
+    among = ("field", "field\\ nominal", "field\\ enlarged", "scale", "scale\\ enlarged")
     views: list[rrb.View] = []
-    for what, factor, hidden in (
-        ("nominal", scene.pixel_factor, ("field", "arm/calibrated", "predicted")),
-        ("calibrated", scene.field_factor, ("field\\ nominal", "arm/nominal", "nominal", "residual\\ nominal")),
-    ):
-        for c, (image, camera) in enumerate(zip(images, cameras, strict=True)):
-            seen = pixels.measured[pixels.camera == c]
-            u, v = image_range(camera.resolution, seen)
+    for c, (image, camera) in enumerate(zip(images, cameras, strict=True)):
+        seen = pixels.measured[pixels.camera == c]
+        u, v = image_range(camera.resolution, seen)
+        for what, factor, *shown in kinds:
+            others = (name for arm, names in of_arm.items() if arm != what for name in names)
+            hidden = (*others, *(name for name in among if name not in shown))
             views.append(
                 rrb.Spatial2DView(
                     origin=image,
                     contents=["+ $origin/**", *(f"- $origin/{name}" for name in hidden)],
-                    name=f"{camera.name} {what}: residuals {factor:g} x",
+                    name=f"{camera.name} {what} ({factor:g} x)",
                     visual_bounds=rrb.VisualBounds2D(x_range=u, y_range=v),
                     background=BACKGROUND,
                 )
@@ -281,14 +293,14 @@ def _space(name: str, contents: list[str], eye: Floats, target: Floats, **more: 
 
 
 def viewpoint(scene: CalibrationScene) -> tuple[Floats, Floats]:
-    """Find a place from which arm, LEDs and cameras are all in view, cameras to one side.
+    """Find a place from which the arm and its LEDs fill the view, with the cameras to one side, wherever they are.
 
     Returns:
         The eye and the point it looks at, (3,) each, in the base link's frame. [m]
     """
     arm = scene.frames[..., :3, 3].reshape(-1, 3)
     cameras = scene.views[..., :3, 3].reshape(-1, 3)
-    points = np.concatenate([arm, scene.leds.measured[~scene.leds.outlier], cameras])
+    points = np.concatenate([arm, scene.leds.measured[~scene.leds.outlier]])
     target = (points.min(axis=0) + points.max(axis=0)) / 2
     towards = cameras.mean(axis=0) - arm.mean(axis=0) if len(cameras) else np.zeros(3)
     across = np.array([towards[1], -towards[0], 0.0])

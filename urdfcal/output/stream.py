@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from urdfcal.arrays import Floats, Ints
 
-POSE = "pose"
+POSE, TIME = "pose", "time"
 ITERATION = "iteration"
 CORNER = 0.5
 """What is added to pixels: rerun's (0, 0) is the corner of the top-left pixel, ours is its centre."""
@@ -30,16 +30,18 @@ class Layer:
     Attributes:
         stream: where everything goes.
         path: of the branch.
-        poses: N, number of poses.
+        poses: N, number of poses; on their timeline they are counted from 1, as people count.
+        time: (N,) of each pose, if known. [s]
     """
 
     stream: RecordingStream
     path: str
     poses: int
+    time: Floats | None = None
 
     def at(self, *names: str) -> Layer:
         """Go down the tree; names are taken literally, whatever characters they have."""
-        return Layer(self.stream, "/".join([self.path, *map(rr.escape_entity_path_part, names)]), self.poses)
+        return Layer(self.stream, "/".join([self.path, *map(rr.escape_entity_path_part, names)]), self.poses, self.time)
 
     def fixed(self, *what: AsComponents) -> None:
         """Log what is the same at all poses."""
@@ -59,8 +61,10 @@ class Layer:
         found = kind.columns(**columns)
         if pose is not None:
             found = found.partition(np.bincount(pose, minlength=self.poses))
-        rows = rr.TimeColumn(POSE, sequence=np.arange(self.poses))
-        rr.send_columns(self.path, [rows], found, recording=self.stream)
+        rows = [rr.TimeColumn(POSE, sequence=np.arange(1, self.poses + 1))]
+        if self.time is not None:
+            rows.append(rr.TimeColumn(TIME, duration=self.time))
+        rr.send_columns(self.path, rows, found, recording=self.stream)
 
     def placed(self, T: Floats, *, moves: bool = True) -> None:
         """Place the branch in its parent at every pose, (N, 4, 4), or where it does not move at the first for all."""
