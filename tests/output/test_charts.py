@@ -8,7 +8,7 @@ import pytest
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.output.chart import Scale
-from urdfcal.output.charts import all_charts, parameter_charts, residual_charts
+from urdfcal.output.charts import all_charts, by_pose, parameter_charts, residual_charts
 from urdfcal.output.findings import Overview
 from urdfcal.output.scene import measurements_of
 from urdfcal.pipeline import calibrate
@@ -71,6 +71,28 @@ def test_bars_are_the_corrections_with_their_deviations(overview):
         sigmas = 1e3 * np.array([calibration.sigmas()[i] for i in index])
         np.testing.assert_allclose(marks["offsets"].x[:, 1], offsets)
         np.testing.assert_allclose(np.diff(marks["intervals"].x, axis=1)[:, 0], 2 * 1.96 * sigmas)
+
+
+def test_thousands_of_frames_are_no_carpet(overview):
+    table = overview.scene.tables[0]
+    many = np.tile(np.arange(len(table.pose)), 200)
+    columns = {name: value[many] for name, value in vars(table).items() if isinstance(value, np.ndarray)}
+    frames = replace(table, **columns | {"pose": np.arange(len(many))})
+    chart = by_pose(frames)
+    assert all(len(mark.x) <= 251 for mark in chart.marks)
+    assert chart.title == f"rms of {1 + (len(many) - 1) // 250} poses each [{table.unit}]"
+    np.testing.assert_allclose(np.median(chart.marks[2].y), np.sqrt(np.mean(by_pose(table).marks[2].y ** 2)), rtol=0.3)
+    assert by_pose(table).title == f"rms of each pose [{table.unit}]"
+
+
+def test_a_joint_that_rests_has_no_chart(overview):
+    session = overview.calibration.session
+    still = replace(
+        overview.calibration, session=replace(session, q=session.q * [1, 0, *[1] * (session.q.shape[1] - 2)])
+    )
+    names = [chart.name for chart in residual_charts(replace(overview, calibration=still))]
+    assert "joint 2" not in names
+    assert "joint 1" in names
 
 
 def test_a_trend_shows_in_the_means(overview):

@@ -18,7 +18,7 @@ from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.output import arms
 from urdfcal.output.findings import Overview, headline
-from urdfcal.output.images import arm_in_images, overlays
+from urdfcal.output.images import arm_in_images, compressed, overlays
 from urdfcal.output.palette import CALIBRATED
 from urdfcal.output.recording import write_recording
 from urdfcal.output.scene import build_scene
@@ -362,6 +362,19 @@ def test_photographs_and_overlay(calibration, tmp_path):
     assert np.abs(pictures["cam0"][5, 5].astype(int) - 90).max() <= 2
     with pytest.raises(OutputError, match="no pose 'nowhere'"):
         overlays(tmp_path / "calibration.rrd", "nowhere")
+
+
+def test_dark_photographs_are_brightened(tmp_path):
+    import cv2
+
+    for name, brightness in (("dark", 10), ("light", 120)):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), np.full((40, 60), brightness, dtype=np.uint8))
+    dark, light = (
+        cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
+        for data in compressed([tmp_path / "dark.png", tmp_path / "light.png"])
+    )
+    assert dark.mean() == pytest.approx(255 * (10 / 255) ** (1 / 2.2), abs=3)
+    assert light.mean() == pytest.approx(120, abs=3)
 
 
 def test_the_users_own_stream_and_path(calibration):

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from urdfcal.arrays import evenly
 from urdfcal.estimation.blocks.arm import LENGTHS, ArmBlock
 from urdfcal.output import palette
 from urdfcal.output.chart import Chart, Mark, Scale, bars
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 # Residuals in standard deviations beyond this are off the charts.
 _SIGMAS = 6.0
 _BINS = 8
+# So many dots side by side, and over each other, are told apart.
+_DOTS, _MANY = 250, 600
 # A joint that moves less than this tells nothing. [rad, m]
 _AT_REST = 1e-6
 SYMBOLS = {"theta": "\u03b8", "alpha": "\u03b1", "beta": "\u03b2"}
@@ -87,12 +90,14 @@ def residual_charts(overview: Overview) -> list[Chart]:
 
 def by_pose(table: ResidualTable) -> Chart:
     """The rms residual of each pose, nominal and calibrated."""
-    rms = {name: table.rms_by(table.pose, predicted) for name, predicted in table.by_arm.items()}
-    pose = rms["nominal"][0]
+    # Thousands of frames would be a carpet: so many are one dot.
+    run = 1 + int(table.pose.max(initial=0)) // _DOTS
+    rms = {name: table.rms_by(table.pose // run, predicted) for name, predicted in table.by_arm.items()}
+    pose = run * rms["nominal"][0] + (run - 1) / 2
     x = Scale.holding(pose + 1, whole=True)
     return Chart(
         "by pose",
-        f"rms of each pose [{table.unit}]",
+        f"rms of {'each pose' if run == 1 else f'{run} poses each'} [{table.unit}]",
         x,
         Scale.holding(*(of_pose for _, of_pose in rms.values()), table.noise, logarithmic=True),
         [
@@ -150,7 +155,8 @@ def _against(name: str, title: str, value: Floats, table: ResidualTable) -> Char
     centre = [np.mean(value[b]) for b in bins]
     components = range(sigmas.shape[1])
     faint = [tuple(c // 2 for c in color) for color in palette.COMPONENTS]
-    marks = [Mark("dots", f"component {k}", value, sigmas[:, k], faint[k]) for k in components]
+    some = evenly(np.arange(len(value)), _MANY)
+    marks = [Mark("dots", f"component {k}", value[some], sigmas[some, k], faint[k]) for k in components]
     means = [[np.mean(sigmas[b, k]) for b in bins] for k in components]
     marks += [Mark("lines", f"mean {k}", centre, means[k], palette.COMPONENTS[k]) for k in components]
     reach = float(np.clip(np.nanpercentile(np.abs(sigmas), 99), 3.0, 100.0))

@@ -9,13 +9,14 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from urdfcal.arrays import evenly
 from urdfcal.output import arms, palette
 from urdfcal.output.chart import Chart, reference_length
 from urdfcal.output.charts import CONVERGENCE, PART_COLORS, RESIDUALS, WORKSPACE, all_charts, error_colors, paths
 from urdfcal.output.findings import ELLIPSOID, HEADLINE, Overview, Workspace, headline, parameter_text, pose_texts
 from urdfcal.output.images import arm_in_images, compressed, find_photographs, finite_pieces
 from urdfcal.output.joint_charts import JOINTS
-from urdfcal.output.scene import image_range
+from urdfcal.output.scene import MOST_ARROWS, image_range
 from urdfcal.output.stream import CORNER, ITERATION, Layer
 from urdfcal.rotations import matrix_to_quaternion
 
@@ -135,13 +136,14 @@ def _log_image(image: Layer, scene: CalibrationScene, pixels: ResidualTable, cam
     arrows = {"origins": detected, "vectors": scene.pixel_factor * (expected - detected)}
     image.at("residual nominal").each(rr.Arrows2D, arrows, pose, colors=palette.NOMINAL)
     cut = pixels.outlier[seen]
+    some = evenly(np.flatnonzero(~cut), MOST_ARROWS)
     for name, factor, places, size in (
         ("field", scene.pixel_factor, predicted, pixels.size[seen]),
         ("field enlarged", scene.field_factor, predicted, pixels.size[seen]),
         ("field nominal", scene.pixel_factor, expected, pixels.size_nominal[seen]),
     ):
-        vectors, colors = factor * (places - detected)[~cut], palette.by_sigma(size[~cut])
-        image.at(name).fixed(rr.Arrows2D(origins=detected[~cut], vectors=vectors, colors=colors, radii=_THIN))
+        vectors, colors = factor * (places - detected)[some], palette.by_sigma(size[some])
+        image.at(name).fixed(rr.Arrows2D(origins=detected[some], vectors=vectors, colors=colors, radii=_THIN))
     image.at("outliers").fixed(rr.Points2D(detected[cut], colors=palette.OUTLIER, radii=_SMALL_DOT))
     # Arrows of known lengths, for both enlargements.
     for name, factor in (("scale", scene.pixel_factor), ("scale enlarged", scene.field_factor)):
@@ -180,7 +182,7 @@ def _log_leds(base: Layer, scene: CalibrationScene) -> None:
         vectors = factor * (places - leds.measured)
         arrows = {"origins": leds.measured, "vectors": vectors, "colors": palette.by_sigma(size)}
         base.at("residuals", name).each(rr.Arrows3D, arrows, leds.pose, radii=_ARROW)
-    used = ~leds.outlier
+    used = evenly(np.flatnonzero(~leds.outlier), MOST_ARROWS)
     vectors = factor * (leds.predicted - leds.measured)[used]
     colors = palette.by_sigma(leds.size[used])
     field = rr.Arrows3D(origins=leds.measured[used], vectors=vectors, colors=colors, radii=_THIN)
@@ -264,6 +266,8 @@ def _log_chart(parent: Layer, chart: Chart) -> None:
     frame = [[0.0, 0.0], [0.0, height], [_WIDTH, height]]
     layer.at("frame").fixed(rr.LineStrips2D([frame], colors=palette.FAINT, radii=_HAIR))
     # rerun writes labels centred below their points.
+    # Of more names than have room beside them every second or third is written; the table has them all.
+    y = dict(list(y.items())[:: 1 + int(_ROW * len(chart.y.names or ()) / (_TALLEST + 1.0))])
     ticks = [*([u, height] for u in x), *([-beside / 2, v - 5.0] for v in y)]
     names = [*x.values(), *y.values()]
     if chart.x_label:

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from urdfcal.arrays import evenly
 from urdfcal.output import palette
 from urdfcal.output.chart import Chart, Mark, Scale, reference_length
 from urdfcal.output.charts import by_pose, convergence_charts, parameter_charts, spread, workspace_chart
 from urdfcal.output.joint_charts import contribution_chart, joint_model_charts
-from urdfcal.output.scene import image_range
+from urdfcal.output.scene import MOST_ARROWS, image_range
 from urdfcal.output.svg import Figure
 
 if TYPE_CHECKING:
@@ -157,10 +158,12 @@ def _field(pixels: ResidualTable, c: int, camera: Camera, name: str, factor: flo
     """A camera's residuals as arrows over its image, with one of a known length: a bent field means a wrong lens."""
     mine, expected = pixels.camera == c, pixels.by_arm[name]
     used, cut = mine & pixels.used & np.isfinite(expected[:, 0]), pixels.measured[mine & pixels.outlier]
-    start, residual = pixels.measured[used], (expected - pixels.measured)[used]
-    size = pixels.size_nominal if name == "nominal" else pixels.size
+    residual = (expected - pixels.measured)[used]
     rms = np.sqrt(np.mean(np.sum(residual**2, axis=1))) if len(residual) else np.nan
-    colors = (0.8 * palette.by_sigma(size[used])).astype(np.uint8)
+    some = evenly(np.flatnonzero(used), MOST_ARROWS)
+    start, residual = pixels.measured[some], (expected - pixels.measured)[some]
+    size = pixels.size_nominal if name == "nominal" else pixels.size
+    colors = (0.8 * palette.by_sigma(size[some])).astype(np.uint8)
     (left, right), (top, bottom) = image_range(camera.resolution, pixels.measured[mine])
     length = reference_length(_REFERENCE * camera.resolution[0] / factor)
     beneath = bottom + 0.06 * (right - left)

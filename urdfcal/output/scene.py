@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from urdfcal.result.fitted import FittedCalibration
     from urdfcal.session.attachments import Attachments
 
+MOST_ARROWS = 500
+"""Residuals over one image, or in space: thousands of frames of a moving arm would hide each other."""
+
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
