@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import io
 import json
 import sys
@@ -25,6 +26,16 @@ Report = Literal["text", "json", "nothing"]
 
 # As in urdfcal.images.files, which takes long to import.
 _COLOURS = ("any", "red", "green", "blue")
+# As in urdfcal.output.figure_files.
+_FIGURES = ("svg", "pdf", "png")
+
+
+def _drawable(ctx: click.Context, param: click.Parameter, kind: str | None) -> str | None:
+    """Refuse a kind of figure now that nothing here can draw in the end."""
+    del ctx, param
+    if kind not in (None, "svg") and importlib.util.find_spec("matplotlib") is None:
+        raise click.BadParameter(f"{kind} needs matplotlib: pip install 'urdfcal[figures]', or take svg")
+    return kind
 
 
 @click.command("detect")
@@ -84,12 +95,16 @@ def find_leds(session: Path, colour: Colour = "any", debug_images: Path | None =
 )  # fmt: skip
 @click.option("--ignore-limits", is_flag=True, help="Take joint readings beyond the URDF's limits as they are.")
 @click.option("--force", is_flag=True, help="Write the result even if its assessment has failures.")
+@click.option(
+    "--figures", type=click.Choice(_FIGURES), callback=_drawable,
+    help="Write the report's figures as files, too, into OUT/figures.",
+)  # fmt: skip
 @click.option("--live", is_flag=True, help="Show the solver at work in the rerun viewer.")
 @click.option("--json", "as_json", is_flag=True, help="Print calibration.json and the files instead of a summary.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def command(
     sessions: tuple[Path, ...], output: Path, no_priors: bool, exclude_poses: str | None, ignore_limits: bool,
-    live: bool, as_json: bool, quiet: bool, **how: Any,
+    figures: str | None, live: bool, as_json: bool, quiet: bool, **how: Any,
 ) -> None:  # fmt: skip
     """Calibrate the robot of SESSION and write URDF, calibration.json, report and recording.
 
@@ -108,11 +123,18 @@ def command(
     poses = exclude_poses.split(",") if exclude_poses else []
     labels = [label.strip() for label in poses if label.strip()]
     measured = read_sessions(sessions, look, exclude_poses=labels, ignore_limits=ignore_limits)
-    run(measured, output, live=live, report=report, priors=not no_priors, **how)
+    run(measured, output, figures=figures, live=live, report=report, priors=not no_priors, **how)
 
 
 def run(
-    session: Session, output: Path, *, live: bool = False, report: Report = "text", force: bool = False, **how: Any
+    session: Session,
+    output: Path,
+    *,
+    figures: str | None = None,
+    live: bool = False,
+    report: Report = "text",
+    force: bool = False,
+    **how: Any,
 ) -> FittedCalibration:
     """Calibrate a session as :func:`urdfcal.pipeline.calibrate` does, write its results and print the summary.
 
@@ -156,7 +178,7 @@ def run(
         from urdfcal.output.recording import write_results
 
         overview = Overview.of(calibration)
-        paths, remarks = write_results(calibration, output, overview)
+        paths, remarks = write_results(calibration, output, overview, figures=figures)
         if view is not None and not view.finish(overview):
             remarks = (*remarks, f"the rerun viewer was closed: urdfcal view {output} shows the result")
     if report == "json":

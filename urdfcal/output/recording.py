@@ -13,6 +13,8 @@ from urdfcal import files
 from urdfcal.errors import OutputError
 from urdfcal.output import charts
 from urdfcal.output.entities import chart_view, log_overview
+from urdfcal.output.exports.names import exported
+from urdfcal.output.figure_files import FOLDER, write_figures
 from urdfcal.output.findings import HEADLINE, Overview, headline
 from urdfcal.output.palette import BACKGROUND, VERDICT_COLORS
 from urdfcal.output.report import write_report
@@ -44,7 +46,7 @@ _ELSEWHERE = ("plots", "charts", "banner", "texts", "workspace", "dh")
 
 
 def write_results(
-    calibration: FittedCalibration, folder: Path, overview: Overview | None
+    calibration: FittedCalibration, folder: Path, overview: Overview | None, *, figures: str | None = None
 ) -> tuple[tuple[Path, ...], tuple[str, ...]]:
     """Write corrected URDF, calibration.json, report and recording, all of them or nothing.
 
@@ -52,9 +54,10 @@ def write_results(
         calibration: the result.
         folder: where to; made if need be. Results of an earlier run are replaced, and a report on a refused one goes.
         overview: what report and recording show; without it neither is written, and those of an earlier run go.
+        figures: svg, pdf or png to have the report's figures as files.
 
     Returns:
-        The files written, and notes such as meshes that the recording could not find.
+        The files written, and notes such as meshes that the recording could not find, or exports of an earlier result.
 
     Raises:
         OutputError: the folder cannot be written, or the corrected URDF fails its checks.
@@ -69,6 +72,12 @@ def write_results(
             notes = write_recording(stage / RECORDING, overview)
         names = sorted(path.name for path in stage.iterdir())
     _forget_refused(folder)
+    if overview is not None and figures is not None:
+        write_figures(folder, overview, figures)
+    elif (folder / FOLDER).is_dir():
+        notes = (*notes, f"{folder / FOLDER} is of an earlier result: --figures draws them anew")
+    if stale := exported(folder, calibration.urdf_name):
+        notes = (*notes, f"of an earlier result, to be exported anew: {', '.join(stale)}")
     return tuple(folder / name for name in names), notes
 
 

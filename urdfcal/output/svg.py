@@ -121,7 +121,7 @@ def _chart(chart: Chart, width: float, height: float) -> Iterator[str]:
 
 def _legend(chart: Chart, end: float) -> Iterator[str]:
     colors = {mark.name: mark.color for mark in chart.marks}
-    if not chart.legend or sum(_LETTER * len(name) + 18.0 for name in (chart.title, *chart.legend)) > end:
+    if not chart.legend or sum(_LETTER * len(name) + 12.0 for name in (chart.title, *chart.legend)) > end:
         return  # the page explains it
     # How wide letters are only the browser knows: one text flows, from dot to name.
     names = "\u2003".join(f'<tspan fill="{_hex(colors[name])}">\u25cf</tspan> {escape(name)}' for name in chart.legend)
