@@ -82,6 +82,20 @@ def test_every_sighting_is_the_led_and_few_are_missed(session: Path, detected: D
     assert all(reason for *_, reason in detected.rejected())
 
 
+def test_that_spots_are_too_large_to_be_measured_well_is_said(
+    simulated: Simulated, detected: Detected, tmp_path: Path
+) -> None:
+    scene = simulated.truth
+    cameras = [replace(one, resolution=(320, 256), intrinsics=one.intrinsics / 2.0) for one in scene.cameras]
+    small = replace(simulated.session, rig=replace(simulated.session.rig, cameras=tuple(cameras)))
+    seen = replace(simulated, session=small, truth=replace(scene, cameras=tuple(cameras)))
+    write_simulated_images(tmp_path / "s", seen, Exposure(sigma=9.0))
+    said = [text for text in detect(tmp_path / "s").warnings if "darkens" in text]
+    assert len(said) == 2
+    assert "camera 'cam0': the LED's spots are 9 px wide (sigma)" in said[0]
+    assert not any("darkens" in text for text in detected.warnings)
+
+
 def test_simulated_images_hold_the_session_and_not_its_sightings(session: Path, simulated: Simulated) -> None:
     positions = read_positions(session)
     assert positions.poses == simulated.session.poses

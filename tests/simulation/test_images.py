@@ -129,7 +129,7 @@ def test_images_never_join_an_older_session(still: Simulated, tmp_path: Path) ->
         write_simulated_images(tmp_path / "s", still, Exposure())
 
 
-@pytest.mark.parametrize("wrong", [{"sigma": 0.2}, {"sigma": 11.0}, {"peak": 0.0}], ids=str)
+@pytest.mark.parametrize("wrong", [{"sigma": 0.2}, {"sigma": 26.0}, {"peak": 0.0}], ids=str)
 def test_an_exposure_that_shows_no_led_is_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(SessionError, match="no LED has a spot of"):
         Exposure(**wrong)

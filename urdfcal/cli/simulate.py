@@ -38,6 +38,9 @@ from urdfcal.cli.console import PATH, POSITIVE, progress_bar, seed_option
     "--peak", type=click.FloatRange(min=1.0), default=1500.0,
     help="Electrons of the LED's brightest pixel, 1.5 m away; images saturate at 2500.",
 )  # fmt: skip
+@click.option(
+    "--spot", type=click.FloatRange(0.3, 25.0), default=1.5, help="Standard deviation of the LED's spot in px."
+)
 def simulate(
     rig: str,
     session: Path,
@@ -51,6 +54,7 @@ def simulate(
     video: bool,
     distractors: bool,
     peak: float,
+    spot: float,
     **motion: Any,
 ) -> None:
     """Simulate a session of RIG (a shipped rig's name or a folder), with the truth beside it."""
@@ -79,7 +83,7 @@ def simulate(
     if filmed:
         from urdfcal.simulation.images import Exposure, write_simulated_images
 
-        exposure = Exposure(peak=peak, distractors=distractors)
+        exposure = Exposure(sigma=spot, peak=peak, distractors=distractors)
         rate = motion["frame_rate"] if video else None
         with progress_bar("rendering", None) as advance:
             write_simulated_images(session, simulated, exposure, advance, video_rate=rate)

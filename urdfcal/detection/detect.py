@@ -16,7 +16,7 @@ from urdfcal.detection.debug_images import draw_points, draw_spots
 from urdfcal.detection.image_index import ImageIndex, read_index
 from urdfcal.detection.led_frames import frames_in_base, led_frames
 from urdfcal.detection.prediction import FEWEST, Lights, predict
-from urdfcal.detection.spots.detector import find_spots
+from urdfcal.detection.spots.detector import fall_off, find_spots
 from urdfcal.detection.targets.search import find_targets
 from urdfcal.errors import OutputError, SessionError
 from urdfcal.estimation.measurements import Detections
@@ -47,6 +47,8 @@ _COMPRESSED = 0.06
 _NUMBER = re.compile(r"(?<![\w.:'])(\d+(?:\.\d+)?)(?![\w:'])")
 # A reflection now and then outshines an LED whose link is right; of one on another link, next to none agree.
 _ASTRAY = 0.1
+# Spots that may be moved by this much in a way that does not average out are worth a word. [px]
+_BLURRED = 0.03
 # What calibration is told of the best detections: dust and uneven pixels are not in an image's own noise. [px]
 _LEAST_SIGMA = 2e-3
 
@@ -196,6 +198,7 @@ def detect_in(
         judged, said = _held(camera, frames, seen)
         spots.append(judged)
         warnings += said
+        warnings += _blurred(camera, judged)
     spots, more = _agreeing(rig, index, spots)
     targets = find_targets(positions, index, progress)
     warnings += [*more, *targets.warnings]
@@ -336,6 +339,21 @@ def _held(camera: Camera, frames: LedFrames, seen: Spots) -> tuple[Spots, list[s
     far = np.array([f"{miss:.0f} px from where the arm holds the LED" for miss in misses], dtype=object)
     far[np.isinf(misses)] = "the arm holds the LED out of this camera's sight"
     return seen.rejected(told & ~near, far), warnings
+
+
+def _blurred(camera: Camera, seen: Spots) -> list[str]:
+    """Say where spots are so large that they cannot be measured to what their light would allow."""
+    fits = seen.fits[seen.good]
+    moved = fall_off(fits, camera.resolution)
+    if not len(fits) or np.median(moved) < _BLURRED:
+        return []
+    width, px = float(np.median(fits.width)), float(np.median(moved))
+    said = (
+        f"camera {camera.name!r}: the LED's spots are {width:.0f} px wide (sigma): a lens that darkens towards the "
+        f"corners moves them by {px:.2g} px (counted in their sigma), all alike, so that more images do not help. "
+        "Focus, or use a smaller LED"
+    )
+    return [said]
 
 
 def _agreeing(rig: Rig, index: ImageIndex, spots: list[Spots]) -> tuple[list[Spots], list[str]]:

@@ -70,7 +70,7 @@ class Exposure:
     distractors: bool = False
 
     def __post_init__(self) -> None:
-        if not (0.3 <= self.sigma <= 10.0 and self.peak > 0.0):
+        if not (0.3 <= self.sigma <= 25.0 and self.peak > 0.0):
             raise SessionError(f"no LED has a spot of {self.sigma} px and {self.peak} electrons", where="simulate")
 
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from urdfcal.arrays import Bools, Ints
+    from urdfcal.arrays import Bools, Floats, Ints
     from urdfcal.images.files import Colour, ImageSequence
 
 # Images whose crops are fitted together: with a dozen lights each, their crops take as much as six images.
@@ -48,6 +48,9 @@ _PURITY = 0.45
 # searched at half the resolution, and so on. A lamp that the arm hides now and then is in less than a quarter.
 _FACTORS = (2, 4)
 _FEWEST_LARGE, _LARGE_SHARE = 3, 0.25
+# A lens darkens towards the corners of its image, most by a third, a factor that rises evenly across a spot: it moves a
+# Gaussian's centre by its variance times the relative slope, towards the middle, and nothing in the image shows it.
+_FALL_OFF = 0.35
 # Lights this near to each other in different images are one that stands still. [px]
 _SAME_PLACE = 2.0
 # In so many images with the LED elsewhere: chance brings a moving LED back to within two pixels in one in 10,000.
@@ -124,6 +127,13 @@ def find_spots(
     return spots
 
 
+def fall_off(fits: Fits, resolution: tuple[int, int]) -> Floats:
+    """How far (n,) a lens that darkens towards its corners may have moved spots, one deviation of u and v. [px]."""
+    half = np.array(resolution) / 2.0
+    slope = 2.0 * _FALL_OFF * np.linalg.norm(fits.uv + 0.5 - half, axis=1) / (half @ half)
+    return np.asarray(fits.width**2 * slope / np.sqrt(2.0))
+
+
 def _found(
     images: ImageSequence,
     resolution: tuple[int, int],
@@ -142,7 +152,8 @@ def _found(
     for first in range(0, len(images), _TOGETHER):
         batches.append(_measured(list(islice(looks, _TOGETHER)), first, size, colour))
     spots = Rows.join(batches)
-    spots = replace(spots, fits=enlarged(spots.fits, factor))
+    fits = enlarged(spots.fits, factor)
+    spots = replace(spots, fits=replace(fits, sigma=np.hypot(fits.sigma, fall_off(fits, resolution))))
     if background:
         spots = replace(spots, still=background.lights * factor)
     return spots.rejected(_stands_still(spots, place), "it stands still")

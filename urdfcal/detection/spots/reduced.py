@@ -3,37 +3,54 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from urdfcal.images.files import saturation
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from urdfcal.arrays import Bools
     from urdfcal.detection.spots.centroid import Fits
     from urdfcal.images.files import Image
 
-# What 8 bits become, so that means of pixels are not rounded off: 255 is then this, the end of 12 bits.
-_SCALE, _FULL = 16, 4095
+# What 8 bits become, so that means of pixels are not rounded off.
+_SCALE = 16
 
 
 def reduced(image: Image, factor: int) -> Image:
     """The image at a ``factor``-th of its resolution, each pixel the mean of ``factor``²; a rest is cut off.
 
-    Of 8 bits it has 12 then. A pixel is at the end of the range where one of those that it is made of may be clipped.
+    Of 8 bits it has 12 then.
     """
     import cv2
 
     if factor == 1:
         return image
-    height, width = (size // factor for size in image.shape[:2])
-    whole = image[: height * factor, : width * factor]
-    level, short = saturation(image), image.dtype == np.uint8
+    whole, (width, height) = _whole(image, factor)
     means = cv2.resize(whole.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA)
-    blocks = (whole >= level).reshape(height, factor, width, factor, *image.shape[2:])
-    full = _FULL if short else np.ceil(level / 0.99)
-    values = np.where(blocks.any(axis=(1, 3)), full, means * (_SCALE if short else 1))
-    return np.asarray(np.rint(values).astype(np.uint16))
+    return np.asarray(np.rint(means * (_SCALE if image.dtype == np.uint8 else 1)).astype(np.uint16))
+
+
+def clipped(image: Image, factor: int) -> Bools:
+    """Which pixels (h, w) or (h, w, 3) of the reduced image are made of one that may be clipped.
+
+    Such a mean is a lower bound, as a clipped pixel is: taken for the end of the range, a rim that is clipped in part
+    would make spots too wide, and what is claimed of them 1.4 times too good.
+    """
+    full = np.asarray(image >= saturation(image))
+    if factor == 1:
+        return full
+    whole, (width, height) = _whole(full, factor)
+    return np.asarray(whole.reshape(height, factor, width, factor, *image.shape[2:]).any(axis=(1, 3)))
+
+
+def _whole(image: NDArray[Any], factor: int) -> tuple[NDArray[Any], tuple[int, int]]:
+    """The image without a rest, and the width and height of what it is reduced to."""
+    height, width = (size // factor for size in image.shape[:2])
+    return image[: height * factor, : width * factor], (width, height)
 
 
 def enlarged(fits: Fits, factor: int) -> Fits:
