@@ -1,4 +1,4 @@
-"""``urdfcal import``: a session from a ROS bag."""
+"""``urdfcal import``: a session from what other programs wrote."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from urdfcal.cli.console import PATH, base_option, progress_bar, sheet, terminal
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from urdfcal.importing.handeye import Eye
     from urdfcal.rosbag.clock import Timeline
     from urdfcal.rosbag.importing import ImportSummary
     from urdfcal.rosbag.topics import ChosenTopics
@@ -40,7 +41,7 @@ def _camera(value: str) -> tuple[str, tuple[str, str | None]]:
 
 
 @click.command("import")
-@click.argument("path", metavar="BAG", type=PATH)
+@click.argument("path", metavar="SOURCE", type=PATH)
 @click.option("-o", "--output", "session", type=PATH, help="Folder to write.")
 @click.option("--urdf", metavar="ROBOT.urdf", help="The nominal robot: a file, or package://...")
 @click.option("--tip", metavar="LINK", help="Link at the end of the chain.")
@@ -58,7 +59,8 @@ def _camera(value: str) -> tuple[str, tuple[str, str | None]]:
     "--cameras", "described", type=PATH, metavar="FILE",
     help="A camera file instead of camera_info, with the cameras' names.",
 )  # fmt: skip
-@click.option("--list", "listing", is_flag=True, help="Print the topics and write nothing.")
+@click.option("--list", "listing", is_flag=True, help="Print a bag's topics and write nothing.")
+@click.option("--eye", type=click.Choice(["hand", "base"]), help="Hand-eye samples: what carries the camera.")
 def command(
     path: Path,
     session: Path | None,
@@ -70,12 +72,24 @@ def command(
     led: tuple[str, list[float] | None],
     described: Path | None,
     listing: bool,
+    eye: Eye | None,
 ) -> None:
-    """Make a session of a moving arm from BAG: .bag of ROS 1; folder, .db3 or .mcap of ROS 2.
+    """Make a session of SOURCE, what another program has written.
 
-    Joint readings are sensor_msgs/JointState, images Image or CompressedImage. Cameras are named after the namespaces
-    of their topics. The second one's pose is taken from a stereo pair's camera_info, or /tf_static.
+    A recording of ROS (.bag of ROS 1; folder, .db3 or .mcap of ROS 2): joint readings are sensor_msgs/JointState,
+    images Image or CompressedImage. Cameras are named after the namespaces of their topics. The second one's pose is
+    taken from a stereo pair's camera_info, or /tf_static.
+
+    Hand-eye samples (.samples of easy_handeye2, .yaml of MoveIt): poses of a hand, and of a target that a camera sees.
     """
+    samples = path.suffix in (".samples", ".yaml", ".yml")
+    if eye is not None and not samples:
+        raise click.UsageError("--eye goes with hand-eye samples")
+    if samples:
+        if session is None:
+            raise click.UsageError("-o is needed")
+        _import_samples(path, session, eye)
+        return
     if listing:
         _list(path)
         return
@@ -110,6 +124,18 @@ def command(
             summary = import_bag(bag, topics, setup, session, advance)
     _print(topics, summary)
     click.echo(str(session))
+
+
+def _import_samples(path: Path, folder: Path, eye: Eye | None) -> None:
+    from urdfcal.importing.handeye import handeye_session, read_handeye
+    from urdfcal.io.writing import write_session
+
+    samples = read_handeye(path, eye)
+    session = handeye_session(samples)
+    write_session(folder, session)
+    click.echo(f"{path}: {len(session.poses)} samples, the camera is on {session.chain.base_link}")
+    click.echo(f"- calibrate finds the camera, frame 'tracker', in {session.chain.base_link}")
+    click.echo(str(folder))
 
 
 def _list(path: Path) -> None:

@@ -38,6 +38,7 @@ def print_summary(overview: Overview, paths: Sequence[Path], remarks: Sequence[s
     from rich.text import Text
 
     from urdfcal.output.findings import HEADLINE, claims, headline
+    from urdfcal.output.placed import placed
     from urdfcal.session.exclusion import summary
 
     console = terminal()
@@ -88,8 +89,10 @@ def print_summary(overview: Overview, paths: Sequence[Path], remarks: Sequence[s
     clocks = [f"{name} {_clock(**camera['time_offset'])}" for name, camera in cameras if "time_offset" in camera]
     if clocks:
         line(f"time offsets, robot less camera: {', '.join(clocks)}")
-    rows = len(calibration.geometry.labels)
-    if rows <= _MOST_ROWS:
+    rows, places = len(calibration.geometry.labels), placed(calibration)
+    for place in places:
+        line(place)
+    if rows <= _MOST_ROWS and not places:
         printed += _print_corrections(calibration, console)
     unidentifiable = [f"unidentifiable: {lost}" for lost in document["identifiability"]["lost"]]
     texts = [*assessment.reasons, *remarks, *unidentifiable]

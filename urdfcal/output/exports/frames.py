@@ -1,4 +1,4 @@
-"""Frames that a calibration found: poses of the cameras and LEDs, as static transforms of ROS 2 or in the URDF."""
+"""Frames that a calibration found: cameras, targets, LEDs and the tracker, as transforms of ROS 2 or in the URDF."""
 
 from __future__ import annotations
 
@@ -30,6 +30,8 @@ _PLAIN = str.maketrans("/@", "__")
 # What angles round to.
 _READ_BACK = 1e-12
 _NUMBERS = ("x", "y", "z", "qx", "qy", "qz", "qw")
+TRACKER = "tracker"
+"""What the frame is called in which points and poses were measured."""
 LAUNCH = "static_transforms.launch.xml"
 
 
@@ -54,7 +56,9 @@ class FixedFrame:
 
 
 def found_frames(calibration: Calibration) -> tuple[FixedFrame, ...]:
-    """The cameras' optical frames (z forward, x right, y down) and the LEDs', each in that of the link it is fixed to.
+    """The cameras' optical frames (z forward, x right, y down), the targets' and LEDs', in those of what carries them.
+
+    Where a tracker measured, or a camera whose poses of targets are all there is, its frame is there as well.
 
     What is fixed in the world becomes fixed to the base link, as in the last session that has it. A camera's is named
     as ROS drivers do, ``<camera>_optical_frame``, an LED's as the LED, with _ for / and @; LEDs have no orientation:
@@ -64,12 +68,16 @@ def found_frames(calibration: Calibration) -> tuple[FixedFrame, ...]:
         OutputError: a name is none for a frame, that of a link, or two frames have one name.
     """
     document, chain, found = calibration.document, calibration.chain, []
-    bases = dict.fromkeys([*document.leds, *document.cameras], document.T_world_base)
+    bases = dict.fromkeys([TRACKER, *document.leds, *document.targets, *document.cameras], document.T_world_base)
     for session in document.sessions.values():
         bases |= dict.fromkeys([*session.leds, *session.cameras], session.T_world_base)
     for name, camera in document.cameras.items():
         T = np.array(camera.T_link_camera) if camera.T_cam_world is None else inverse(np.array(camera.T_cam_world))
         found.append((name, f"{name}_optical_frame", camera.link, T))
+    if not document.cameras and any(each.kind in ("points", "poses") for each in document.fit.residuals):
+        found.append((TRACKER, TRACKER, WORLD, np.eye(4)))
+    for name, target in document.targets.items():
+        found.append((name, name, target.link, np.array(target.T_link_target)))
     for name, led in document.leds.items():
         T = np.eye(4)
         T[:3, 3] = led.position

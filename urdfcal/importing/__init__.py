@@ -1,0 +1,1 @@
+"""Measurements that other programs wrote, made into sessions."""
