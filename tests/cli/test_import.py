@@ -6,11 +6,12 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pinocchio as pin
 import pytest
 import yaml
 
 from tests.io.making import URDF
-from tests.rosbag.bags import KINDS, moving, recording
+from tests.rosbag.bags import KINDS, START, moving, recording, stopping
 from urdfcal.cameras.rig import Rig
 from urdfcal.cli import run
 from urdfcal.io.folder import read_rig
@@ -77,7 +78,12 @@ def test_list_shows_what_there_is(folder: Path, capsys: pytest.CaptureFixture[st
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["import", "bag"], "-o, --urdf and --tip are needed; --list prints the topics"),
+        (["import", "bag"], "-o is needed; --list prints the topics"),
+        (
+            ["import", "bag", "-o", "s"],
+            "no topic robot_description has a robot. Name the robot with --urdf ROBOT.urdf.",
+        ),
+        (USUAL[:-2], "--tip is needed; the links at the ends of arm are finger"),
         (["import", "nowhere", "--list"], "nowhere: there is no such bag"),
         (["import", "arm.urdf", "--list"], "bags do not end in '.urdf'"),
         ([*USUAL, "--tip", "nosuch"], "there is no link 'nosuch'"),
@@ -142,3 +148,130 @@ def test_the_bag_of_a_moving_arm_calibrates_it(
         errors.append(json.loads(capsys.readouterr().out)["position_mm"]["rms"])
     assert np.isfinite(errors).all()
     assert errors[1] < 0.1 * errors[0]
+
+
+@pytest.fixture(scope="module")
+def stopped(tmp_path_factory: pytest.TempPathFactory, simulated: Simulated) -> Path:
+    """The bag of an arm that stopped in each pose, which describes the robot and where the second camera stands."""
+    bag, folder = stopping("mcap", simulated), tmp_path_factory.mktemp("stopped")
+    assert simulated.session.urdf is not None
+    bag.text("/robot_description", simulated.session.urdf.text)
+    T = pin.SE3(np.linalg.inv(np.array(simulated.session.rig.T_cam_world[1])))
+    first, second = (f"{name}_optical_frame" for name in simulated.session.rig.names)
+    bag.static(START, [(first, second, T.translation, pin.Quaternion(T.rotation).coeffs())])
+    (folder / "truth.urdf").write_bytes(simulated.truth.urdf)
+    return bag.write(folder / "bag").parent
+
+
+def test_the_bag_of_an_arm_that_stopped_gives_poses_and_calibrates_it(
+    stopped: Path, simulated: Simulated, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    session = tmp_path / "s"
+    links = ["--tip", "tool0", "--base", "base_link"]
+    assert run(["import", str(stopped / "bag"), "-o", str(session), *links, "--stills"]) == 0
+    said = capsys.readouterr().out
+    assert "the arm stood still 8 times; one image a camera and pose" in said
+    assert "- the joints were read to " in said
+    content = yaml.safe_load((session / "session.yaml").read_text())
+    assert "frames" not in content
+    assert 0.0 < content["noise"]["joint"] < 2e-5
+    urdf = session / content["robot"]["urdf"]
+    assert urdf.read_text() == simulated.session.urdf.text  # type: ignore[union-attr]
+    rows = rows_of(session / "joints.csv")
+    assert [row["pose"] for row in rows] == [f"{k:03d}" for k in range(1, 9)]
+    read = np.array([[float(row[name]) for name in simulated.session.chain.actuated] for row in rows])
+    np.testing.assert_allclose(read, simulated.session.chain.readings(simulated.truth.q), atol=2e-5)
+    images = sorted(path.relative_to(session / "images").as_posix() for path in session.rglob("*.png"))
+    assert images == [f"{camera}/{k:03d}.png" for camera in ("cam0", "cam1") for k in range(1, 9)]
+    assert run(["calibrate", str(session), "-o", str(tmp_path / "out")]) == 0
+    capsys.readouterr()
+    errors = []
+    for of in (urdf, tmp_path / "out" / "elbow3r_calibrated.urdf"):
+        assert run(["evaluate", str(of), str(stopped / "truth.urdf"), *links, "--json"]) == 0
+        errors.append(json.loads(capsys.readouterr().out)["position_mm"]["rms"])
+    assert errors[1] < 0.2 * errors[0]
+
+
+def test_a_bag_without_stops_has_no_poses(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run([*USUAL, "--stills"]) == 2
+    assert "0 times: these are too few poses. Leave --stills out" in capsys.readouterr().err
+    assert not (folder / "s").exists()
+
+
+def test_a_camera_on_a_link_and_a_board_are_taken_from_the_bag_and_a_file(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = recording("mcap", 0.4)
+    bag.static(
+        START,
+        [
+            ("wrist", "left_mount", (0.1, 0, 0), (0, 0, 0, 1)),
+            ("left_mount", "left_optical_frame", (0, 0, 0.02), (1, 0, 0, 0)),
+        ],
+    )
+    bag.static(START, [("base", "right_optical_frame", (1.0, 0, 0), (0, 0, 0, 1))])
+    bag.write(folder / "riding")
+    (folder / "targets.yaml").write_text(
+        "targets:\n  board: {kind: chessboard, size: [7, 5], square: 0.03, link: world}\n"
+    )
+    arguments = ["import", "riding", "-o", "s", "--urdf", "arm.urdf", "--tip", "tip", "--targets", "targets.yaml"]
+    assert run(arguments) == 0
+    assert "- left is on wrist, by /tf_static: where is estimated" in capsys.readouterr().out
+    content = yaml.safe_load((folder / "s" / "session.yaml").read_text())
+    assert "leds" not in content
+    assert content["targets"]["board"] == {"kind": "chessboard", "size": [7, 5], "square": 0.03, "link": "world"}
+    left = content["cameras"]["left"]
+    assert left["link"] == "wrist"
+    np.testing.assert_allclose(left["position"], [0.1, 0.0, 0.02])
+    np.testing.assert_allclose(np.abs(left["rpy"]), [np.pi, 0.0, 0.0], atol=1e-12)
+    assert "right" not in content["cameras"]
+    assert run([*arguments, "-o", "t", "--led", "red"]) == 0
+    assert yaml.safe_load((folder / "t" / "session.yaml").read_text())["leds"] == {"red": {}}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            "targets: {board: {kind: chess}}",
+            "targets.yaml:1:11, key 'targets.board': the key 'kind' is missing, or none",
+        ),
+        ("targets: {board: {kind: chessboard, size: [7, 5], square: -1}}", "-1 is not greater than 0"),
+        ("boards: {}", "unknown key 'boards'"),
+    ],
+)
+def test_targets_that_are_none_are_named_with_their_place(
+    folder: Path, text: str, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "targets.yaml").write_text(text)
+    assert run([*USUAL, "--targets", "targets.yaml"]) == 2
+    assert message in capsys.readouterr().err
+    assert not (folder / "s").exists()
+
+
+def test_a_camera_that_an_unread_joint_moves_is_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bag = recording("mcap", 0.4)
+    bag.static(START, [("finger", "left_optical_frame", (0.1, 0, 0), (0, 0, 0, 1))])
+    bag.write(folder / "grasping")
+    assert run(["import", "grasping", *USUAL[2:]]) == 0
+    assert "- left is on finger, which grip moves: it is taken to stand still" in capsys.readouterr().out
+    assert yaml.safe_load((folder / "s" / "session.yaml").read_text())["cameras"] == "cameras.yaml"
+
+
+@pytest.mark.parametrize(
+    ("texts", "message"),
+    [
+        ({"/a/robot_description": URDF, "/b/robot_description": URDF}, "2 topics have a robot: /a/robot_description"),
+        ({"/robot_description": "<robot"}, "/robot_description"),
+    ],
+)
+def test_a_robot_that_the_bag_does_not_tell_is_asked_for(
+    folder: Path, texts: dict[str, str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = recording("mcap", 0.4)
+    for topic, text in texts.items():
+        bag.text(topic, text)
+    bag.write(folder / "told")
+    assert run(["import", "told", "-o", "s", "--tip", "tip"]) == 2
+    assert message in capsys.readouterr().err
+    assert not (folder / "s").exists()

@@ -162,6 +162,9 @@ class Recording:
         ]
         self.add("/tf_static", self.make("tf2_msgs/msg/TFMessage", transforms=content), stamp)
 
+    def text(self, topic: str, text: str) -> None:
+        self.add(topic, self.make("std_msgs/msg/String", data=text), START)
+
     def drop(self, topic: str) -> None:
         self.messages = [message for message in self.messages if message[1] != topic]
 
@@ -198,6 +201,46 @@ def recording(kind: str, seconds: float = 1.0) -> Recording:
             stamp = START + 33_333_333 * i + 1_234_567 * (camera + 1)
             bag.image(f"/{name}/image_raw", stamp, pixels(2 * i + camera))
             bag.info(f"/{name}/camera_info", stamp, baseline=BASELINE * camera, frame=f"{name}_optical_frame")
+    return bag
+
+
+def stopping(kind: str, simulated: Simulated, *, noise: float = 2e-5, seconds: float = 1.2) -> Recording:
+    """What a simulated arm looks like that stops in each pose: joints at 50 Hz, images at 5 Hz, the LED where it is.
+
+    Args:
+        kind: of the bag.
+        simulated: the arm, its poses, the LED, and cameras that stand or ride.
+        noise: of the joint readings. [rad or m]
+        seconds: that it stops; from stop to stop it takes half a second.
+    """
+    session, truth, bag = simulated.session, simulated.truth, Recording(kind)
+    rng, period = np.random.default_rng(0), seconds + 0.5
+
+    def motion(time: float) -> np.ndarray:
+        i = min(int(time / period), len(truth.q) - 1)
+        u = max((time - i * period - seconds) / 0.5, 0.0) if i + 1 < len(truth.q) else 0.0
+        return truth.q[i] + (truth.q[min(i + 1, len(truth.q) - 1)] - truth.q[i]) * u * u * (3.0 - 2.0 * u)
+
+    end = period * len(truth.q) - 0.5
+    for i in range(round(50 * end)):
+        readings = session.chain.readings(motion(0.02 * i)[None])[0]
+        bag.joints(START + 20_000_000 * i, readings + rng.normal(0.0, noise, readings.shape), session.chain.actuated)
+    for camera, one in enumerate(session.rig.cameras):
+        sensor, scenery = Sensor(one.resolution), Scenery.flat(one.resolution, 25.0)
+        for i in range(round(5 * end)):
+            stamp = 200_000_000 * i + 3_000_000
+            uv = truth.pixels(motion(1e-9 * stamp)[None])[0, camera, 0]
+            lights = [Light(uv, 1500.0, 1.5)] if one.in_image(uv) else []
+            bag.image(f"/{one.name}/image_raw", START + stamp, sensor.expose(scenery.expected(lights), rng))
+        fu, fv, cu, cv = one.intrinsics
+        bag.info(
+            f"/{one.name}/camera_info",
+            START,
+            size=one.resolution,
+            K=np.array([[fu, 0.0, cu], [0.0, fv, cv], [0.0, 0.0, 1.0]]),
+            d=np.pad(one.distortion, (0, 5 - len(one.distortion))),
+            frame=f"{one.name}_optical_frame",
+        )
     return bag
 
 

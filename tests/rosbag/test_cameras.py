@@ -21,7 +21,8 @@ D = (-0.1, 0.02, 0.001, -0.002, 0.0)
 
 
 def read(bag: Recording) -> tuple[Rig, tuple[str, ...]]:
-    return read_bag_cameras(TOPICS, [Message(topic, received, content) for received, topic, content in bag.messages])
+    read = read_bag_cameras(TOPICS, [Message(topic, received, content) for received, topic, content in bag.messages])
+    return read.rig, read.notes
 
 
 def pair(kind: str = "sqlite3", **of_both: Any) -> Recording:

@@ -21,12 +21,11 @@ from urdfcal.errors import CameraError, OutputError, SessionError, UrdfcalError
 from urdfcal.images.files import read_image, workers
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.urdf.urdf import Urdf
-from urdfcal.rosbag import importing
+from urdfcal.rosbag import images
 from urdfcal.rosbag.bag import open_bag
-from urdfcal.rosbag.importing import ImportSummary, import_bag
+from urdfcal.rosbag.importing import ImportSummary, KnownRobot, import_bag
 from urdfcal.rosbag.topics import choose_topics
 from urdfcal.session.knowledge import Led
-from urdfcal.session.model import Setup
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -34,14 +33,16 @@ if TYPE_CHECKING:
 
 
 @pytest.fixture
-def known(tmp_path: Path) -> Setup:
+def known(tmp_path: Path) -> KnownRobot:
     (tmp_path / "arm.urdf").write_text(URDF)
     urdf = Urdf.read(tmp_path / "arm.urdf")
     led = Led("led", np.array([0.1, 0, 0]))
-    return Setup(chain=Chain.from_urdf(urdf, "tip"), leds=(led,), urdf=urdf, urdf_reference=str(tmp_path / "arm.urdf"))
+    return KnownRobot(
+        chain=Chain.from_urdf(urdf, "tip"), leds=(led,), urdf=urdf, urdf_reference=str(tmp_path / "arm.urdf")
+    )
 
 
-def bring(bag: Recording, folder: Path, known: Setup, infos: bool = True, progress: Any = None) -> ImportSummary:
+def bring(bag: Recording, folder: Path, known: KnownRobot, infos: bool = True, progress: Any = None) -> ImportSummary:
     """Write the bag beside the session's folder, and import it."""
     path = bag.write(folder.parent / f"bag-{bag.kind}")
     with open_bag(path) as opened:
@@ -58,7 +59,7 @@ def nanoseconds(seconds: str) -> int:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_session_has_every_number_and_every_pixel(tmp_path: Path, known: Setup, kind: str) -> None:
+def test_a_session_has_every_number_and_every_pixel(tmp_path: Path, known: KnownRobot, kind: str) -> None:
     counts: list[int] = []
     bag = recording(kind)
     bag.joints(START + 2_000, [0.02], ["grip"])
@@ -98,7 +99,7 @@ def test_a_session_has_every_number_and_every_pixel(tmp_path: Path, known: Setup
     }
 
 
-def test_images_that_repeat_a_stamp_leave_no_file_and_late_ones_are_in_order(tmp_path: Path, known: Setup) -> None:
+def test_images_that_repeat_a_stamp_leave_no_file_and_late_ones_are_in_order(tmp_path: Path, known: KnownRobot) -> None:
     bag = recording("mcap", 0.2)
     bag.drop("/right/image_raw")
     for i, number in enumerate((0, 2, 1, 2, 3)):
@@ -113,7 +114,7 @@ def test_images_that_repeat_a_stamp_leave_no_file_and_late_ones_are_in_order(tmp
     assert len(imported.warnings) == 2
 
 
-def test_compressed_images_are_kept_to_the_last_byte(tmp_path: Path, known: Setup) -> None:
+def test_compressed_images_are_kept_to_the_last_byte(tmp_path: Path, known: KnownRobot) -> None:
     bag = recording("ros1", 0.2)
     bag.drop("/left/image_raw")
     files = {}
@@ -125,7 +126,7 @@ def test_compressed_images_are_kept_to_the_last_byte(tmp_path: Path, known: Setu
     assert {path.name: path.read_bytes() for path in (tmp_path / "s" / "images" / "left").iterdir()} == files
 
 
-def test_a_damaged_image_among_others_is_left_out(tmp_path: Path, known: Setup) -> None:
+def test_a_damaged_image_among_others_is_left_out(tmp_path: Path, known: KnownRobot) -> None:
     bag = recording("mcap", 0.2)
     bag.drop("/left/image_raw")
     data = cv2.imencode(".jpg", pixels(0))[1].tobytes()
@@ -142,7 +143,7 @@ def test_a_damaged_image_among_others_is_left_out(tmp_path: Path, known: Setup) 
     assert warning.startswith("1 images are damaged and left out; the first: /left/image_raw/compressed, message 3: ")
 
 
-def test_colours_and_depths_reach_the_file(tmp_path: Path, known: Setup) -> None:
+def test_colours_and_depths_reach_the_file(tmp_path: Path, known: KnownRobot) -> None:
     bag = recording("sqlite3", 0.2)
     bag.drop("/left/image_raw")
     rng = np.random.default_rng(0)
@@ -156,7 +157,7 @@ def test_colours_and_depths_reach_the_file(tmp_path: Path, known: Setup) -> None
     np.testing.assert_array_equal(read_image(images / "000002.png"), deep)
 
 
-def test_cameras_may_come_from_a_file(tmp_path: Path, known: Setup) -> None:
+def test_cameras_may_come_from_a_file(tmp_path: Path, known: KnownRobot) -> None:
     bring(recording("mcap", 0.2), tmp_path / "first", known)
     first = read_kalibr(tmp_path / "first" / "cameras.yaml")
     T = np.eye(4)
@@ -186,12 +187,12 @@ def test_a_robot_of_a_package_stays_there(tmp_path: Path) -> None:
     bag.drop("/joint_states")
     for i in range(5):
         bag.joints(START + 8_000_000 * i, np.arange(6), chain.actuated)
-    bring(bag, tmp_path / "s", Setup(chain=chain, leds=(Led("led"),), urdf=urdf, urdf_reference=reference))
+    bring(bag, tmp_path / "s", KnownRobot(chain=chain, leds=(Led("led"),), urdf=urdf, urdf_reference=reference))
     assert not list((tmp_path / "s").glob("*.urdf"))
     assert yaml.safe_load((tmp_path / "s" / "session.yaml").read_text())["robot"]["urdf"] == reference
 
 
-def test_a_clock_since_power_up_is_put_beside_the_robots(tmp_path: Path, known: Setup) -> None:
+def test_a_clock_since_power_up_is_put_beside_the_robots(tmp_path: Path, known: KnownRobot) -> None:
     bag = recording("mcap", 0.5)
     bag.drop("/left/image_raw")
     for i in range(10):
@@ -240,7 +241,7 @@ def of_another_day() -> Recording:
     ],
 )
 def test_a_bag_that_cannot_be_used_leaves_nothing(
-    tmp_path: Path, known: Setup, make: Callable[[], Recording], error: type[UrdfcalError], message: str
+    tmp_path: Path, known: KnownRobot, make: Callable[[], Recording], error: type[UrdfcalError], message: str
 ) -> None:
     (tmp_path / "out").mkdir()
     with pytest.raises(error, match=message):
@@ -248,7 +249,7 @@ def test_a_bag_that_cannot_be_used_leaves_nothing(
     assert {path.name for path in (tmp_path / "out").iterdir()} <= {"bag-mcap", "bag-sqlite3", "bag-ros1.bag"}
 
 
-def test_cameras_of_other_names_are_refused_before_anything_is_written(tmp_path: Path, known: Setup) -> None:
+def test_cameras_of_other_names_are_refused_before_anything_is_written(tmp_path: Path, known: KnownRobot) -> None:
     bring(recording("mcap", 0.2), tmp_path / "first", known)
     rig = read_kalibr(tmp_path / "first" / "cameras.yaml")
     renamed = Rig((rig.cameras[0], replace(rig.cameras[1], name="cam1")), rig.T_cam_world)
@@ -258,7 +259,7 @@ def test_cameras_of_other_names_are_refused_before_anything_is_written(tmp_path:
     assert not (tmp_path / "second" / "s").exists()
 
 
-def test_a_folder_with_anything_in_it_is_left_alone(tmp_path: Path, known: Setup) -> None:
+def test_a_folder_with_anything_in_it_is_left_alone(tmp_path: Path, known: KnownRobot) -> None:
     (tmp_path / "s").mkdir()
     (tmp_path / "s" / "notes.txt").write_text("mine")
     with pytest.raises(OutputError, match="there is something already"):
@@ -275,21 +276,21 @@ def test_a_folder_with_anything_in_it_is_left_alone(tmp_path: Path, known: Setup
     }  # fmt: skip
 
 
-def test_a_full_disk_leaves_nothing(tmp_path: Path, known: Setup, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_leaves_nothing(tmp_path: Path, known: KnownRobot, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(path: Path, image: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(importing, "write_image", full)
+    monkeypatch.setattr(images, "write_image", full)
     with pytest.raises(OutputError, match="s: cannot write here: No space left on device"):
         bring(recording("mcap", 0.2), tmp_path / "s", known)
     assert not [path for path in tmp_path.iterdir() if path.name not in ("arm.urdf", "bag-mcap")]
 
 
-def test_only_a_few_images_are_in_memory(tmp_path: Path, known: Setup, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_a_few_images_are_in_memory(tmp_path: Path, known: KnownRobot, monkeypatch: pytest.MonkeyPatch) -> None:
     bag = recording("mcap", 3.0)
     others = sum(1 for _, topic, _ in bag.messages if "image" not in topic)
     lock, read, written, ahead = threading.Lock(), [0], [0], [0]
-    write = importing.write_image
+    write = images.write_image
 
     def write_and_count(path: Path, image: Any) -> None:
         write(path, image)
@@ -301,7 +302,7 @@ def test_only_a_few_images_are_in_memory(tmp_path: Path, known: Setup, monkeypat
             read[0] += count
             ahead.append(read[0] - others - written[0])
 
-    monkeypatch.setattr(importing, "write_image", write_and_count)
+    monkeypatch.setattr(images, "write_image", write_and_count)
     bring(bag, tmp_path / "s", known, progress=progress)
     assert written[0] == 180
     assert max(ahead) <= 2 * workers() + 1

@@ -43,7 +43,7 @@ def _camera(value: str) -> tuple[str, tuple[str, str | None]]:
 @click.command("import")
 @click.argument("path", metavar="SOURCE", type=PATH)
 @click.option("-o", "--output", "session", type=PATH, help="Folder to write.")
-@click.option("--urdf", metavar="ROBOT.urdf", help="The nominal robot: a file, or package://...")
+@click.option("--urdf", metavar="ROBOT.urdf", help="The nominal robot: a file, or package://...  [default: the bag's]")
 @click.option("--tip", metavar="LINK", help="Link at the end of the chain.")
 @base_option
 @click.option("--joints", metavar="TOPIC", help="Of the joint states.  [default: the only one]")
@@ -52,13 +52,15 @@ def _camera(value: str) -> tuple[str, tuple[str, str | None]]:
     help="A camera: its images, and its camera_info if that is not beside them.  [default: all]",
 )  # fmt: skip
 @click.option(
-    "--led", type=_led, default="led", show_default=False, metavar="NAME[=X,Y,Z]",
-    help="The LED, in the tip's frame, m.",
+    "--led", type=_led, metavar="NAME[=X,Y,Z]",
+    help="The LED, in the tip's frame, m.  [default: led, unless there are targets]",
 )  # fmt: skip
 @click.option(
     "--cameras", "described", type=PATH, metavar="FILE",
     help="A camera file instead of camera_info, with the cameras' names.",
 )  # fmt: skip
+@click.option("--targets", type=PATH, metavar="FILE", help="Boards and tags: YAML, targets: as in session.yaml.")
+@click.option("--stills", is_flag=True, help="A bag of an arm that stopped to be seen: make poses of its stops.")
 @click.option("--list", "listing", is_flag=True, help="Print a bag's topics and write nothing.")
 @click.option("--eye", type=click.Choice(["hand", "base"]), help="Hand-eye samples: what carries the camera.")
 def command(
@@ -69,8 +71,10 @@ def command(
     base: str | None,
     joints: str | None,
     named: tuple[tuple[str, tuple[str, str | None]], ...],
-    led: tuple[str, list[float] | None],
+    led: tuple[str, list[float] | None] | None,
     described: Path | None,
+    targets: Path | None,
+    stills: bool,
     listing: bool,
     eye: Eye | None,
 ) -> None:
@@ -93,35 +97,42 @@ def command(
     if listing:
         _list(path)
         return
-    if session is None or urdf is None or tip is None:
-        raise click.UsageError("-o, --urdf and --tip are needed; --list prints the topics")
+    if session is None:
+        raise click.UsageError("-o is needed; --list prints the topics")
     if len(dict(named)) < len(named):
         raise click.UsageError(f"two cameras have the same name: {', '.join(name for name, _ in named)}")
     from urdfcal.cameras.io.formats import read_cameras
     from urdfcal.cameras.rig import Rig
-    from urdfcal.names import check_names
+    from urdfcal.io.target_keys import read_targets
+    from urdfcal.names import check_names, listed
     from urdfcal.robot.chain import Chain
     from urdfcal.robot.urdf.urdf import Urdf
     from urdfcal.rosbag.bag import open_bag
-    from urdfcal.rosbag.importing import import_bag
+    from urdfcal.rosbag.importing import KnownRobot, import_bag, read_description
     from urdfcal.rosbag.topics import choose_topics
     from urdfcal.session.knowledge import Led
-    from urdfcal.session.model import Setup
 
-    check_names("LEDs", [led[0]])
-    robot = Urdf.read(urdf)
-    setup = Setup(
-        chain=Chain.from_urdf(robot, tip, base),
-        leds=(Led(*led),),  # type: ignore[arg-type]  # a list serves as an array
-        rig=Rig() if described is None else read_cameras([described]),
-        urdf=robot,
-        urdf_reference=urdf,
-    )
+    if led is None and targets is None:
+        led = ("led", None)
+    leds = () if led is None else (Led(*led),)  # type: ignore[arg-type]  # a list serves as an array
+    check_names("LEDs", [each.name for each in leds])
     with open_bag(path) as bag:
+        robot = read_description(bag) if urdf is None else Urdf.read(urdf)
+        if tip is None:
+            last = [link for link in robot.links if all(joint.parent != link for joint in robot.joints.values())]
+            raise click.UsageError(f"--tip is needed; the links at the ends of {robot.name} are {listed(last)}")
+        known = KnownRobot(
+            chain=Chain.from_urdf(robot, tip, base),
+            leds=leds,
+            targets=() if targets is None else read_targets(targets),
+            rig=Rig() if described is None else read_cameras([described]),
+            urdf=robot,
+            urdf_reference=urdf or f"{robot.name}.urdf",
+        )
         topics = choose_topics(bag.topics, joints, dict(named), infos=described is None)
         count = sum(topic.count for topic in bag.topics if topic.name in topics.names)
         with progress_bar("reading", count) as advance:
-            summary = import_bag(bag, topics, setup, session, advance)
+            summary = import_bag(bag, topics, known, session, advance, stills=stills)
     _print(topics, summary)
     click.echo(str(session))
 
@@ -155,6 +166,8 @@ def _print(topics: ChosenTopics, summary: ImportSummary) -> None:
         width, height = camera.resolution
         taken = _of("images", summary.cameras[camera.name])
         click.echo(f"{camera.name}: {topics.cameras[camera.name][0]}, {taken}, {width} x {height} px")
+    if summary.poses is not None:
+        click.echo(f"the arm stood still {summary.poses} times; one image a camera and pose")
     click.echo(f"time 0 is {summary.origin // 10**9}.{summary.origin % 10**9:09d} s")
     for note in (*summary.notes, *summary.warnings):
         click.echo(f"- {note}")

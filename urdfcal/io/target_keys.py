@@ -8,9 +8,13 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag
 
 from urdfcal.errors import SessionError
-from urdfcal.io.keys import Name, NotNegative, PlaceKeys, Positive, ScaleKeys, Vector
+from urdfcal.io.keys import Keys, Name, NotNegative, PlaceKeys, Positive, ScaleKeys, Vector
+from urdfcal.io.yaml_document import Document
 from urdfcal.session.pattern import PATTERNS, TagPlace
 from urdfcal.session.target import Target
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 class TargetKeys(PlaceKeys):
@@ -130,3 +134,21 @@ else:
             custom_error_message=f"the key 'kind' is missing, or none of {', '.join(_KINDS)}",
         ),
     ]
+
+
+class TargetsFile(Keys):
+    """A file of targets alone."""
+
+    targets: dict[Name, AnyTargetKeys]
+
+
+def read_targets(path: Path) -> tuple[Target, ...]:
+    """Read a YAML file whose key ``targets`` is that of session.yaml.
+
+    Raises:
+        SessionError: it cannot be read, or a target is not one, with line and column.
+    """
+    document = Document.read(path)
+    keys = document.validate(TargetsFile)
+    with document.placing():
+        return tuple(target.target(name, None) for name, target in keys.targets.items())

@@ -22,13 +22,13 @@ from urdfcal.session.trajectory import Trajectory
 from urdfcal.temporaries import temporary
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from urdfcal.arrays import Floats
     from urdfcal.robot.urdf.urdf import Urdf
     from urdfcal.session.attachments import CameraMount
     from urdfcal.session.measurements import Measurements
-    from urdfcal.session.model import Positions
+    from urdfcal.session.model import Positions, Setup
     from urdfcal.session.target import Target
 
 _SESSION = "session.yaml"
@@ -123,26 +123,40 @@ def _move(partial: Path, folder: Path) -> None:
         undo.pop_all()
 
 
-def _write_files(folder: Path, session: Positions, urdf: Urdf) -> None:
-    import yaml
-
+def write_setup(folder: Path, setup: Setup, urdf: Urdf) -> dict[str, Any]:
+    """Write the robot, unless it is in a package, and the cameras; return what session.yaml says of them."""
     from urdfcal.cameras.io.formats import write_kalibr
 
-    reference, chain, motion = session.urdf_reference, session.chain, session.motion
+    reference, chain = setup.urdf_reference, setup.chain
     if not reference.startswith("package://"):
         reference = Path(reference).name or f"{chain.name}.urdf"
         (folder / reference).write_bytes(urdf.data)
     content: dict[str, Any] = {
         "robot": {"urdf": reference, "base_link": chain.base_link, "tip_link": chain.tip_link},
-        "leds": {led.name: _said(link=led.link, position=led.position, sigma=led.sigma) for led in session.leds},
-        "targets": {target.name: _target_keys(target) for target in session.targets},
-        "led_distances": [vars(of) | {"leds": list(of.leds)} for of in session.led_distances],
-        "place_distances": [vars(of) | {"places": list(of.places)} for of in session.place_distances],
+        "leds": {led.name: _said(link=led.link, position=led.position, sigma=led.sigma) for led in setup.leds},
+        "targets": {target.name: _target_keys(target) for target in setup.targets},
+        "led_distances": [vars(of) | {"leds": list(of.leds)} for of in setup.led_distances],
+        "place_distances": [vars(of) | {"places": list(of.places)} for of in setup.place_distances],
     }
-    if session.rig.cameras:
-        mounts = {mount.camera: _mount_keys(mount) for mount in session.mounts}
+    if setup.rig.cameras:
+        mounts = {mount.camera: _mount_keys(mount) for mount in setup.mounts}
         content["cameras"] = {"file": _CAMERAS, **mounts} if mounts else _CAMERAS
-        write_kalibr(folder / _CAMERAS, session.rig)
+        write_kalibr(folder / _CAMERAS, setup.rig)
+    return content
+
+
+def write_keys(folder: Path, content: Mapping[str, Any]) -> None:
+    """Write session.yaml, without keys that say nothing."""
+    import yaml
+
+    said = {key: value for key, value in content.items() if value}
+    text = yaml.safe_dump(said, sort_keys=False, allow_unicode=True, default_flow_style=None, width=110)
+    (folder / _SESSION).write_text(text, encoding="utf-8")
+
+
+def _write_files(folder: Path, session: Positions, urdf: Urdf) -> None:
+    chain, motion = session.chain, session.motion
+    content = write_setup(folder, session, urdf)
     content["joints"] = _JOINTS
     if isinstance(motion, Trajectory):
         readings = chain.readings(motion.log.values).T.tolist()
@@ -187,9 +201,7 @@ def _write_files(folder: Path, session: Positions, urdf: Urdf) -> None:
         "about": dict(session.about),
     }
     content["tolerances"] |= {name: dict(values) for name, values in session.tolerances.joints.items()}
-    content = {key: value for key, value in content.items() if value}
-    text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None, width=110)
-    (folder / _SESSION).write_text(text, encoding="utf-8")
+    write_keys(folder, content)
 
 
 def _said(**keys: Any) -> dict[str, Any]:

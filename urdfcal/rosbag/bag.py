@@ -29,6 +29,7 @@ IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
+TEXT = "std_msgs/msg/String"
 
 _SUFFIXES = (".bag", ".db3", ".mcap")
 _NANO = 1_000_000_000

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,11 +11,14 @@ from urdfcal.arrays import Floats, inverse
 from urdfcal.cameras.io.ros import CameraInfo, rig_of
 from urdfcal.cameras.rig import Rig
 from urdfcal.errors import CameraError
+from urdfcal.names import listed
 from urdfcal.rotations import quaternion_to_matrix
+from urdfcal.session.attachments import CameraMount
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Mapping, Sequence
 
+    from urdfcal.robot.urdf.urdf import Urdf
     from urdfcal.rosbag.bag import Message
 
 TF_STATIC = "/tf_static"
@@ -30,7 +34,64 @@ _UNIT = 1e-2
 _ELSEWHERE = "Describe the cameras with --cameras FILE."
 
 
-def read_bag_cameras(topics: Sequence[tuple[str, str]], messages: Iterable[Message]) -> tuple[Rig, tuple[str, ...]]:
+@dataclass(frozen=True, eq=False)
+class BagCameras:
+    """The cameras of a bag.
+
+    Attributes:
+        rig: their lenses, and where they stand as far as that is known; the first one is the world.
+        notes: a sentence for each pose on where it comes from.
+        frames: the name of each one's frame.
+        parents: of the frames in /tf_static each one's parent, and T_parent_frame (4, 4). [m]
+    """
+
+    rig: Rig
+    notes: tuple[str, ...] = ()
+    frames: tuple[str, ...] = ()
+    parents: Mapping[str, tuple[str, Floats]] = field(default_factory=dict)
+
+    def mounts(self, urdf: Urdf, joints: Collection[str]) -> tuple[tuple[CameraMount, ...], tuple[str, ...]]:
+        """Find cameras on moving links: their optical frames are links of the robot, or hang on one by /tf_static.
+
+        Args:
+            urdf: the robot.
+            joints: names of those that were recorded.
+
+        Returns:
+            The eye-in-hand cameras, where they are being a guess to start from, and sentences on them.
+
+        Raises:
+            CameraError: the transforms go round in a circle.
+        """
+        above = {joint.child: joint for joint in urdf.joints.values()}
+        mounts, notes = [], []
+        # Of cameras that a file describes the bag says no frames.
+        for name, frame in zip(self.rig.names, self.frames, strict=bool(self.frames)):
+            link, T_link_frame = _root(self.parents, frame, urdf.links)
+            if link not in urdf.links or _OPTICAL not in frame:
+                continue
+            moving, at = [], link
+            while at in above:
+                moving += [above[at].name] if above[at].type != "fixed" else []
+                at = above[at].parent
+            if not moving:
+                continue
+            if unknown := [joint for joint in moving if joint not in joints]:
+                notes.append(f"{name} is on {link}, which {listed(unknown)} moves: it is taken to stand still")
+                continue
+            mounts.append(CameraMount(name, link, T_link_frame))
+            notes.append(f"{name} is on {link}, by {'the URDF' if frame == link else TF_STATIC}: where is estimated")
+        return tuple(mounts), tuple(notes)
+
+    def without_others(self, mounts: Sequence[CameraMount]) -> Rig:
+        """Return the rig, of each camera its place by the first one only where both are fastened to the same thing."""
+        links = {mount.camera: mount.link for mount in mounts}
+        first, *_ = on = [links.get(name) for name in self.rig.names]
+        poses = [T if link == first else None for T, link in zip(self.rig.T_cam_world, on, strict=True)]
+        return replace(self.rig, T_cam_world=tuple(poses))
+
+
+def read_bag_cameras(topics: Sequence[tuple[str, str]], messages: Iterable[Message]) -> BagCameras:
     """Read the cameras; the first one is the world.
 
     A camera's pose comes from its projection matrix if it is the second of a stereo pair, else from /tf_static if that
@@ -39,9 +100,6 @@ def read_bag_cameras(topics: Sequence[tuple[str, str]], messages: Iterable[Messa
     Args:
         topics: of every camera its name and the topic of its camera_info.
         messages: of these topics and of /tf_static.
-
-    Returns:
-        The cameras, and a sentence for each pose on where it comes from.
 
     Raises:
         CameraError: a camera has no camera_info, one that changes, or one that does not describe its images.
@@ -76,7 +134,7 @@ def read_bag_cameras(topics: Sequence[tuple[str, str]], messages: Iterable[Messa
                 T = T_frame_first
         poses.append(T)
         notes.append(f"the pose of {name} is " + (f"from {source}" if T is not None else "not known: it is estimated"))
-    return Rig(rig.cameras, tuple(poses)), tuple(notes)
+    return BagCameras(Rig(rig.cameras, tuple(poses)), tuple(notes), tuple(frames), parents)
 
 
 def _info(name: str, topic: str, message: Any) -> CameraInfo:
@@ -126,10 +184,10 @@ def _part(message: Any) -> tuple[int, int, int, int]:
     return roi.x_offset, roi.y_offset, roi.width, roi.height
 
 
-def _root(parents: Mapping[str, tuple[str, Floats]], frame: str) -> tuple[str, Floats]:
-    """Return the root of the tree that ``frame`` is in, and T_root_frame."""
+def _root(parents: Mapping[str, tuple[str, Floats]], frame: str, stops: Collection[str] = ()) -> tuple[str, Floats]:
+    """Return the root of the tree that ``frame`` is in, or the first of ``stops`` above it, and T_root_frame."""
     T, passed = np.eye(4), {frame}
-    while frame in parents:
+    while frame in parents and frame not in stops:
         frame, T_parent_frame = parents[frame]
         T = T_parent_frame @ T
         if frame in passed:

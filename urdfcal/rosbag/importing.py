@@ -3,36 +3,69 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from urdfcal.cameras.rig import Rig
 from urdfcal.errors import CameraError, OutputError, SessionError
-from urdfcal.images.encodings import DamagedPictureError, decode_compressed, decode_raw
-from urdfcal.images.files import in_parallel, write_image
 from urdfcal.io.folder import IMAGES
-from urdfcal.io.writing import put_into, write_table
+from urdfcal.io.writing import put_into, write_keys, write_session, write_setup, write_table
 from urdfcal.names import listed
-from urdfcal.rosbag.bag import TRANSFORMS
-from urdfcal.rosbag.cameras import TF_STATIC, read_bag_cameras
+from urdfcal.robot.chain import read_mechanism
+from urdfcal.robot.urdf.urdf import Urdf
+from urdfcal.rosbag.bag import TEXT, TRANSFORMS
+from urdfcal.rosbag.cameras import TF_STATIC, BagCameras, read_bag_cameras
 from urdfcal.rosbag.clock import align_clock, timeline
+from urdfcal.rosbag.images import write_images
+from urdfcal.rosbag.stills import find_stills
+from urdfcal.session.attachments import WORLD
+from urdfcal.session.knowledge import Noise
+from urdfcal.session.model import Positions, Setup
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from urdfcal.arrays import Floats
     from urdfcal.cameras.camera import Camera
-    from urdfcal.cameras.rig import Rig
+    from urdfcal.robot.mechanism import Mechanism
     from urdfcal.rosbag.bag import Bag, Message
     from urdfcal.rosbag.clock import Timeline
+    from urdfcal.rosbag.stills import Stills
     from urdfcal.rosbag.topics import ChosenTopics
-    from urdfcal.session.model import Setup
+    from urdfcal.session.knowledge import Led
+    from urdfcal.session.target import Target
 
 
-# Nine hours of images at 30 Hz.
-_DIGITS = 6
+@dataclass(frozen=True, eq=False)
+class KnownRobot:
+    """What a bag does not hold.
+
+    Attributes:
+        chain: the robot's.
+        urdf: its description.
+        urdf_reference: what session.yaml calls that: a file, which is copied, or ``package://...``.
+        leds: its LEDs.
+        targets: on it or in the world.
+        rig: the cameras, if the bag does not describe them.
+    """
+
+    chain: Mechanism
+    urdf: Urdf
+    urdf_reference: str
+    leds: tuple[Led, ...] = ()
+    targets: tuple[Target, ...] = ()
+    rig: Rig = field(default_factory=Rig)
+
+    def carrying(self, links: Sequence[str]) -> KnownRobot:
+        """Return the same with further links, those of cameras or targets, in its chain."""
+        chain = self.chain
+        carried = [link for link in dict.fromkeys(links) if link not in (WORLD, chain.base_link, chain.tip_link)]
+        if not carried:
+            return self
+        return replace(self, chain=read_mechanism(self.urdf, (chain.tip_link, *carried), chain.base_link))
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +77,8 @@ class ImportSummary:
         joints: when the joint states were taken.
         cameras: when the images were taken, by camera.
         rig: the cameras.
-        notes: where the poses of the cameras come from that the bag describes.
+        poses: number of poses in which the arm stood still; None of one that moved.
+        notes: where the poses of the cameras come from that the bag describes, and how well joints were read.
         warnings: which messages were left out, and what was done to the times.
     """
 
@@ -52,6 +86,7 @@ class ImportSummary:
     joints: Timeline
     cameras: Mapping[str, Timeline]
     rig: Rig
+    poses: int | None
     notes: tuple[str, ...]
     warnings: tuple[str, ...]
 
@@ -59,9 +94,11 @@ class ImportSummary:
 def import_bag(
     bag: Bag,
     topics: ChosenTopics,
-    setup: Setup,
+    known: KnownRobot,
     folder: str | Path,
     progress: Callable[[int], object] | None = None,
+    *,
+    stills: bool = False,
 ) -> ImportSummary:
     """Write a session from a bag; all of it or nothing.
 
@@ -70,9 +107,10 @@ def import_bag(
     Args:
         bag: the recording.
         topics: of the joints and the cameras.
-        setup: what the bag does not hold: the robot and its LEDs, and the cameras unless the bag describes them.
+        known: what the bag does not hold.
         folder: where to; made if need be, in a folder that exists. It must be empty.
         progress: called with the number of messages read since the last call: those of ``topics`` and /tf_static.
+        stills: make a pose of each time that the arm stood still, and leave the rest out.
 
     Raises:
         SessionError: the bag is damaged, or its joint states or times cannot be used.
@@ -91,21 +129,57 @@ def import_bag(
                 progress(1)
             yield message
 
-    joints = setup.chain.actuated
+    known = known.carrying([target.link for target in known.targets if target.link])
+    joints = known.chain.actuated
     times, readings = read_joint_states(topics.joints, read(topics.joints), joints)
-    rig, notes = setup.rig, tuple[str, ...]()
-    if not rig.cameras:
+    seen = BagCameras(known.rig)
+    if not known.rig.cameras:
         infos = [(name, info) for name, (_, info) in topics.cameras.items() if info is not None]
         static = [topic.name for topic in bag.topics if topic.name == TF_STATIC and topic.type == TRANSFORMS]
-        rig, notes = read_bag_cameras(infos, read(*(info for _, info in infos), *static))
-    images = _image_topics(rig, topics)
-    with put_into(folder) as partial:
-        _write_setup(partial, setup, rig)
-        frames = _write_images(partial / IMAGES, read(*images), images, times)
-        origin = _write_tables(partial, times, dict(zip(joints, readings.T.tolist(), strict=True)), frames)
-    cameras = {name: taken for name, (taken, _) in frames.items()}
-    warnings = tuple(warning for of in (times, *cameras.values()) for warning in of.warnings)
-    return ImportSummary(origin, times, cameras, rig, notes, warnings)
+        seen = read_bag_cameras(infos, read(*(info for _, info in infos), *static))
+    images = _image_topics(seen.rig, topics)
+    mounts, notes = seen.mounts(known.urdf, known.chain.names)
+    known = replace(known.carrying([mount.link for mount in mounts]), rig=seen.without_others(mounts))
+    setup = Setup(**vars(known), mounts=mounts)
+    with put_into(folder) as partial_:
+        if stills:
+            still = find_stills(times, readings)
+            origin, taken, poses = _write_stills(partial_, setup, times, still, bag, images, read)
+            notes += (f"the joints were read to {still.sigma:.2g} rad where the arm stood still",)
+            warnings = poses
+            count = len(still)
+        else:
+            frames = {
+                name: written.in_order(times)
+                for name, written in write_images(partial_ / IMAGES, read(*images), images).items()
+            }
+            content = write_setup(partial_, setup, known.urdf)
+            write_keys(partial_, {**content, "joints": "joints.csv", "frames": "frames.csv"})
+            origin = _write_tables(partial_, times, dict(zip(joints, readings.T.tolist(), strict=True)), frames)
+            taken, warnings, count = {name: of for name, (of, _) in frames.items()}, (), None
+    warnings = (*(warning for of in (times, *taken.values()) for warning in of.warnings), *warnings)
+    return ImportSummary(origin, times, taken, setup.rig, count, (*seen.notes, *notes), warnings)
+
+
+def read_description(bag: Bag) -> Urdf:
+    """Read the robot's URDF from its topic, robot_description in any namespace; of several messages the last.
+
+    Raises:
+        SessionError: there is none, or several topics have one.
+        RobotError: it is no URDF.
+    """
+    topics = [topic.name for topic in bag.topics if topic.type == TEXT and topic.name.endswith("robot_description")]
+    if len(topics) != 1:
+        what = (
+            f"{len(topics)} topics have a robot: {listed(topics)}"
+            if topics
+            else "no topic robot_description has a robot"
+        )
+        raise SessionError(what, where=str(bag.path), remedy="Name the robot with --urdf ROBOT.urdf.")
+    texts = [message.content.data for message in bag.messages(topics)]
+    if not texts:
+        raise SessionError("the topic has no message", where=topics[0], remedy="Name the robot with --urdf ROBOT.urdf.")
+    return Urdf.parse(texts[-1].encode(), Path(topics[0]))
 
 
 def read_joint_states(topic: str, messages: Iterable[Message], joints: Sequence[str]) -> tuple[Timeline, Floats]:
@@ -204,111 +278,50 @@ def _image_topics(rig: Rig, topics: ChosenTopics) -> dict[str, Camera]:
     return {images[camera.name]: camera for camera in rig.cameras}
 
 
-def _write_setup(folder: Path, setup: Setup, rig: Rig) -> None:
-    """Write session.yaml, the cameras, and the robot unless it is in a package."""
-    import yaml
-
-    from urdfcal.cameras.io.formats import write_kalibr
-
-    reference, chain = setup.urdf_reference, setup.chain
-    if setup.urdf and not reference.startswith("package://"):
-        reference = Path(reference).name
-        (folder / reference).write_bytes(setup.urdf.data)
-    content = {
-        "robot": {"urdf": reference, "base_link": chain.base_link, "tip_link": chain.tip_link},
-        "leds": {led.name: {} if led.position is None else {"position": led.position.tolist()} for led in setup.leds},
-        "cameras": "cameras.yaml",
-        "joints": "joints.csv",
-        "frames": "frames.csv",
-    }
-    write_kalibr(folder / "cameras.yaml", rig)
-    text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None, width=110)
-    (folder / "session.yaml").write_text(text, encoding="utf-8")
-
-
-def _write_images(
-    folder: Path, messages: Iterable[Message], cameras: Mapping[str, Camera], robot: Timeline
-) -> dict[str, tuple[Timeline, list[str]]]:
-    """Write images as ``folder``/<camera>/<number of the message>.png, or .jpg where they were recorded as that.
-
-    Args:
-        folder: where to; it is made.
-        messages: of the topics, in the order in which they were recorded.
-        cameras: that took the images, by their topics, sensor_msgs/Image or CompressedImage.
-        robot: the times of the joint states, on whose clock the images' times are to be.
+def _write_stills(
+    folder: Path,
+    setup: Setup,
+    robot: Timeline,
+    still: Stills,
+    bag: Bag,
+    images: Mapping[str, Camera],
+    read: Callable[..., Iterator[Message]],
+) -> tuple[int, dict[str, Timeline], tuple[str, ...]]:
+    """Write the session of an arm that stood still, one image a camera and pose.
 
     Returns:
-        Of every camera, when the images that were recorded whole were taken, and their files' names without suffix.
-
-    Raises:
-        CameraError: an image is of another kind or size than its camera takes, or none was recorded whole.
-        SessionError: a camera took none, its clock was set back, or it was recorded at another time.
-        OSError: they cannot be written.
+        The time that is 0 in it [ns], when the images of each camera were taken, and which poses are without.
     """
-    written: dict[str, list[tuple[int, int, Path]]] = {topic: [] for topic in cameras}
-    damaged: dict[str, list[CameraError]] = {topic: [] for topic in cameras}
-
-    def numbered() -> Iterator[tuple[int, Message]]:
-        counts = Counter[str]()
-        for message in messages:
-            counts[message.topic] += 1
-            yield counts[message.topic], message
-
-    def write(task: tuple[int, Message]) -> tuple[str, tuple[int, int, Path] | CameraError]:
-        number, message = task
-        camera, where = cameras[message.topic], f"{message.topic}, message {number}"
-        try:
-            path = _write_one(folder / camera.name / f"{number:0{_DIGITS}d}", message.content, camera)
-        except DamagedPictureError as error:
-            return message.topic, CameraError(error.what, where=where)
-        except CameraError as error:
-            raise CameraError(error.what, where=where, remedy=error.remedy) from error
-        return message.topic, (message.stamp, message.received, path)
-
-    for camera in cameras.values():
-        (folder / camera.name).mkdir(parents=True)
-    for topic, result in in_parallel(write, numbered()):
-        if isinstance(result, CameraError):
-            damaged[topic].append(result)
-        else:
-            written[topic].append(result)
-    return {camera.name: _in_order(topic, written[topic], damaged[topic], robot) for topic, camera in cameras.items()}
+    stamps: dict[str, tuple[list[int], list[int]]] = {topic: ([], []) for topic in images}
+    for message in bag.messages(tuple(images)):
+        stamp, received = stamps[message.topic]
+        stamp.append(message.stamp)
+        received.append(message.received)
+    times = {topic: align_clock(robot, timeline(topic, *of)) for topic, of in stamps.items()}
+    labels = [f"{k + 1:03d}" for k in range(len(still))]
+    chosen = {topic: still.nearest(of) for topic, of in times.items()}
+    names = {(topic, number): labels[k] for topic, of in chosen.items() for k, number in of.items()}
+    written = write_images(folder / IMAGES, read(*images), images, lambda topic, number: names.get((topic, number)))
+    seen = {path.stem for of in written.values() for *_, path in of.files}
+    used = [k for k, label in enumerate(labels) if label in seen]
+    blank = [label for label in labels if label not in seen]
+    warnings = [warning for of in written.values() for warning in of.warnings]
+    warnings += [f"no camera has an image of {len(blank)} poses, which are left out: {listed(blank)}"] if blank else []
+    if still.creeping:
+        warnings.append(f"{still.creeping} times the arm crept on where it seemed to stand still: these are left out")
+    origin = int(still.start[0])
+    positions = Positions(
+        **{**_fields(setup), "noise": Noise(joint=still.sigma or None)},
+        poses=tuple(labels[k] for k in used),
+        q=setup.chain.joint_values(still.readings[used]),
+        time=np.array([(still.start[k] - origin) / 1e9 for k in used]),
+    )
+    write_session(folder, positions)
+    return origin, {images[topic].name: of for topic, of in times.items()}, tuple(warnings)
 
 
-def _in_order(
-    topic: str, written: Sequence[tuple[int, int, Path]], damaged: Sequence[CameraError], robot: Timeline
-) -> tuple[Timeline, list[str]]:
-    """Return times and names of the images that have a time of their own; remove the files of others."""
-    if damaged and not written:
-        raise damaged[0]
-    warnings = [f"{len(damaged)} images are damaged and left out; the first: {damaged[0]}"] if damaged else []
-    times = timeline(topic, [stamp for stamp, *_ in written], [received for _, received, _ in written], warnings)
-    paths = [path for *_, path in written]
-    for i in np.setdiff1d(np.arange(len(paths)), times.kept):
-        paths[i].unlink()
-    return align_clock(robot, times), [paths[i].stem for i in times.kept]
-
-
-def _write_one(path: Path, content: Any, camera: Camera) -> Path:
-    """Write the image of one message, and return its file."""
-    if hasattr(content, "format"):
-        data = content.data.tobytes()
-        suffix, image, size = decode_compressed(content.format, data)
-    else:
-        suffix, data, size = ".png", b"", (int(content.width), int(content.height))
-        image = decode_raw(content.encoding, size, content.step, content.data, big_endian=bool(content.is_bigendian))
-    if size != camera.resolution:
-        raise CameraError(
-            f"it is {size[0]} x {size[1]} pixels, and the camera {camera.name!r} "
-            f"{camera.resolution[0]} x {camera.resolution[1]}",
-            remedy="Describe the camera as the images were taken, with --cameras FILE.",
-        )
-    path = path.with_suffix(suffix)
-    if image is None:
-        path.write_bytes(data)
-    else:
-        write_image(path, image)
-    return path
+def _fields(setup: Setup) -> dict[str, Any]:
+    return {entry.name: getattr(setup, entry.name) for entry in fields(Setup)}
 
 
 def _write_tables(
