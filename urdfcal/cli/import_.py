@@ -11,10 +11,14 @@ from urdfcal.cli.console import PATH, base_option, progress_bar, sheet, terminal
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from urdfcal.cameras.rig import Rig
     from urdfcal.importing.handeye import Eye
+    from urdfcal.robot.chain import Chain
+    from urdfcal.robot.urdf.urdf import Urdf
     from urdfcal.rosbag.clock import Timeline
     from urdfcal.rosbag.importing import ImportSummary
     from urdfcal.rosbag.topics import ChosenTopics
+    from urdfcal.session.knowledge import Led
 
 
 def _led(value: str) -> tuple[str, list[float] | None]:
@@ -40,6 +44,14 @@ def _camera(value: str) -> tuple[str, tuple[str, str | None]]:
     return name, (image, info or None)
 
 
+def _column(value: str) -> tuple[str, str]:
+    """Parse NAME=COLUMN[:UNIT]."""
+    name, _, column = value.partition("=")
+    if not name or not column:
+        raise click.BadParameter(f"'{value}' is not NAME=COLUMN")
+    return name, column
+
+
 @click.command("import")
 @click.argument("path", metavar="SOURCE", type=PATH)
 @click.option("-o", "--output", "session", type=PATH, help="Folder to write.")
@@ -62,6 +74,13 @@ def _camera(value: str) -> tuple[str, tuple[str, str | None]]:
 @click.option("--targets", type=PATH, metavar="FILE", help="Boards and tags: YAML, targets: as in session.yaml.")
 @click.option("--stills", is_flag=True, help="A bag of an arm that stopped to be seen: make poses of its stops.")
 @click.option("--list", "listing", is_flag=True, help="Print a bag's topics and write nothing.")
+@click.option(
+    "--column", "columns", type=_column, multiple=True, metavar="NAME=COLUMN[:UNIT]",
+    help="A table: the column of a joint, of pose, x, qx, CAMERA.u ..., in deg, mm if not in rad, m.",
+)  # fmt: skip
+@click.option(
+    "--columns", "columns_file", type=PATH, metavar="FILE", help="The same as YAML, NAME: COLUMN:UNIT a line."
+)
 @click.option("--eye", type=click.Choice(["hand", "base"]), help="Hand-eye samples: what carries the camera.")
 def command(
     path: Path,
@@ -76,6 +95,8 @@ def command(
     targets: Path | None,
     stills: bool,
     listing: bool,
+    columns: tuple[tuple[str, str], ...],
+    columns_file: Path | None,
     eye: Eye | None,
 ) -> None:
     """Make a session of SOURCE, what another program has written.
@@ -84,48 +105,57 @@ def command(
     images Image or CompressedImage. Cameras are named after the namespaces of their topics. The second one's pose is
     taken from a stereo pair's camera_info, or /tf_static.
 
+    A table (.csv, .tsv, .txt), one row a pose: joint readings, and points or poses of a tracker or detections.
+
     Hand-eye samples (.samples of easy_handeye2, .yaml of MoveIt): poses of a hand, and of a target that a camera sees.
     """
-    samples = path.suffix in (".samples", ".yaml", ".yml")
+    samples, table = path.suffix in (".samples", ".yaml", ".yml"), path.suffix in (".csv", ".tsv", ".txt")
     if eye is not None and not samples:
         raise click.UsageError("--eye goes with hand-eye samples")
-    if samples:
-        if session is None:
-            raise click.UsageError("-o is needed")
-        _import_samples(path, session, eye)
-        return
-    if listing:
+    if (columns or columns_file) and not table:
+        raise click.UsageError("--column and --columns go with a table, .csv, .tsv or .txt")
+    if (stills or targets) and (samples or table):
+        raise click.UsageError("--stills and --targets go with a bag")
+    if listing and not (samples or table):
         _list(path)
         return
     if session is None:
-        raise click.UsageError("-o is needed; --list prints the topics")
-    if len(dict(named)) < len(named):
-        raise click.UsageError(f"two cameras have the same name: {', '.join(name for name, _ in named)}")
+        raise click.UsageError("-o is needed" + ("" if samples or table else "; --list prints the topics"))
+    if samples:
+        _import_samples(path, session, eye)
+        return
     from urdfcal.cameras.io.formats import read_cameras
     from urdfcal.cameras.rig import Rig
-    from urdfcal.io.target_keys import read_targets
-    from urdfcal.names import check_names, listed
-    from urdfcal.robot.chain import Chain
-    from urdfcal.robot.urdf.urdf import Urdf
-    from urdfcal.rosbag.bag import open_bag
-    from urdfcal.rosbag.importing import KnownRobot, import_bag, read_description
-    from urdfcal.rosbag.topics import choose_topics
+    from urdfcal.names import check_names
     from urdfcal.session.knowledge import Led
 
     if led is None and targets is None:
         led = ("led", None)
     leds = () if led is None else (Led(*led),)  # type: ignore[arg-type]  # a list serves as an array
     check_names("LEDs", [each.name for each in leds])
+    rig = Rig() if described is None else read_cameras([described])
+    if table:
+        if urdf is None:
+            raise click.UsageError("--urdf is needed: a table says nothing of the robot")
+        if len(dict(columns)) < len(columns):
+            raise click.UsageError("two columns have the same name: " + ", ".join(name for name, _ in columns))
+        _import_table(path, session, (urdf, tip, base), rig, next(iter(leds)), dict(columns), columns_file)
+        return
+    if len(dict(named)) < len(named):
+        raise click.UsageError(f"two cameras have the same name: {', '.join(name for name, _ in named)}")
+    from urdfcal.io.target_keys import read_targets
+    from urdfcal.robot.urdf.urdf import Urdf
+    from urdfcal.rosbag.bag import open_bag
+    from urdfcal.rosbag.importing import KnownRobot, import_bag, read_description
+    from urdfcal.rosbag.topics import choose_topics
+
     with open_bag(path) as bag:
         robot = read_description(bag) if urdf is None else Urdf.read(urdf)
-        if tip is None:
-            last = [link for link in robot.links if all(joint.parent != link for joint in robot.joints.values())]
-            raise click.UsageError(f"--tip is needed; the links at the ends of {robot.name} are {listed(last)}")
         known = KnownRobot(
-            chain=Chain.from_urdf(robot, tip, base),
+            chain=_chain(robot, tip, base),
             leds=leds,
             targets=() if targets is None else read_targets(targets),
-            rig=Rig() if described is None else read_cameras([described]),
+            rig=rig,
             urdf=robot,
             urdf_reference=urdf or f"{robot.name}.urdf",
         )
@@ -135,6 +165,42 @@ def command(
             summary = import_bag(bag, topics, known, session, advance, stills=stills)
     _print(topics, summary)
     click.echo(str(session))
+
+
+def _chain(robot: Urdf, tip: str | None, base: str | None) -> Chain:
+    from urdfcal.names import listed
+    from urdfcal.robot.chain import Chain
+
+    if tip is None:
+        last = [link for link in robot.links if all(joint.parent != link for joint in robot.joints.values())]
+        raise click.UsageError(f"--tip is needed; the links at the ends of {robot.name} are {listed(last)}")
+    return Chain.from_urdf(robot, tip, base)
+
+
+def _import_table(
+    path: Path,
+    folder: Path,
+    robot: tuple[str, str | None, str | None],
+    rig: Rig,
+    led: Led,
+    columns: dict[str, str],
+    columns_file: Path | None,
+) -> None:
+    from urdfcal.importing.columns import Column, columns_session, read_columns
+    from urdfcal.io.writing import write_session
+    from urdfcal.robot.urdf.urdf import Urdf
+
+    reference, tip, base = robot
+    said = {} if columns_file is None else read_columns(columns_file)
+    said |= {name: Column.parse(text) for name, text in columns.items()}
+    urdf = Urdf.read(reference)
+    session, notes = columns_session(path, said, _chain(urdf, tip, base), urdf, reference, rig, led)
+    write_session(folder, session)
+    counts = ", ".join(f"{len(table)} {table.kind}" for table in session.measurements)
+    click.echo(f"{path}: {len(session.poses)} poses, {counts}")
+    for note in notes:
+        click.echo(f"- {note}")
+    click.echo(str(folder))
 
 
 def _import_samples(path: Path, folder: Path, eye: Eye | None) -> None:

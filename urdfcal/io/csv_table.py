@@ -52,8 +52,14 @@ class Table:
         Raises:
             SessionError: the file cannot be read, its header is not as expected, or rows are ragged or missing.
         """
-        source = Source.read(path)
-        lines = source.text.split("\n")
+        return cls.parse(Source.read(path), required, optional, ignored)
+
+    @classmethod
+    def parse(
+        cls, source: Source, required: Sequence[str], optional: Sequence[str] = (), ignored: Collection[str] | None = ()
+    ) -> Table:
+        """Read a file's content; see :meth:`read`."""
+        path, lines = source.path, source.text.split("\n")
         while lines and not lines[-1].strip():
             lines.pop()
         if not lines:
