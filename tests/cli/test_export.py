@@ -15,6 +15,7 @@ import yaml
 import yourdfpy
 
 from urdfcal.cli import run
+from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.result.calibration import Calibration
 from urdfcal.robot.urdf.urdf import Urdf
@@ -202,3 +203,23 @@ def test_a_rigid_arm_s_urdf_is_the_corrected_one(
     assert same == (result / "elbow3r_calibrated.urdf").read_bytes()
     assert run(["export", str(result), "--to", "dh-csv", "--workspace", "0:1,0:1,0:1"]) == 2
     assert "--workspace goes with --to urdf" in capsys.readouterr().err
+
+
+def test_a_mujoco_arm_s_servos_yield_as_its_joints_do(
+    bent: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    urdf = re.sub(r"<(visual|collision)\b.*?</\1>", "", read_rig(find_rig("ur5")).urdf.text, flags=re.DOTALL)
+    specification = mujoco.MjSpec.from_string(urdf)
+    specification.compile()
+    joints = Calibration.load(bent / "result").chain.actuated
+    servos = "".join(f'<position joint="{joint}" kp="100"/>' for joint in joints)
+    model = tmp_path / "arm.xml"
+    model.write_text(specification.to_xml().replace("</mujoco>", f"<actuator>{servos}</actuator></mujoco>"))
+    assert run(["export", str(bent / "result"), "--to", "mjcf", "--model", str(model), "--servos"]) == 0
+    path, said = capsys.readouterr().out.splitlines()
+    assert re.search(r"- servos of \d joints yield to gravity as they do, \w+_joint the most \(\d.*N m a radian", said)
+    gains = mujoco.MjModel.from_xml_path(path).actuator_gainprm[:, 0]
+    assert gains[1] == pytest.approx(1.0 / 5e-5, rel=0.1)
+    assert gains[5] == 100.0  # it carries nothing
+    assert run(["export", str(bent / "result"), "--to", "dh-csv", "--servos"]) == 2
+    assert "--servos goes with --to mjcf" in capsys.readouterr().err

@@ -38,6 +38,7 @@ _FORMATS = (
 @click.option("--link-keys", is_flag=True, help="ros-kinematics: name origins by links, as ur_description does.")
 @click.option("--add-frames", is_flag=True, help="ros-static-tf: fixed joints in the URDF instead of a launch file.")
 @click.option("--model", type=PATH, help="mjcf: a MuJoCo file of the nominal robot.")
+@click.option("--servos", is_flag=True, help="mjcf: position servos yield to gravity as the joints were found to.")
 @click.option("--motors", type=PATH, help="lerobot: its calibration when the joints were read.")
 @click.option(
     "--workspace", metavar="BOX|PATH.csv|SESSION",
@@ -45,7 +46,7 @@ _FORMATS = (
 )  # fmt: skip
 def command(
     result: Path, target: str, output: Path | None, link_keys: bool, add_frames: bool, model: Path | None,
-    motors: Path | None, workspace: str | None,
+    servos: bool, motors: Path | None, workspace: str | None,
 ) -> None:  # fmt: skip
     """Write the result in OUT, a folder that calibrate has written, for ROS, MuJoCo, xacro or a controller.
 
@@ -60,6 +61,7 @@ def command(
         (link_keys, "--link-keys", "ros-kinematics"),
         (add_frames, "--add-frames", "ros-static-tf"),
         (model is not None, "--model", "mjcf"),
+        (servos, "--servos", "mjcf"),
         (workspace is not None, "--workspace", "urdf"),
         (motors is not None, "--motors", "lerobot"),
     ):
@@ -82,6 +84,19 @@ def command(
         written = lerobot_calibration(calibration, motors)
     else:
         written = _files(calibration, beside, target, link_keys=link_keys, add_frames=add_frames, model=model)
+    if servos and model is not None:
+        from urdfcal.output.exports.servos import yielding_servos
+
+        ((name, data),) = written.items()
+        data, stiffness = yielding_servos(calibration, data if isinstance(data, bytes) else data.encode(), model)
+        written = {name: data}
+        joint, least = min(stiffness.items(), key=lambda item: item[1])
+        remark = (
+            f"- servos of {len(stiffness)} joints yield to gravity as they do, {joint} the most ({least:.2g} N m "
+            "a radian, or N a metre): a control is what the encoder reads, qpos where the joint is"
+        )
+        if other := rigid_part(calibration, but="compliance"):
+            remark += f"\n{other}"
     folder = output or (beside if model is None else model.parent)
     with files.staged(folder) as stage:
         for name, content in written.items():
@@ -92,9 +107,14 @@ def command(
         click.echo(remark)
 
 
-def rigid_part(calibration: Calibration) -> str:
-    """Say that what is written of an arm that bends is its rigid part; nothing of one that does not."""
-    models = dict.fromkeys(name for of in calibration.document.joint_models.values() for name in of)
+def rigid_part(calibration: Calibration, but: str = "") -> str:
+    """Say that what is written of an arm that bends is its rigid part; nothing of one that does not.
+
+    Args:
+        calibration: the result.
+        but: the joint model that it can hold.
+    """
+    models = dict.fromkeys(name for of in calibration.document.joint_models.values() for name in of if name != but)
     if not models:
         return ""
     return f"- it is the rigid part: no such file can hold {', '.join(models)}; compensate and the library do"

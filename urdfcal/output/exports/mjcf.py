@@ -73,7 +73,7 @@ def mjcf(calibration: Calibration, urdf: Urdf, path: Path) -> dict[str, bytes]:
         data = path.read_bytes()
     except OSError as error:
         raise RobotError(f"cannot be read: {error.strerror}", where=str(path)) from error
-    elements, model = joint_bodies(data, str(path)), _compiled(data, path)
+    elements, model = joint_bodies(data, str(path)), compiled(data, path)
     chain, placements = calibration.chain, calibration.placements
     joints = _joints(model, chain, str(path))
     bodies, zero = model.jnt_bodyid[joints], np.zeros((1, len(joints)))
@@ -108,7 +108,7 @@ def mjcf(calibration: Calibration, urdf: Urdf, path: Path) -> dict[str, bytes]:
         expected = T_world_base @ np.stack(link_poses(chain, q, tips, placed), axis=1)
         return float(np.abs(_moved(moving, joints, q)[0][:, carriers] @ to_tip - expected).max())
 
-    before, after = deviation(model, chain.placements), deviation(_compiled(written, path), placements)
+    before, after = deviation(model, chain.placements), deviation(compiled(written, path), placements)
     if not after <= _CARRIED * before + _AGREEMENT:
         raise OutputError(
             f"the new model does not move as the calibrated robot: {after:.1e} m or in the rotation",
@@ -118,7 +118,13 @@ def mjcf(calibration: Calibration, urdf: Urdf, path: Path) -> dict[str, bytes]:
     return {f"{path.stem}_calibrated{path.suffix}": written}
 
 
-def _compiled(data: bytes, path: Path) -> Any:
+def compiled(data: bytes, path: Path) -> Any:
+    """Have MuJoCo read a file that finds its meshes where ``path`` is.
+
+    Raises:
+        OutputError: the package mujoco is missing.
+        RobotError: it cannot be read.
+    """
     try:
         import mujoco
     except ImportError as error:
