@@ -23,14 +23,11 @@ if TYPE_CHECKING:
 
 
 @pytest.fixture
-def session(calibrated: Callable[[str], Path], tmp_path: Path) -> Path:
+def session(simulated: Callable, tmp_path: Path) -> Path:
     """A session whose pixels have five times the noise that it declares."""
-    folder = tmp_path / "session"
-    shutil.copytree(calibrated("elbow3r") / "session", folder)
-    text, count = re.subn(r"pixel: [0-9.]+", "pixel: 0.02", (folder / "session.yaml").read_text())
-    assert count == 1
-    (folder / "session.yaml").write_text(text)
-    return folder
+    write_session(tmp_path / "session", simulated("elbow3r", poses=20).session)
+    swap("session.yaml", "pixel: 0.1", "pixel: 0.02")(tmp_path / "session")
+    return tmp_path / "session"
 
 
 def test_library_and_command_line_refuse_the_same(

@@ -5,13 +5,12 @@ from __future__ import annotations
 import csv
 import importlib.util
 import json
-import os
 import shutil
-import signal
 from typing import TYPE_CHECKING
 
 import pytest
 
+from tests.study.mortals import dying, mortal
 from tests.worlds import scaled
 from urdfcal.cli import run
 from urdfcal.errors import OutputError, UrdfcalError
@@ -118,21 +117,6 @@ def test_a_journal_that_is_none_is_not_overwritten(fleet: list[Path], tmp_path: 
     (tmp_path / JOURNAL).mkdir(parents=True)
     with pytest.raises(OutputError, match=r"batch\.jsonl: cannot be read"):
         batch(fleet, tmp_path, **QUICK)
-
-
-def dying(task: tuple[int, str]) -> int:
-    """The first time it is called with 3, the system kills its process."""
-    number, mark = task
-    if number == 3 and not os.path.exists(mark):  # noqa: PTH110
-        open(mark, "w").close()  # noqa: PTH123
-        os.kill(os.getpid(), signal.SIGKILL)
-    return number * number
-
-
-def mortal(task: int) -> int:
-    if task == 1:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return task
 
 
 def lost(task: object) -> int:

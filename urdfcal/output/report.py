@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from datetime import datetime, timezone
+from functools import cache
 from importlib import resources
 from pathlib import PurePath
 from typing import TYPE_CHECKING
@@ -34,6 +35,8 @@ from urdfcal.session.exclusion import summary
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from jinja2 import Template
+
     from urdfcal.output.findings import Overview, ResultData
     from urdfcal.result.fitted import FittedCalibration
 
@@ -44,6 +47,17 @@ _MINUS = "\N{MINUS SIGN}"
 _CORRELATED, _PAIRS = 0.9, 12
 # An LED's place that is known worse is told by predictions alone. [m]
 _HARDLY_KNOWN = 0.005
+
+
+@cache
+def _page() -> Template:
+    """The page's template; compiling it takes longer than filling it in."""
+    import jinja2
+
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    return environment.from_string(resources.files(__package__).joinpath(_TEMPLATE).read_text(encoding="utf-8"))
 
 
 def write_report(path: Path, overview: Overview, *, refused: bool = False) -> None:
@@ -57,7 +71,6 @@ def write_report(path: Path, overview: Overview, *, refused: bool = False) -> No
     Raises:
         OutputError: the file cannot be written.
     """
-    import jinja2
     from markupsafe import Markup
 
     calibration, document = overview.calibration, overview.document
@@ -87,11 +100,7 @@ def write_report(path: Path, overview: Overview, *, refused: bool = False) -> No
     rows: dict[str, list[int]] = {}  # joint by joint, which entries of the DH list are its parameters
     for i, entry in enumerate(document["dh"]):
         rows.setdefault(entry["joint"], []).append(i)
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    template = environment.from_string(resources.files(__package__).joinpath(_TEMPLATE).read_text(encoding="utf-8"))
-    page = template.render(
+    page = _page().render(
         document,
         n=number,
         meaning=HEADLINE,
