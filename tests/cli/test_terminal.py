@@ -54,7 +54,7 @@ def test_a_summary_fits_and_nothing_of_it_is_cut(tmp_path: Path, capsys: pytest.
         assert said in joined
     assert document["verdict"]["reasons"]
     for reason in document["verdict"]["reasons"]:
-        assert f"- {reason}" in joined
+        assert f"! {reason}" in joined
     estimated = {entry["joint"] for entry in document["dh"]}
     rows = {line.split()[0]: line.split()[1:] for line in lines if line.split() and line.split()[0] in estimated}
     assert rows.keys() == estimated

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from urdfcal.cli import batch, calibrate, cameras, export, import_, judging, plan, results, robots, simulate, study
+from urdfcal.cli.console import say
 from urdfcal.errors import UrdfcalError
 
 if TYPE_CHECKING:
@@ -72,7 +73,7 @@ def run(arguments: Sequence[str]) -> int:
     except UrdfcalError as error:
         if debug:
             raise
-        click.echo(f"urdfcal: {error}", err=True)
+        say(f"urdfcal: {error}", err=True)
         return error.exit_code
     return ended if isinstance(ended, int) else 0
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from urdfcal.cli.console import PATH, json_option, progress_bar, seed_option, sheet, terminal
+from urdfcal.cli.console import PATH, json_option, progress_bar, say, seed_option, sheet, terminal
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -77,4 +77,4 @@ def _print(table: Sequence[Ended]) -> None:
         if one.level != "good":
             terminal().print(f"{one.name}: {one.sentence}", markup=False, highlight=False)
     counts = {level: sum(one.level == level for one in table) for level in ("good", "doubtful", "bad", "failed")}
-    click.echo(f"{len(table)} sessions: " + ", ".join(f"{count} {level}" for level, count in counts.items() if count))
+    say(f"{len(table)} sessions: " + ", ".join(f"{count} {level}" for level, count in counts.items() if count))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from urdfcal.cli.console import PATH, progress_bar, seed_option, status_line
+from urdfcal.cli.console import PATH, progress_bar, say, seed_option, status_line
 from urdfcal.cli.summary import print_summary
 from urdfcal.errors import CalibrationError, OutputError
 
@@ -64,14 +64,14 @@ def find_leds(session: Path, colour: Colour = "any", debug_images: Path | None =
             write_debug_images(debug_images, detected, colour, advance)
     paths = write_detected(session, detected, force=force)
     sigma = detected.detections.sigma
-    click.echo(
+    say(
         f"{detected.found} detections in {index.count} images, "
         f"found to {sorted(sigma)[len(sigma) // 2]:.3f} px each (median)"
     )
     if rejected := detected.summary():
-        click.echo(f"rejected: {rejected}")
+        say(f"rejected: {rejected}")
     for warning in detected.warnings:
-        click.echo(f"- {warning}")
+        say(f"- {warning}")
     for path in paths:
         click.echo(str(path))
 
@@ -117,7 +117,7 @@ def command(
 
     def look(session: Path) -> None:
         with redirect_stdout({"text": sys.stdout, "json": sys.stderr, "nothing": io.StringIO()}[report]):
-            click.echo(f"{session}: images and no detections: looking for the LEDs first (urdfcal detect)")
+            say(f"{session}: images and no detections: looking for the LEDs first (urdfcal detect)")
             find_leds(session)
 
     poses = exclude_poses.split(",") if exclude_poses else []
@@ -148,39 +148,40 @@ def run(
         from urdfcal.output.live import LiveView
 
         view = LiveView()
-    with status_line(show=report != "nothing") as say:
-        steps = 0
+    # Printed when the spinner is gone, whose line they would share.
+    why: list[str] = []
+    try:
+        with status_line(show=report != "nothing") as status:
+            steps = 0
 
-        def note(iteration: int, cost: float) -> None:
-            nonlocal steps
-            steps += 1
-            say(f"calibrating: step {steps}, cost {cost:.4g}")
-            if view is not None:
-                view.step(iteration, cost)
+            def note(iteration: int, cost: float) -> None:
+                nonlocal steps
+                steps += 1
+                status(f"calibrating: step {steps}, cost {cost:.4g}")
+                if view is not None:
+                    view.step(iteration, cost)
 
-        try:
+            why += session.warnings  # what looked odd in it is often why it fails
             calibration = calibrate(session, **how, force=True, progress=note)
-        except CalibrationError:
-            # What looked odd in the session is often why.
-            for warning in session.warnings:
-                click.echo(f"- {warning}", err=True)
-            raise
-        if calibration.failures and not force:
-            say("writing the report")
-            report_path = _refused(calibration, output)
-            # So is what was found in the residuals, which may say what to do.
-            for warning in calibration.warnings:
-                click.echo(f"- {warning}", err=True)
-            raise refusal(calibration, report_path)
-        say("writing URDF, report and recording")
-        if view is not None:
-            view.say("writing URDF, report and recording")
-        from urdfcal.output.recording import write_results
+            why[:] = calibration.warnings  # so is what was found in the residuals
+            if calibration.failures and not force:
+                status("writing the report")
+                report_path, trouble = _refused(calibration, output)
+                why += trouble
+                raise refusal(calibration, report_path)
+            status("writing URDF, report and recording")
+            if view is not None:
+                view.say("writing URDF, report and recording")
+            from urdfcal.output.recording import write_results
 
-        overview = Overview.of(calibration)
-        paths, remarks = write_results(calibration, output, overview, figures=figures)
-        if view is not None and not view.finish(overview):
-            remarks = (*remarks, f"the rerun viewer was closed: urdfcal view {output} shows the result")
+            overview = Overview.of(calibration)
+            paths, remarks = write_results(calibration, output, overview, figures=figures)
+            if view is not None and not view.finish(overview):
+                remarks = (*remarks, f"the rerun viewer was closed: urdfcal view {output} shows the result")
+    except CalibrationError:
+        for text in why:
+            say(f"- {text}", err=True)
+        raise
     if report == "json":
         files = {path.suffix[1:]: str(path) for path in paths}
         click.echo(json.dumps({**overview.document, "files": files}, indent=2))
@@ -189,14 +190,13 @@ def run(
     return calibration
 
 
-def _refused(calibration: FittedCalibration, output: Path) -> Path | None:
-    """Report a calibration that is refused; None where that is not possible either."""
+def _refused(calibration: FittedCalibration, output: Path) -> tuple[Path | None, tuple[str, ...]]:
+    """Report a calibration that is refused; None where that is not possible either, and perhaps why."""
     from urdfcal.output.recording import write_refused
 
     try:
-        return write_refused(calibration, output)
+        return write_refused(calibration, output), ()
     except OutputError as error:
-        click.echo(f"- {error}", err=True)
+        return None, (str(error),)
     except CalibrationError:  # not even its errors are numbers
-        pass
-    return None
+        return None, ()

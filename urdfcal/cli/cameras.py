@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from urdfcal.cli.console import PATH, POSITIVE, progress_bar, sheet, terminal
+from urdfcal.cli.console import PATH, POSITIVE, progress_bar, say, sheet, terminal
 from urdfcal.errors import CameraError
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ def calibrate(
     "--to", "format_", type=click.Choice(["kalibr", "ros", "opencv"]),
     help="Format of OUT.  [default: opencv for .xml and .yml, kalibr for .yaml, ros for a folder]",
 )  # fmt: skip
-@click.option("--size", type=_pair, help="Size of the image, for OpenCV files that do not tell it.")
+@click.option("--size", type=_pair, metavar="WxH", help="Size of the image, for OpenCV files that do not tell it.")
 def convert(files: tuple[Path, ...], output: Path, format_: Format | None, size: tuple[int, int] | None) -> None:
     """Convert camera files: Kalibr camchain, ROS camera_info (one a camera, in order), OpenCV FileStorage.
 
@@ -123,15 +123,15 @@ def convert(files: tuple[Path, ...], output: Path, format_: Format | None, size:
     for path in write_cameras(output, rig, chosen):
         click.echo(str(path))
     if chosen == "kalibr" and (five := [c.name for c in rig.cameras if len(c.distortion) > _KALIBR_COEFFICIENTS]):
-        click.echo(
+        say(
             f"{', '.join(five)}: radtan with five coefficients, k3 the last: urdfcal reads it, Kalibr itself only four",
             err=True,
         )
     unplaced = [name for name, T in zip(rig.names, rig.T_cam_world, strict=True) if T is None]
     if unplaced:
-        click.echo(f"not known: where {', '.join(unplaced)} stands", err=True)
+        say(f"not known: where {', '.join(unplaced)} stands", err=True)
     if chosen != "kalibr" and any(rig.sigmas):
-        click.echo("not kept: the standard deviations, which only Kalibr's format as urdfcal writes it has", err=True)
+        say("not kept: the standard deviations, which only Kalibr's format as urdfcal writes it has", err=True)
 
 
 def _board(folder: Path, board: tuple[BoardKind, tuple[int, int]] | None, details: Mapping[str, Any]) -> Board:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import sys
+import textwrap
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,13 +22,14 @@ PATH = click.Path(path_type=Path)
 POSITIVE = click.FloatRange(min=0.0, min_open=True)
 
 result_argument = click.argument("result", type=PATH, metavar="OUT")
-tip_option = click.option("--tip", required=True, metavar="LINK", help="Link at the end of the chain.")
 base_option = click.option("--base", metavar="LINK", help="Link at its start.  [default: the root link]")
 seed_option = click.option("--seed", type=click.IntRange(min=0), default=0, help="Seed of all random numbers.")
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
 
 # Wide enough for a DH table with its joint names; a pipe has no width of its own.
 _PIPE_WIDTH = 110
+INDENT = "  "
+"""Of a line that continues the one above."""
 
 
 def terminal() -> Console:
@@ -33,6 +38,23 @@ def terminal() -> Console:
 
     console = Console(highlight=False)
     return console if console.is_terminal else Console(highlight=False, width=_PIPE_WIDTH)
+
+
+def say(text: str, *, err: bool = False) -> None:
+    """Print sentences: on a terminal no wider than it, continued on the next line; piped as long as they are."""
+    stream = sys.stderr if err else sys.stdout
+    # As rich sees it.
+    if os.environ.get("FORCE_COLOR") or stream.isatty():
+        width = shutil.get_terminal_size().columns
+        text = "\n".join(_wrapped(line, width) for line in text.splitlines())
+    click.echo(text, err=err)
+
+
+def _wrapped(line: str, width: int) -> str:
+    # Paths and options are copied whole.
+    return textwrap.fill(
+        line, width, subsequent_indent=INDENT, break_long_words=False, break_on_hyphens=False, drop_whitespace=True
+    )
 
 
 def sheet(title: str, columns: list[str], texts: int = 1) -> Table:

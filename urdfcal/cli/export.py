@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from urdfcal import files
-from urdfcal.cli.console import PATH, result_argument
+from urdfcal.cli.console import PATH, result_argument, say
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -104,7 +104,7 @@ def command(
     for name in written:
         click.echo(folder / name)
     if remark:
-        click.echo(remark)
+        say(remark)
 
 
 def rigid_part(calibration: Calibration, but: str = "") -> str:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from urdfcal.cli.console import PATH, base_option, progress_bar, sheet, terminal
+from urdfcal.cli.console import PATH, base_option, progress_bar, say, sheet, terminal
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -197,9 +197,9 @@ def _import_table(
     session, notes = columns_session(path, said, _chain(urdf, tip, base), urdf, reference, rig, led)
     write_session(folder, session)
     counts = ", ".join(f"{len(table)} {table.kind}" for table in session.measurements)
-    click.echo(f"{path}: {len(session.poses)} poses, {counts}")
+    say(f"{path}: {len(session.poses)} poses, {counts}")
     for note in notes:
-        click.echo(f"- {note}")
+        say(f"- {note}")
     click.echo(str(folder))
 
 
@@ -210,8 +210,8 @@ def _import_samples(path: Path, folder: Path, eye: Eye | None) -> None:
     samples = read_handeye(path, eye)
     session = handeye_session(samples)
     write_session(folder, session)
-    click.echo(f"{path}: {len(session.poses)} samples, the camera is on {session.chain.base_link}")
-    click.echo(f"- calibrate finds the camera, frame 'tracker', in {session.chain.base_link}")
+    say(f"{path}: {len(session.poses)} samples, the camera is on {session.chain.base_link}")
+    say(f"- calibrate finds the camera, frame 'tracker', in {session.chain.base_link}")
     click.echo(str(folder))
 
 
@@ -227,16 +227,16 @@ def _list(path: Path) -> None:
 
 
 def _print(topics: ChosenTopics, summary: ImportSummary) -> None:
-    click.echo(f"{topics.joints}: {_of('joint states', summary.joints)}")
+    say(f"{topics.joints}: {_of('joint states', summary.joints)}")
     for camera in summary.rig.cameras:
         width, height = camera.resolution
         taken = _of("images", summary.cameras[camera.name])
-        click.echo(f"{camera.name}: {topics.cameras[camera.name][0]}, {taken}, {width} x {height} px")
+        say(f"{camera.name}: {topics.cameras[camera.name][0]}, {taken}, {width} x {height} px")
     if summary.poses is not None:
-        click.echo(f"the arm stood still {summary.poses} times; one image a camera and pose")
-    click.echo(f"time 0 is {summary.origin // 10**9}.{summary.origin % 10**9:09d} s")
+        say(f"the arm stood still {summary.poses} times; one image a camera and pose")
+    say(f"time 0 is {summary.origin // 10**9}.{summary.origin % 10**9:09d} s")
     for note in (*summary.notes, *summary.warnings):
-        click.echo(f"- {note}")
+        say(f"- {note}")
 
 
 def _of(what: str, times: Timeline) -> str:

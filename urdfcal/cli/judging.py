@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
-from urdfcal.cli.console import PATH, json_option, seed_option, sheet, status_line, terminal
+from urdfcal.cli.console import PATH, json_option, say, seed_option, sheet, status_line, terminal
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -76,9 +76,9 @@ def verify(
     measured = read_session(session)
     chain = arm_of(result, calibration, measured, session, tip, base)
     for warning in measured.warnings:
-        click.echo(f"- {warning}", err=True)
-    with status_line() as say:
-        say("fitting base, LEDs and cameras")
+        say(f"- {warning}", err=True)
+    with status_line() as status:
+        status("fitting base, LEDs and cameras")
         bends = None if calibration is None else calibration.joint_models
         found = accept(chain, measured, limit, seed, bends=bends)
     new = calibration is None or not _calibrated_with(calibration, measured)
@@ -97,11 +97,11 @@ def verify(
         }
         click.echo(json.dumps(shown, indent=2))
     else:
-        click.echo(_verdict(found))
+        say(_verdict(found))
         if not new:
-            click.echo("- these are the measurements that it was calibrated with: others will be further off")
+            say("- these are the measurements that it was calibrated with: others will be further off")
         for remark in (*_left_out(found), *domain.remarks):
-            click.echo(f"- {remark}")
+            say(f"- {remark}")
     ctx.exit(0 if found.within else 1)
 
 
@@ -216,15 +216,15 @@ def compare(ctx: click.Context, first: Path, second: Path, seed: int, as_json: b
     if as_json:
         click.echo(json.dumps({**_changes(changes), "seed": seed, "remarks": remarks}, indent=2))
     else:
-        click.echo(_sentence(changes))
+        say(_sentence(changes))
         if changes.significant:
             terminal().print(_table(changes))
-        click.echo(
+        say(
             f"chi-square {changes.chi2:.0f} of {len(changes.parameters)} parameters; correlations are unknown, so each "
             "one is tested alone, at 1 % for all together (Bonferroni)"
         )
         for remark in remarks:
-            click.echo(f"- {remark}")
+            say(f"- {remark}")
     ctx.exit(1 if changes.changed else 0)
 
 

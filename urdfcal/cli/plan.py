@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from urdfcal.cli.console import PATH, json_option, progress_bar, seed_option, sheet, terminal
+from urdfcal.cli.console import PATH, json_option, progress_bar, say, seed_option, sheet, terminal
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -95,7 +95,7 @@ def command(
     for path, text in files.items():
         write_text(path, text)
     for warning in found.warnings:
-        click.echo(f"- {warning}", err=True)
+        say(f"- {warning}", err=True)
     if as_json:
         click.echo(json.dumps(_as_dict(found), indent=2))
     else:
@@ -148,19 +148,19 @@ def _how_to_go_on(calibration: Calibration) -> str:
 def _print(plan: Plan, paths: list[str], until: float | None) -> None:
     now, then = (f"{1e3 * error:.3g} mm" for error in (plan.errors[0], plan.errors[-1]))
     if not plan.count:
-        click.echo(f"nothing more to measure: the tip's rms error is expected at {now}, as it is")
+        say(f"nothing more to measure: the tip's rms error is expected at {now}, as it is")
         return
     rows = sheet("", ["poses", "tip, expected (mm rms)", "in 9 of 10 arms at most"], texts=0)
     for k, (error, likely) in enumerate(zip(plan.errors, plan.likely, strict=True)):
         rows.add_row(str(k), f"{1e3 * error:.3g}", f"{1e3 * likely:.3g}")
     terminal().print(rows)
     passed = len(plan.rank) - plan.count
-    click.echo(
+    say(
         f"{', '.join(paths)}: {plan.count} poses" + (f", and {passed} to pass through" if passed else "") + "; "
         f"the tip's expected rms error goes from {now} to {then}"
     )
     if until is not None and plan.likely[-1] > until:
-        click.echo(f"{1e3 * until:.3g} mm is not reached: a better camera, a nearer one or more LEDs would help more")
+        say(f"{1e3 * until:.3g} mm is not reached: a better camera, a nearer one or more LEDs would help more")
 
 
 def _as_dict(plan: Plan) -> dict[str, object]:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from urdfcal import files
-from urdfcal.cli.console import PATH, progress_bar, result_argument
+from urdfcal.cli.console import PATH, progress_bar, result_argument, say
 from urdfcal.cli.export import rigid_part
 from urdfcal.errors import OutputError
 
@@ -21,7 +22,8 @@ if TYPE_CHECKING:
     from urdfcal.result.calibration import Calibration
     from urdfcal.robot.compensation import Compensation
 
-_PARTS = 3  # of a payload: link, mass, centre
+_PARTS = 3  # of a payload: link, mass, centre; and of its centre
+_PAYLOADS = "write tool0:1.2 (kg) or tool0:1.2:0,0,0.05 (m), or nothing"
 _BLOCK = 4096  # poses between two steps of the progress bar
 
 
@@ -46,11 +48,11 @@ def apply(result: Path, urdf: str, output: Path | None) -> None:
     files.write_bytes(output, calibration.apply_to_urdf(Urdf.read(urdf)))
     click.echo(output)
     if remark := rigid_part(calibration):
-        click.echo(remark)
+        say(remark)
     if domain := calibration.document.domain:
         units = {joint.name: joint.unit for joint in calibration.chain.actuated_joints}
         ranges = (f"{name} {low:.2f} to {high:.2f} {units[name]}" for name, (low, high) in domain.joints.items())
-        click.echo(f"- it was measured with {', '.join(ranges)}; elsewhere it is extrapolated")
+        say(f"- it was measured with {', '.join(ranges)}; elsewhere it is extrapolated")
 
 
 def _payload(ctx: click.Context, param: click.Parameter, text: str | None) -> Carried:
@@ -66,9 +68,15 @@ def _payload(ctx: click.Context, param: click.Parameter, text: str | None) -> Ca
     link, *numbers = text.split(":", _PARTS - 1)
     try:
         mass, center = float(numbers[0]), [float(x) for x in numbers[1].split(",")] if numbers[1:] else [0.0] * 3
-        return Payload(link, mass, frozen(center))
     except (IndexError, ValueError) as error:
-        raise click.BadParameter(f"{text!r} is no payload: write tool0:1.2 (kg) or tool0:1.2:0,0,0.05 (m)") from error
+        raise click.BadParameter(f"{text!r} is no payload: {_PAYLOADS}") from error
+    if len(center) != _PARTS:
+        raise click.BadParameter(f"{text!r} has a centre of {len(center)} numbers, not three: {_PAYLOADS}")
+    if mass == 0.0:
+        raise click.BadParameter(f"{text!r} weighs nothing: write --payload nothing")
+    if not 0.0 < mass < inf:
+        raise click.BadParameter(f"{text!r} weighs {mass:g} kg: {_PAYLOADS}")
+    return Payload(link, mass, frozen(center))
 
 
 @click.command("compensate")
@@ -127,11 +135,11 @@ def compensate(result: Path, trajectory: Path, output: Path, torques: Path | Non
     )
     _print_errors(output, given, found, next(iter(before.values())))
     for remark in domain_of(calibration, calibration.chain, given.q).remarks:
-        click.echo(remark)
+        say(remark)
     if payload is not None and not any(of.kind is Compliance for of in calibration.joint_models.found):
-        click.echo("no compliance was estimated of this arm: what it carries makes no difference")
+        say("no compliance was estimated of this arm: what it carries makes no difference")
     for link in list(before)[1:]:
-        click.echo(
+        say(
             f"{link} is not compensated: {1e3 * before[link]:.3g} mm rms with the nominal commands, "
             f"{1e3 * after[link]:.3g} mm with the corrected ones"
         )
@@ -157,7 +165,7 @@ def _errors(
 def _print_errors(path: Path, given: CommandTable, found: Compensation, before: float) -> None:
     """Print the error that the commands leave, and the lines of the worst poses: singular, at a limit, out of reach."""
     worst, most_turned = int(found.position.argmax()), int(found.angle.argmax())
-    click.echo(
+    say(
         f"{path}: {len(given.q)} poses\n"
         f"distance of the calibrated tip from the nominal one: {1e3 * before:.3g} mm rms with the nominal commands, "
         f"{1e3 * _rms_length(found.position[:, None]):.3g} mm with the corrected ones\n"

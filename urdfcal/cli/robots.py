@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from urdfcal.cli.console import PATH, base_option, json_option, seed_option, sheet, terminal, tip_option
+from urdfcal.cli.console import PATH, base_option, json_option, say, seed_option, sheet, terminal
 from urdfcal.errors import CalibrationError, SessionError
 
 if TYPE_CHECKING:
@@ -115,7 +115,7 @@ def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
     calibration = None if is_urdf(urdf) else Calibration.load(urdf)
     session = read_session(folder, ignore_limits=True)  # beyond them is a warning: nothing is calibrated
     for warning in session.warnings:
-        click.echo(f"- {warning}", err=True)
+        say(f"- {warning}", err=True)
     if points is not None:
         measured, leds = read_points(points, session)
         extent = float(np.ptp(measured.xyz, axis=0).max())
@@ -149,7 +149,7 @@ def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
         ]
     domain = domain_of(calibration, session.chain, session.chain.readings(session.q))
     for remark in domain.remarks:
-        click.echo(f"- {remark}", err=True)
+        say(f"- {remark}", err=True)
     return result | domain.data
 
 
@@ -205,38 +205,54 @@ def _print_residuals(result: Mapping[str, Any]) -> None:
     terminal().print(rows)
     for known in result.get("place_distances", ()):
         a, b = known["places"]
-        click.echo(f"{a} to {b}: {known['found_mm']:.3f} mm, known as {known['known_mm']:.3f} mm")
+        say(f"{a} to {b}: {known['found_mm']:.3f} mm, known as {known['known_mm']:.3f} mm")
 
 
 @click.command("dh")
-@click.argument("urdf", metavar="ROBOT.urdf")
-@tip_option
+@click.argument("urdf", metavar="ROBOT.urdf|RESULT")
+@click.option("--tip", metavar="LINK", help="Link at the end of the chain; of a RESULT its own.")
 @base_option
 @click.option(
     "--convention", type=click.Choice(["standard", "modified"]), default="standard",
     help="Distal rows (Rossi's eq. 2), or Craig's.",
 )  # fmt: skip
 @json_option
-def dh(urdf: str, tip: str, base: str | None, convention: Convention, as_json: bool) -> None:
-    """Print the Denavit-Hartenberg rows of a robot's chain of joints."""
+def dh(urdf: str, tip: str | None, base: str | None, convention: Convention, as_json: bool) -> None:
+    """Print the Denavit-Hartenberg rows of a robot's chain of joints.
+
+    Of a RESULT, a folder that calibrate has written or its calibration.json, they are the nominal rows with the offsets
+    that were found; of a corrected URDF they are derived anew, and may jump where axes are almost parallel.
+    """
+    from urdfcal.cli.judging import is_urdf
     from urdfcal.robot.chain import Chain
     from urdfcal.robot.dh import DHTable
 
-    table = DHTable.from_chain(Chain.from_urdf(urdf, tip, base))
-    if as_json:
-        click.echo(json.dumps(table.to_dict(convention), indent=2))
+    offsets, what = None, ""
+    if not is_urdf(urdf):
+        from urdfcal.output.exports.tables import dh_rows
+        from urdfcal.result.calibration import Calibration
+
+        if tip or base:
+            raise click.UsageError("--tip and --base go with a URDF: a result names its links")
+        (table, offsets), what = dh_rows(Calibration.load(urdf)), ", calibrated"
+    elif tip is None:
+        raise click.UsageError("a URDF needs --tip LINK")
     else:
-        _print_rows(table, convention)
+        table = DHTable.from_chain(Chain.from_urdf(urdf, tip, base))
+    data = table.to_dict(convention, offsets)
+    if as_json:
+        click.echo(json.dumps(data, indent=2))
+    else:
+        _print_rows(table, data, convention, what)
 
 
-def _print_rows(table: DHTable, convention: Convention) -> None:
+def _print_rows(table: DHTable, data: Mapping[str, Any], convention: Convention, what: str) -> None:
     import numpy as np
 
-    data = table.to_dict(convention)
     order = ("theta", "d", "a", "alpha", "beta") if convention == "standard" else ("a", "alpha", "beta", "theta", "d")
     scales = {name: (1e3, "mm") if name in "da" else (np.degrees(1.0), "deg") for name in order}
     rows = sheet(
-        f"{table.chain.name}: {table.chain.base_link} to {table.chain.tip_link}, {convention} DH",
+        f"{table.chain.name}: {table.chain.base_link} to {table.chain.tip_link}, {convention} DH{what}",
         ["joint", "type", *(f"{name} ({unit})" for name, (_, unit) in scales.items())],
         texts=2,
     )

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from urdfcal.cli.console import PATH, POSITIVE, progress_bar, seed_option
+from urdfcal.cli.console import PATH, POSITIVE, progress_bar, say, seed_option
 
 
 @click.command("simulate")
@@ -14,6 +14,10 @@ from urdfcal.cli.console import PATH, POSITIVE, progress_bar, seed_option
 @click.option("-o", "--output", "session", type=PATH, required=True, help="Folder to write.")
 @click.option("--poses", type=click.IntRange(min=3), default=50, help="Number of arm positions.")
 @seed_option
+@click.option(
+    "--arm-seed", type=click.IntRange(min=0), show_default=False,
+    help="Of the arm alone: another session of the same one has another --seed.  [default: --seed]",
+)  # fmt: skip
 @click.option("--pixel", type=click.FloatRange(min=0.0), help="Noise of the detections in px.  [default: the rig's]")
 @click.option(
     "--error-scale", type=click.FloatRange(min=0.0), default=1.0, help="Multiplies the errors of its geometry."
@@ -46,6 +50,7 @@ def simulate(
     session: Path,
     poses: int,
     seed: int,
+    arm_seed: int | None,
     pixel: float | None,
     error_scale: float,
     outliers: float,
@@ -73,7 +78,7 @@ def simulate(
         if given:
             raise click.UsageError(wrong)
     description = read_rig(find_rig(rig))
-    errors: dict[str, Any] = {"pixel": pixel, "error_scale": error_scale, "outliers": outliers}
+    errors: dict[str, Any] = {"arm_seed": arm_seed, "pixel": pixel, "error_scale": error_scale, "outliers": outliers}
     with progress_bar("sampling poses", poses) as advance:
         simulated = simulation.simulate(description, poses=poses, seed=seed, progress=advance, **errors)
     if trajectory:
@@ -90,10 +95,10 @@ def simulate(
     else:
         simulation.write_simulated(session, simulated)
     for warning in simulated.session.warnings:
-        click.echo(f"- {warning}", err=True)
+        say(f"- {warning}", err=True)
     if trajectory:
-        click.echo(f"{session}: the arm moves; {len(simulated.session.poses)} frames")
-    click.echo(f"{session}: {poses} poses of {description.chain.name}, seed {seed}; the truth is in truth.urdf")
+        say(f"{session}: the arm moves; {len(simulated.session.poses)} frames")
+    say(f"{session}: {poses} poses of {description.chain.name}, seed {seed}; the truth is in truth.urdf")
 
 
 @click.command("demo")
@@ -129,7 +134,7 @@ def demo(rig: str, output: Path | None, seed: int) -> None:
     for link in tips:
         found = [compared(urdf, truth, link, session.chain.base_link, 1000, seed) for urdf in urdfs]
         before, after = (difference["position_mm"] for difference in found)
-        click.echo(
+        say(
             f"{'tip' if len(tips) == 1 else link} against the true robot over the workspace: "
             f"{before['rms']:.2f} -> {after['rms']:.2f} mm rms, {before['max']:.2f} -> {after['max']:.2f} mm max"
         )

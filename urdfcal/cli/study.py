@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from urdfcal.cli.console import json_option, progress_bar, seed_option, sheet, terminal
+from urdfcal.cli.console import json_option, progress_bar, say, seed_option, sheet, terminal
 
 
 class Numbers(click.ParamType[tuple[float, ...]]):
@@ -67,4 +67,4 @@ def command(rig: str, seeds: int, seed: int, processes: int | None, as_json: boo
     terminal().print(rows)
     for one in table:
         for why in one.failed:
-            click.echo(f"- {one.setting}: {why}", err=True)
+            say(f"- {one.setting}: {why}", err=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import floor, isfinite, log10
 from typing import TYPE_CHECKING
 
-from urdfcal.cli.console import sheet, terminal
+from urdfcal.cli.console import INDENT, sheet, terminal
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 # A summary that is longer scrolls its assessment away.
 _MOST_LINES, _MOST_ROWS, _MOST_REMARKS, _FILES = 25, 8, 6, 3
 _ANY = 10_000  # columns: a terminal on which nothing is narrow
-_INDENT = "  "
-"""Of a line that continues the one above."""
 
 
 def print_summary(overview: Overview, paths: Sequence[Path], remarks: Sequence[str]) -> None:
@@ -52,9 +50,9 @@ def print_summary(overview: Overview, paths: Sequence[Path], remarks: Sequence[s
     def line(text: str, style: str = "") -> None:
         # Piped, a line is as long as it is.
         nonlocal printed
-        rows = Text(text).wrap(console, console.width - len(_INDENT)) if screen else [text]
+        rows = Text(text).wrap(console, console.width - len(INDENT)) if screen else [text]
         printed += len(rows)
-        console.print(f"\n{_INDENT}".join(map(str, rows)), style=style, markup=False, soft_wrap=True)
+        console.print(f"\n{INDENT}".join(map(str, rows)), style=style, markup=False, soft_wrap=True)
 
     tone = {"good": "bold green", "doubtful": "bold yellow", "bad": "bold red"}[assessment.level]
     line(f"{calibration.chain.name}: {assessment.sentence}", tone)
@@ -95,13 +93,15 @@ def print_summary(overview: Overview, paths: Sequence[Path], remarks: Sequence[s
     if rows <= _MOST_ROWS and not places:
         printed += _print_corrections(calibration, console)
     unidentifiable = [f"unidentifiable: {lost}" for lost in document["identifiability"]["lost"]]
-    texts = [*assessment.reasons, *remarks, *unidentifiable]
+    # What the verdict wants to have checked stands out, in print as well.
+    texts = [(f"! {reason}", tone) for reason in assessment.reasons]
+    texts += [(f"- {text}", "") for text in (*remarks, *unidentifiable)]
     # What speaks against the result, or is missing in its files, is not left out for want of lines.
     room = min(_MOST_REMARKS, max(_MOST_LINES - _FILES - printed, len(assessment.reasons) + len(remarks) + 1))
     if len(texts) > room:
-        texts = [*texts[: room - 1], f"{len(texts) - room + 1} more remarks in the report"]
-    for text in texts:
-        line(f"- {text}")
+        texts = [*texts[: room - 1], (f"- {len(texts) - room + 1} more remarks in the report", "")]
+    for text, style in texts:
+        line(text, style)
     for path in paths:
         if path.suffix != ".json":
             line(str(path) if path.suffix != ".rrd" else f"{path}   (urdfcal view {path.parent})")

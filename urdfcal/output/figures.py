@@ -214,14 +214,14 @@ def _magnitudes(pixels: ResidualTable, cameras: Sequence[Camera]) -> list[Chart]
     charts = []
     for camera, size, cells, rms in found:
         (width, height), border = camera.resolution, _border(camera)
-        x, y = (cells[:, 0] + 0.5) * size, -(cells[:, 1] + 0.5) * size
+        x, y, half = (cells[:, 0] + 0.5) * size, -(cells[:, 1] + 0.5) * size, size / 2
         share = len(cells) / (np.ceil(width / size) * np.ceil(height / size))
         charts.append(
             Chart(
                 f"{camera.name} magnitude",
                 f"{camera.name}: rms [px], in {100 * share:.0f} % of the image",
-                Scale(min(0.0, *(x - size / 2)), max(float(width), *(x + size / 2))),
-                Scale(min(-float(height), *(y - size / 2)), max(0.0, *(y + size / 2))),
+                Scale(float(np.min(x - half, initial=0.0)), float(np.max(x + half, initial=width))),
+                Scale(float(np.min(y - half, initial=-height)), float(np.max(y + half, initial=0.0))),
                 [
                     Mark("cells", "rms", x, y, _shades(colors, rms), size),
                     Mark("hairlines", "border", border[:, 0], border[:, 1], palette.FAINT),

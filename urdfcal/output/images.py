@@ -205,9 +205,13 @@ def overlays(recording: Path, pose: str) -> dict[str, NDArray[np.uint8]]:
         return None if scalar is None else scalar.as_py()
 
     poses = [str(label) for label in value("/base/texts/poses", "poses") or []]
+    # 1 is 01, where only one pose is called so.
+    alike = [label for label in poses if label.lstrip("0") == pose.lstrip("0")]
+    if pose not in poses and len(alike) == 1:
+        pose = alike[0]
     if pose not in poses:
-        shown = ", ".join(poses[:5]) + (", ..." if len(poses) > 5 else "")
-        raise OutputError(f"there is no pose {pose!r}", where=str(recording), remedy=f"There are: {shown}.")
+        shown = f"{', '.join(poses[:3])} to {poses[-1]}" if len(poses) > 3 else ", ".join(poses)
+        raise OutputError(f"there is no pose {pose!r}", where=str(recording), remedy=f"There are {shown}.")
     images = sorted({entity for entity, _ in found if entity.endswith("/image") and "/cameras/" in entity})
     if not images:
         raise OutputError(

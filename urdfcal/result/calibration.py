@@ -133,14 +133,15 @@ class Calibration:
 
         path = Path(path)
         file = path / FILE_NAME if path.is_dir() else path
+        remedy = "Name a folder that `urdfcal calibrate` wrote."
+        if file.suffix in (".urdf", ".xacro"):
+            raise OutputError("this is a robot's description, and no result", where=str(file), remedy=remedy)
         files.settle(file.parent)
         try:
             text = file.read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError) as error:
             reason = getattr(error, "strerror", None) or "it is not text"
-            raise OutputError(
-                f"cannot be read: {reason}", where=str(file), remedy="Name a folder that `urdfcal calibrate` wrote."
-            ) from error
+            raise OutputError(f"cannot be read: {reason}", where=str(file), remedy=remedy) from error
         return Calibration(read_document(text, str(file)))
 
     def save(self, path: str | Path) -> None:

@@ -257,14 +257,18 @@ class DHTable:
         """The index of each row's joint, (R,)."""
         return np.array([self.chain.names.index(row.joint) for row in self.rows])
 
-    def to_dict(self, convention: Convention = "standard") -> dict[str, Any]:
+    def to_dict(self, convention: Convention = "standard", offsets: Floats | None = None) -> dict[str, Any]:
         """Return the table as plain data: rows, and how they compose to the forward kinematics.
 
         In the modified convention (Craig) the same five numbers are grouped the other way round: row i holds
         the a, alpha and beta that lead to axis i, and its own theta and d. The last frame sits where its x
         axis meets the last axis (Craig, section 3.4), so that the way to the tip is all in the tool.
+
+        Args:
+            convention: how the numbers are grouped.
+            offsets: (n, 5) added to the rows, as a calibration finds them. [rad, m]
         """
-        rows, base, tool = self.nominal, self.base, self.tool
+        rows, base, tool = self.nominal if offsets is None else self.nominal + offsets, self.base, self.tool
         factors = "Rz(theta) Tz(d) Tx(a) Rx(alpha) Ry(beta)"
         if convention == "modified":
             factors = "Tx(a) Rx(alpha) Ry(beta) Rz(theta) Tz(d)"

@@ -61,6 +61,7 @@ class Truth(Scene):
 
     Attributes:
         seed: of all that is random.
+        arm_seed: of the robot alone.
         pixel: noise of the detections, one standard deviation. [px]
         error_scale: factor on the offsets.
         outlier_share: of the detections, as asked for.
@@ -76,6 +77,7 @@ class Truth(Scene):
     """
 
     seed: int
+    arm_seed: int
     pixel: float
     error_scale: float
     outlier_share: float
@@ -106,6 +108,7 @@ def simulate(
     rig: RigDescription,
     *,
     seed: int,
+    arm_seed: int | None = None,
     poses: int = 50,
     pixel: float | None = None,
     error_scale: float = 1.0,
@@ -120,6 +123,8 @@ def simulate(
     Args:
         rig: the robot, its LEDs and its cameras.
         seed: of all that is random.
+        arm_seed: of the true robot alone, instead: sessions with the same one are of the same arm, wherever it stands
+            and whatever else they were drawn from.
         poses: how many to measure.
         pixel: noise of the detections, one standard deviation, instead of the rig's; without noise (0) the
             session goes on to declare the rig's. [px]
@@ -138,6 +143,11 @@ def simulate(
         raise SessionError("there are no pixels: the rig touches places", where="simulate", remedy=remedy)
     nominal = nominal_scene(rig)
     robot_rng, stand_rng, led_rng, pose_rng, joint_rng, noise_rng, outlier_rng = np.random.default_rng(seed).spawn(7)
+    if arm_seed is None:
+        arm_seed = seed
+    else:
+        _check_arguments(arm_seed, poses, pixel, error_scale, outliers)
+        robot_rng = np.random.default_rng(arm_seed).spawn(7)[0]
 
     table = rows_of(rig.chain)
     offsets = error_scale * draw_offsets(table, robot_rng)
@@ -166,7 +176,7 @@ def simulate(
         q=readings,
         warnings=warnings,
     )
-    joint_errors = draw_joint_errors(rig.errors, planned, seed)
+    joint_errors = draw_joint_errors(rig.errors, planned, arm_seed)
     q = true_joint_values(planned, joint_errors)
     pixel = rig.noise.of(Detections) if pixel is None else pixel
     if not rig.places:
@@ -176,6 +186,7 @@ def simulate(
     truth = Truth(
         **vars(true),
         seed=seed,
+        arm_seed=arm_seed,
         pixel=pixel,
         error_scale=error_scale,
         outlier_share=outliers,
@@ -221,6 +232,7 @@ def _truth_to_dict(simulated: Simulated) -> dict[str, Any]:
     places = {name: place.tolist() for name, place in truth.places.items()}
     return {
         "seed": truth.seed,
+        "arm_seed": truth.arm_seed,
         "poses": len(session.poses),
         "error_scale": truth.error_scale,
         "outlier_share": truth.outlier_share,

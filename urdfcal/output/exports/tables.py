@@ -131,19 +131,7 @@ def dh_csv(calibration: Calibration) -> dict[str, str]:
     Raises:
         OutputError: whole placements were estimated, which are no DH rows, or the joints branch.
     """
-    offsets = calibration.dh_offsets
-    if offsets is None:
-        raise OutputError(
-            "whole placements were estimated, which no DH rows can express",
-            remedy="Calibrate with `estimate: {geometry: dh}`, or export origins: --to ros-kinematics.",
-        )
-    chain = calibration.chain
-    if not isinstance(chain, Chain):
-        raise OutputError(
-            "a tree of joints is no table of DH rows",
-            remedy="calibration.json has its rows; export origins: --to ros-kinematics.",
-        )
-    table = DHTable.from_chain(chain)
+    table, offsets = dh_rows(calibration)
     sigmas = _sigmas(calibration)
     header = ["joint", "type", *PARAMETERS, *(f"{n}_offset" for n in PARAMETERS), *(f"{n}_sigma" for n in PARAMETERS)]
     rows = [
@@ -157,6 +145,27 @@ def dh_csv(calibration: Calibration) -> dict[str, str]:
         for name, T in (("base", table.base), ("tool", table.tool))
     ]
     return {ROWS: csv_text(header, rows), FRAMES: csv_text(["frame", *POSE], frames)}
+
+
+def dh_rows(calibration: Calibration) -> tuple[DHTable, Floats]:
+    """The nominal DH rows of a calibrated chain, and what is added to them (n, 5). [rad, m].
+
+    Raises:
+        OutputError: whole placements were estimated, which are no DH rows, or the joints branch.
+    """
+    offsets = calibration.dh_offsets
+    if offsets is None:
+        raise OutputError(
+            "whole placements were estimated, which no DH rows can express",
+            remedy="Calibrate with `estimate: {geometry: dh}`, or export origins: --to ros-kinematics.",
+        )
+    chain = calibration.chain
+    if not isinstance(chain, Chain):
+        raise OutputError(
+            "a tree of joints is no table of DH rows",
+            remedy="calibration.json has its rows; export origins: --to ros-kinematics.",
+        )
+    return DHTable.from_chain(chain), offsets
 
 
 def joint_offsets(calibration: Calibration, urdf: Urdf) -> dict[str, bytes]:
