@@ -9,7 +9,20 @@ from typing import TYPE_CHECKING
 
 import click
 
-from urdfcal.cli import batch, calibrate, cameras, export, import_, judging, plan, results, robots, simulate, study
+from urdfcal.cli import (
+    batch,
+    calibrate,
+    cameras,
+    export,
+    guide,
+    import_,
+    judging,
+    plan,
+    results,
+    robots,
+    simulate,
+    study,
+)
 from urdfcal.cli.console import say
 from urdfcal.errors import UrdfcalError
 
@@ -51,7 +64,7 @@ _TO_A_RESULT = (
 _FROM_A_RESULT = (robots.evaluate, robots.dh, results.view, results.compensate, results.apply, export.command)
 _MANY = (batch.command, study.command)
 _JUDGING_RESULTS = (judging.verify, judging.compare)
-for _command in (*_TO_A_RESULT, *_MANY, *_FROM_A_RESULT, *_JUDGING_RESULTS):
+for _command in (*_TO_A_RESULT, *_MANY, *_FROM_A_RESULT, *_JUDGING_RESULTS, guide.command):
     cli.add_command(_command)
 
 
