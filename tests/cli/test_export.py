@@ -45,7 +45,10 @@ def mujoco_model(calibrated: Callable[[str], Path], tmp_path: Path) -> Path:
         (["ros-kinematics", "--link-keys"], ["kinematics.yaml"]),
         (["ros-static-tf"], ["static_transforms.launch.xml"]),
         (["ros-static-tf", "--add-frames"], ["elbow3r_calibrated_frames.urdf"]),
-        (["offsets"], ["joint_offsets.csv", "elbow3r_calibrated_without_offsets.urdf"]),
+        (
+            ["offsets"],
+            ["joint_offsets.csv", "joint_offsets.ros2_control.xml", "elbow3r_calibrated_without_offsets.urdf"],
+        ),
         (["dh-csv"], ["dh.csv", "dh_frames.csv"]),
         (["xacro-patch"], ["origins.yaml"]),
     ],

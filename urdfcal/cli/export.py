@@ -53,9 +53,10 @@ def command(
     urdf: of an arm that bends, the rigid one that is nearest to it in a workspace; what it loses is printed.
     ros-kinematics: origins as ur_description's default_kinematics.yaml has them. ros-static-tf: the poses of cameras
     and LEDs. mjcf: a MuJoCo model of the robot with the calibrated placements. offsets: the joints' zero offsets to
-    enter in a controller, and the URDF without them. dh-csv: the calibrated DH rows. xacro-patch: a table of origins
-    for a xacro file. franka-kinematics: origins as franka_description's kinematics.yaml has them (xArm's are
-    ros-kinematics). lerobot: a motor calibration with the zero offsets of an SO-100 or SO-101, for use_degrees.
+    enter in a controller or in ros2_control's description, and the URDF without them. dh-csv: the calibrated DH
+    rows. xacro-patch: a table of origins for a xacro file. franka-kinematics: origins as franka_description's
+    kinematics.yaml has them (xArm's are ros-kinematics). lerobot: a motor calibration with the zero offsets of an
+    SO-100 or SO-101, for use_degrees.
     """
     for given, option, needed in (
         (link_keys, "--link-keys", "ros-kinematics"),

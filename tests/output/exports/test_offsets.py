@@ -4,6 +4,7 @@ import csv
 import io
 from dataclasses import replace
 from typing import TYPE_CHECKING
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def read(written: dict[str, bytes]) -> tuple[dict[str, dict[str, str]], Urdf]:
-    table, urdf = written.values()
+    table, _, urdf = written.values()
     return {row["joint"]: row for row in csv.DictReader(io.StringIO(table.decode()))}, Urdf.parse(urdf)
 
 
@@ -46,6 +47,22 @@ def test_readings_with_offsets_and_the_urdf_without_are_the_calibrated_arm(resul
     for joint in drawn.joints:
         if joint.mimic is None:
             assert table[joint.name]["unit"] == ("m" if joint.prismatic else "rad")
+
+
+def test_ros2_control_adds_them_to_what_it_reads(result: Result) -> None:
+    """As its SimpleTransmission does: joint = actuator / reduction + offset."""
+    written = joint_offsets(result.calibration, result.urdf)
+    table, _ = read(written)
+    root = ElementTree.fromstring(written["joint_offsets.ros2_control.xml"])  # noqa: S314  # our own
+    found = {}
+    for transmission in root.iter("transmission"):
+        assert transmission.findtext("plugin") == "transmission_interface/SimpleTransmission"
+        joint = transmission.find("joint")
+        assert joint is not None
+        assert (joint.get("role"), float(joint.findtext("mechanical_reduction", ""))) == ("joint1", 1.0)
+        assert len(transmission.findall("actuator[@role='actuator1']")) == 1
+        found[joint.get("name")] = float(joint.findtext("offset", ""))
+    assert found == {name: float(row["offset"]) for name, row in table.items() if float(row["offset"])}
 
 
 def test_offsets_are_those_of_the_truth(results: Callable, simulated: Callable) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
+from xml.sax.saxutils import escape
 
 import numpy as np
 import yaml
@@ -27,9 +28,20 @@ if TYPE_CHECKING:
 
 ROWS, FRAMES, OFFSETS = "dh.csv", "dh_frames.csv", "joint_offsets.csv"
 POSE = ("x", "y", "z", "roll", "pitch", "yaw")
-KINEMATICS, ORIGINS = "kinematics.yaml", "origins.yaml"
+KINEMATICS, ORIGINS, TRANSMISSIONS = "kinematics.yaml", "origins.yaml", "joint_offsets.ros2_control.xml"
 # The URDF's angles round by less; an edited origin differs by more. [m, entries of the rotation]
 _SAME = 1e-9
+# What ros2_control's SimpleTransmission makes of a position: joint = actuator / reduction + offset.
+_TRANSMISSION = """\
+  <transmission name="{joint}_offset">
+    <plugin>transmission_interface/SimpleTransmission</plugin>
+    <actuator name="{joint}_reading" role="actuator1"/>
+    <joint name="{joint}" role="joint1">
+      <mechanical_reduction>1.0</mechanical_reduction>
+      <offset>{offset!r}</offset>
+    </joint>
+  </transmission>
+"""
 _INSTRUCTION = """\
 # Calibrated joint origins, m and rad; calibration.json has sha256 {sha256}.
 # In the xacro file, once:
@@ -201,8 +213,15 @@ def joint_offsets(calibration: Calibration, urdf: Urdf) -> dict[str, bytes]:
     stem = urdf.path.stem if urdf.path else urdf.name
     return {
         OFFSETS: csv_text(["joint", "unit", "offset", "sigma"], rows).encode(),
+        TRANSMISSIONS: _transmissions({name: offset for name, _, offset, _ in rows}),
         f"{stem}_without_offsets.urdf": rewrite_origins(urdf, origins),
     }
+
+
+def _transmissions(offsets: Mapping[str, float]) -> bytes:
+    """Zero offsets (rad, m) as ros2_control takes them: for the <ros2_control> element of a robot's description."""
+    each = (_TRANSMISSION.format(joint=escape(name, {'"': "&quot;"}), offset=of) for name, of in offsets.items() if of)
+    return f"<transmissions>\n{''.join(each)}</transmissions>\n".encode()
 
 
 def region_urdf(calibration: Calibration, urdf: Urdf, placements: Floats) -> dict[str, str | bytes]:
