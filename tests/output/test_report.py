@@ -7,6 +7,7 @@ import shutil
 import subprocess
 from dataclasses import replace
 from html.parser import HTMLParser
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -122,11 +123,14 @@ def test_verdict_stands_first_and_what_is_lost_is_said(calibration, page):
 
 def test_what_is_known_of_the_arm_is_said_and_no_folder_of_this_machine(calibration, tmp_path):
     session = replace(calibration.session, about={"serial": "00<42>"}, urdf_reference="/home/me/secret/arm.urdf")
-    session = replace(session, sha256={"/home/me/secret/arm.urdf": "0" * 64})
-    write_report(tmp_path / "report.html", Overview.of(replace(calibration, session=session)))
+    session = replace(session, sha256={"/home/me/secret/arm.urdf": "0" * 64}, folder=Path("/home/me/secret/s"))
+    warnings = ("/home/me/secret/s/joints.csv:3:1: odd",)
+    assessment = replace(calibration.assessment, warnings=warnings)
+    write_report(tmp_path / "report.html", Overview.of(replace(calibration, session=session, assessment=assessment)))
     page = Page((tmp_path / "report.html").read_text())
     assert "serial 00<42>" in page.text
     assert "arm.urdf" in page.text
+    assert "joints.csv:3:1: odd" in page.text
     assert "secret" not in (tmp_path / "report.html").read_text()
 
 
@@ -172,6 +176,7 @@ def test_parameters_that_go_together_are_named(calibration):
         i, j = names.index(one), names.index(other)
         assert value == pytest.approx(covariance[i, j] / np.sqrt(covariance[i, i] * covariance[j, j]))
         assert abs(value) > 0.9
+        assert any(name.startswith(tuple(calibration.geometry.labels)) for name in (one, other))
     assert pairs == sorted(pairs, key=lambda pair: -abs(pair[2]))
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal import files
-from urdfcal.estimation.blocks.arm import LENGTHS
+from urdfcal.estimation.blocks.arm import LENGTHS, ArmBlock
 from urdfcal.output.charts import SYMBOLS
 from urdfcal.output.figures import figures
 from urdfcal.output.findings import (
@@ -43,6 +43,8 @@ if TYPE_CHECKING:
 _TEMPLATE = "report.html.jinja"
 _OUTLIERS_SHOWN = 25
 _MINUS = "\N{MINUS SIGN}"
+# In no text.
+_NOWHERE = "\0"
 # Parameters that are correlated more are told apart by little, and so many pairs are shown.
 _CORRELATED, _PAIRS = 0.9, 12
 # An LED's place that is known worse is told by predictions alone. [m]
@@ -113,6 +115,7 @@ def write_report(path: Path, overview: Overview, *, refused: bool = False) -> No
         correlated=_CORRELATED,
         hardly_known=_hardly_known(document),
         short=_short,
+        folder=f"{folder}/" if (folder := calibration.session.folder) and folder.is_absolute() else _NOWHERE,
         figures={name: Markup(figure_html(figure)) for name, figure in figures(overview).items()},  # noqa: S704  # made by us, labels escaped
         sigma_legend=SIGMA_LEGEND,
         actuated=len(calibration.chain.actuated),
@@ -149,11 +152,15 @@ def _hardly_known(document: ResultData) -> list[str]:
 
 
 def _correlated_pairs(calibration: FittedCalibration) -> list[tuple[str, str, float]]:
-    """Pairs of estimated parameters whose errors go together, the most correlated first."""
+    """Pairs of the arm's parameters and others whose errors go together, the most correlated first.
+
+    Those of which neither is the arm's, such as two LEDs' places, do not matter to it.
+    """
     parameters = calibration.fit.parameters
     names = [name for name, active in zip(parameters.names, parameters.active, strict=True) if active]
+    own = {name for block in parameters.blocks if isinstance(block, ArmBlock) for name in block.names}
     sigma = np.sqrt(np.diag(calibration.fit.covariance))
     correlation = np.triu(calibration.fit.covariance / np.outer(sigma, sigma), 1)
     found = np.argwhere(np.abs(correlation) > _CORRELATED).tolist()
-    pairs = [(names[i], names[j], float(correlation[i, j])) for i, j in found]
+    pairs = [(names[i], names[j], float(correlation[i, j])) for i, j in found if own & {names[i], names[j]}]
     return sorted(pairs, key=lambda pair: -abs(pair[2]))
