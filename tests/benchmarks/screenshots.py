@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from urdfcal.result.fitted import FittedCalibration
     from urdfcal.session.model import Session
 
-_TABS = ("arm", "pixels", "convergence", "parameters", "residuals", "workspace")
 _POSE = 10
 _WINDOW = (1600, 900)
 _WIDTH = 1100
@@ -76,7 +75,8 @@ def _tabs(calibration: FittedCalibration, folder: Path, stem: Path) -> list[str]
     """Show every tab in turn; return what its views complain of."""
     overview, layout = Overview.of(calibration), recording.layout
     complaints = []
-    for index, tab in enumerate(name for name in _TABS if name != "pixels" or overview.scene.pixels is not None):
+    tabs = [str(view.name).lower() for view in layout(overview).root_container.contents]
+    for index, tab in enumerate(tabs):
         path = folder / f"{tab}.rrd"
         recording.layout = lambda what, active=index: layout(what, active)
         try:
