@@ -116,6 +116,31 @@ def test_everything_promised_is_there(recorded):
     assert len(recorded.reader.blueprints()) == 1
 
 
+def test_poses_of_known_time_have_a_time_axis_and_a_number_from_1(calibration, tmp_path):
+    session = replace(calibration.session, time=0.5 * np.arange(POSES) + 3.0)
+    write_recording(tmp_path / "timed.rrd", Overview.of(replace(calibration, session=session)))
+    timed = Recorded(tmp_path / "timed.rrd")
+    assert timed.timelines == {"pose", "time", "iteration"}
+    entity, component = "/base/texts/about", "TextDocument:text"
+    seconds = [of.total_seconds() for of in timed.rows(entity, component, "time")]
+    np.testing.assert_allclose(seconds, session.time)
+    (batch,) = [b for chunk, b in timed.chunks if chunk.entity_path == entity and component in b.schema.names]
+    assert batch.column("pose").to_pylist() == list(range(1, POSES + 1))
+
+
+def test_before_and_after_are_shown_in_one_scale(calibration, recorded):
+    """Arrows of both arms are enlarged alike, and those of known lengths say by how much."""
+    scene = build_scene(calibration)
+    for camera in calibration.estimate.cameras:
+        image = f"/base/cameras/{camera.name}/image"
+        for name, factor in (("scale", scene.pixel_factor), ("scale\\ enlarged", scene.field_factor)):
+            (label,) = recorded.static(f"{image}/{name}", "Arrows2D:labels")
+            ((length, _),) = recorded.static(f"{image}/{name}", "Arrows2D:vectors")
+            assert length / factor == pytest.approx(float(label.removesuffix(" px")), rel=1e-5)
+        near, far = (recorded.static(f"{image}/{name}", "Arrows2D:vectors") for name in ("field", "field\\ enlarged"))
+        np.testing.assert_allclose(far * scene.pixel_factor, near * scene.field_factor, rtol=1e-3, atol=1e-2)
+
+
 def test_every_pose_has_its_row_even_when_nothing_was_seen(recorded):
     for entity, component in (
         ("/base/led/measured", "Points3D:positions"),
