@@ -389,6 +389,26 @@ def test_photographs_and_overlay(calibration, tmp_path):
         overlays(tmp_path / "calibration.rrd", "nowhere")
 
 
+def test_rejected_lights_are_marked_with_the_reason(calibration, tmp_path):
+    session = calibration.session
+    (tmp_path / "detections_rejected.csv").write_text(
+        "pose,camera,led,u,v,sigma,peak,width,reason\n"
+        f"{session.poses[4]},cam1,led,668,1022.0,,,,larger than an LED\n"
+        f"{session.poses[4]},cam1,led,,,,,,no light\nnowhere,cam1,led,1,2,,,,of no pose\n"
+    )
+    write_recording(
+        tmp_path / "calibration.rrd", Overview.of(replace(calibration, session=replace(session, folder=tmp_path)))
+    )
+    recorded = Recorded(tmp_path / "calibration.rrd")
+    entity = "/base/cameras/cam1/image/rejected"
+    found = recorded.rows(entity, "Points2D:positions")
+    assert [k for k, row in found.items() if len(row)] == [4]
+    np.testing.assert_allclose(found[4], [[668 + CORNER, 1022 + CORNER]])
+    assert recorded.rows(entity, "Points2D:labels")[4].tolist() == ["larger than an LED"]
+    (text,) = recorded.rows("/base/texts/about", "TextDocument:text")[0]
+    assert "lights that detection rejected" in text
+
+
 def test_dark_photographs_are_brightened(tmp_path):
     import cv2
 

@@ -14,7 +14,7 @@ from urdfcal.output import arms, palette
 from urdfcal.output.chart import Chart, reference_length
 from urdfcal.output.charts import CONVERGENCE, PART_COLORS, RESIDUALS, WORKSPACE, all_charts, error_colors, paths
 from urdfcal.output.findings import ELLIPSOID, HEADLINE, Overview, Workspace, headline, parameter_text, pose_texts
-from urdfcal.output.images import arm_in_images, compressed, find_photographs, finite_pieces
+from urdfcal.output.images import arm_in_images, compressed, find_photographs, find_rejected, finite_pieces
 from urdfcal.output.joint_charts import JOINTS
 from urdfcal.output.scene import MOST_ARROWS, image_range
 from urdfcal.output.stream import CORNER, ITERATION, Layer
@@ -65,7 +65,7 @@ def log_overview(stream: RecordingStream, overview: Overview, entity_path: str) 
 
 def _log_cameras(base: Layer, calibration: FittedCalibration, scene: CalibrationScene) -> None:
     """Log the cameras' poses and frusta, their rays to the LEDs, their images, and the arm drawn into these."""
-    photographs = find_photographs(calibration.session)
+    photographs, rejected = find_photographs(calibration.session), find_rejected(calibration.session)
     fastened = calibration.session.attachments
     # The calibrated arm, thinner, lies on the nominal one.
     lines = [
@@ -80,6 +80,11 @@ def _log_cameras(base: Layer, calibration: FittedCalibration, scene: Calibration
             pose = np.array(sorted(photographs[index]))
             blobs = compressed(photographs[index][k] for k in pose)
             image.each(rr.EncodedImage, {"blob": blobs}, pose, media_type="image/jpeg")
+        if lights := rejected.get(camera.name):
+            pose, places = np.array([light[0] for light in lights]), [light[1:3] for light in lights]
+            columns = {"positions": np.array(places) + CORNER, "labels": [light[3] for light in lights]}
+            same = {"colors": palette.REJECTED, "radii": _SMALL_DOT, "show_labels": False}
+            image.at("rejected").each(rr.Points2D, columns, pose, **same)
         for name, uv, radius in lines:
             pieces = [(pose, piece + CORNER) for pose, line in enumerate(uv[index]) for piece in finite_pieces(line)]
             arm, color = image.at("arm", name), palette.OF_ARM[name]

@@ -11,6 +11,7 @@ import numpy as np
 from urdfcal.arrays import Bools, Floats, frozen
 from urdfcal.estimation.alignment import kabsch
 from urdfcal.estimation.blocks.arm import LENGTHS
+from urdfcal.output.images import find_rejected
 from urdfcal.output.palette import SIGMA_LEGEND
 from urdfcal.output.scene import CalibrationScene, build_scene
 from urdfcal.robot.kinematics import tip_poses
@@ -178,6 +179,8 @@ def pose_texts(overview: Overview) -> list[str]:
         taken_out = ", taken out of the fit" if cut else ""
         lines[pose].append(f"{names[led]} {new[m]:.2f} mm off, nominal {old[m]:.2f} mm{taken_out}")
     legend = _LEGEND.format(enlarged=_ENLARGED.format(factor=scene.factor) if scene.factor > 1.0 else _TRUE_SIZE)
+    if find_rejected(session):
+        legend += "\nIn images orange: lights that detection rejected; a click tells why.\n"
     if fastened := fastening_sentences(session):
         legend += "\n" + " ".join(fastened) + "\n"
     if overview.calibration.assessment.reasons:

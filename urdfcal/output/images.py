@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +34,8 @@ _FARTHEST = 100.0
 _SHIFT = 4
 _COLORS = {name: color[::-1] for name, color in (OF_ARM | {"detected": MEASURED}).items()}
 _FOLDER = "images"
+# As in urdfcal.detection.detect, which takes long to import.
+_REJECTED = "detections_rejected.csv"
 # A 1.3-megapixel image takes about 100 kB then.
 _QUALITY = 80
 _GAP = 8
@@ -149,6 +152,23 @@ def find_shots(session: Session) -> tuple[dict[tuple[int, int], Path], ...]:
     poses = [{pose for pose, _ in of} for of in found]
     seen = [set(poses_of_camera(session, c).tolist() if lens.count(of) > 1 else poses[of]) for c, of in enumerate(lens)]
     return tuple({shot: path for shot, path in found[of].items() if shot[0] in seen[c]} for c, of in enumerate(lens))
+
+
+def find_rejected(session: Session) -> dict[str, list[tuple[int, float, float, str]]]:
+    """What `urdfcal detect` has rejected in a session's images, by camera: pose (its index), u, v in px, and why."""
+    path = None if session.folder is None else session.folder / _REJECTED
+    if path is None or not path.is_file():
+        return {}
+    index = {session.label(k): k for k in range(len(session.poses))}
+    found: dict[str, list[tuple[int, float, float, str]]] = {}
+    with path.open(encoding="utf-8", newline="") as file:
+        for row in csv.DictReader(file):
+            try:
+                light = index[row["pose"]], float(row["u"]), float(row["v"]), row["reason"]
+            except (KeyError, TypeError, ValueError):  # of a pose that does not count, or no light at all
+                continue
+            found.setdefault(row["camera"], []).append(light)
+    return {camera: sorted(lights) for camera, lights in found.items()}
 
 
 def compressed(paths: Iterable[Path]) -> list[bytes]:

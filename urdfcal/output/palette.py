@@ -19,6 +19,8 @@ OF_ARM = {"nominal": NOMINAL, "calibrated": CALIBRATED}
 GHOST = (*NOMINAL, 60)
 MEASURED = (255, 255, 255)
 OUTLIER = (230, 60, 230)
+REJECTED = (255, 170, 80)
+"""Lights in images that are no LED."""
 FAINT = (150, 150, 120)
 INK = (150, 150, 150)
 """Of labels, which the viewer writes on dark or light ground as the user likes it."""
