@@ -125,3 +125,34 @@ def test_wrong_calls_say_what_is_wrong(
     assert run(["simulate", "elbow3r", "-o", str(tmp_path / "s"), *arguments]) == 2
     assert message in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+def test_a_rolling_shutter_is_found_with_the_arm(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rig = small_rig(tmp_path / "rig")
+    cameras = yaml.safe_load((tmp_path / "rig" / "cameras.yaml").read_text())
+    cameras["cam0"]["line_time"] = 4.0e-5
+    (tmp_path / "rig" / "cameras.yaml").write_text(yaml.safe_dump(cameras))
+    session, out = tmp_path / "s", tmp_path / "out"
+    arguments = ["simulate", rig, "-o", str(session), *MOVING, "--poses", "8", "--frame-rate", "10"]
+    assert run([*arguments, "--images"]) == 2
+    assert "images of rolling shutters cannot be rendered" in capsys.readouterr().err
+    assert run(arguments) == 0
+    truth = json.loads((session / "truth.json").read_text())["line_times"]
+    assert list(truth) == ["cam0"]
+    assert truth["cam0"] != 4.0e-5
+    capsys.readouterr()
+    assert run(["calibrate", str(session), "-o", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "rolling shutters, from row to row: cam0 " in said
+    document = json.loads((out / "calibration.json").read_text())
+    found = document["cameras"]["cam0"]["line_time"]
+    assert abs(found["value"] - truth["cam0"]) < 4.0 * found["sigma"]
+    assert found["sigma"] < 1e-6
+    assert "line_time" not in document["cameras"]["cam1"]
+    assert "Line time of cam0" in (out / "report.html").read_text()
+    assert run(["evaluate", str(out / "elbow3r_calibrated.urdf"), str(session), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["residual_px"]["rms"] < 0.2
+    # Without, the same frames say that something is wrong.
+    plain = (session / "cameras.yaml").read_text()
+    (session / "cameras.yaml").write_text(re.sub(r"  line_time.*\n", "", plain))
+    assert run(["calibrate", str(session), "-o", str(tmp_path / "worse")]) == 1

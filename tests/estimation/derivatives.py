@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from urdfcal.estimation.state import State
 
 # Where rounding and curvature are both below 1e-6 of a derivative. [unit of the parameter]
-STEPS = {"m": 1e-6, "rad": 1e-6, "px": 1e-5, "s": 1e-5, "1": 1e-6}
+STEPS = {"m": 1e-6, "rad": 1e-6, "px": 1e-5, "s": 1e-5, "s/row": 1e-8, "1": 1e-6}
 
 
 def units_of(parameters: Parameters) -> list[str]:

@@ -91,3 +91,17 @@ def test_readings_that_no_joint_can_have_are_refused() -> None:
     time, values = np.array([0.0, 1e-300, 1.0]), np.array([[0.0], [0.1], [0.2]])
     with pytest.raises(SessionError, match=r"a joint moves at .* between two readings"):
         JointLog(time, values)
+
+
+@pytest.mark.parametrize("count", [2, 5, 200])
+def test_what_follows_a_little_later_is_the_motion_and_not_the_readings_noise(count: int) -> None:
+    rng, time = np.random.default_rng(0), np.linspace(0.0, 1.6, count)
+    noise = 0.0 if count < 200 else 4e-4
+    log = JointLog(time, (0.5 * time + noise * rng.standard_normal(count))[:, None])
+    at, late = rng.uniform(0.2, 1.4, 300), rng.uniform(-0.015, 0.015, 300)
+    values, by_time, by_lateness = log.later(at, late)
+    np.testing.assert_allclose((values - log.at(at))[:, 0], 0.5 * late, atol=1e-12 + 0.4 * noise)
+    assert np.std(by_lateness - 0.5) <= 30.0 * noise + 1e-12
+    for derivative, shift in ((by_time, (1e-6, 0.0)), (by_lateness, (0.0, 1e-6))):
+        before, after = (log.later(at + s * shift[0], late + s * shift[1])[0] for s in (-1.0, 1.0))
+        np.testing.assert_allclose(derivative, (after - before) / 2e-6, atol=1e-5)

@@ -23,6 +23,8 @@ _OUTSIDE = 0.5
 _LONGEST_FOCAL = 1000.0
 # The narrower the view, the larger the coefficients that still bend something: thousands at five degrees.
 _LARGEST = 1e6
+# A rolling shutter reads 480 to 4,000 rows in 5 to 50 ms. [s]
+_LONGEST_LINE = 1e-3
 # Interlaced and anamorphic sensors reach 2:1.
 _PIXEL_ASPECT = 3.0
 
@@ -37,6 +39,8 @@ class Camera:
         intrinsics: (4,) fx, fy, cx, cy in px.
         distortion_model: "radtan", "equidistant" or "none".
         distortion: (k,) as in OpenCV and Kalibr: radtan k1 k2 p1 p2 [k3], equidistant k1 k2 k3 k4.
+        line_time: how much later each row of an image is taken than the one above; 0 of a global shutter. [s]
+        line_time_sigma: how well that is known; 0 exactly. [s]
 
     Raises:
         CameraError: the values are not those of a camera, or look like millimetres or normalised ones.
@@ -47,6 +51,8 @@ class Camera:
     intrinsics: Floats
     distortion_model: str = "none"
     distortion: Floats = field(default_factory=lambda: np.zeros(0))
+    line_time: float = 0.0
+    line_time_sigma: float = 0.0
     _lens: Lens = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -60,7 +66,13 @@ class Camera:
         object.__setattr__(self, "distortion", self._numbers("distortion", self.distortion))
         self._check_lens()
         self._check_pinhole()
+        self._check_shutter()
         object.__setattr__(self, "_lens", Lens.from_coefficients(self.distortion_model, self.distortion))
+
+    @property
+    def rolling(self) -> bool:
+        """Whether its rows are taken one after the other, or may be."""
+        return self.line_time != 0.0 or self.line_time_sigma > 0.0
 
     @property
     def parameters(self) -> Floats:
@@ -190,6 +202,11 @@ class Camera:
         if given and np.abs(self.distortion).max() > _LARGEST:
             what = f"a distortion coefficient is {self.distortion[np.abs(self.distortion).argmax()]:g}"
             raise self._error(f"{what}: no lens bends rays so far", f"Their order is {' '.join(names)}.")
+
+    def _check_shutter(self) -> None:
+        if not (abs(self.line_time) < _LONGEST_LINE and 0.0 <= self.line_time_sigma < _LONGEST_LINE):
+            what = f"line_time {self.line_time:g} +- {self.line_time_sigma:g} s is no time from one row to the next"
+            raise self._error(what, "It is in seconds: 2.1e-5 of 1080 rows in 23 ms.")
 
     def _check_pinhole(self) -> None:
         if len(self.intrinsics) != 4:

@@ -87,6 +87,9 @@ def print_summary(overview: Overview, paths: Sequence[Path], remarks: Sequence[s
     clocks = [f"{name} {_clock(**camera['time_offset'])}" for name, camera in cameras if "time_offset" in camera]
     if clocks:
         line(f"time offsets, robot less camera: {', '.join(clocks)}")
+    shutters = [f"{name} {_row_time(**camera['line_time'])}" for name, camera in cameras if "line_time" in camera]
+    if shutters:
+        line(f"rolling shutters, from row to row: {', '.join(shutters)}")
     rows, places = len(calibration.geometry.labels), placed(calibration)
     for place in places:
         line(place)
@@ -110,6 +113,11 @@ def print_summary(overview: Overview, paths: Sequence[Path], remarks: Sequence[s
 def _clock(value: float, sigma: float | None) -> str:
     """A camera's time offset, given in s."""
     return f"{1e3 * value:.3g} (fixed)" if sigma is None else f"{1e3 * value:+.2f} ± {1e3 * sigma:.2f} ms"
+
+
+def _row_time(value: float, sigma: float | None) -> str:
+    """A camera's line time, given in s."""
+    return f"{1e6 * value:.4g} us (given)" if sigma is None else f"{1e6 * value:.2f} ± {1e6 * sigma:.2f} us"
 
 
 def _print_corrections(calibration: FittedCalibration, console: Console) -> int:

@@ -58,7 +58,7 @@ class Linearization:
         residual: (N, m, D) predicted minus measured.
         J: (N, m, D, count) derivative by the active parameters.
         by_frame: derivatives by the motions of the world and of links, see ``ByFrame``.
-        motions: of the links among these frames.
+        motions: of the links among these frames; where slots are taken at times of their own, of N m poses.
         axes: (6 n, n) body twists of the joints' motions.
     """
 
@@ -72,7 +72,9 @@ class Linearization:
     def J_q(self) -> Floats:
         """(N, m D, n) derivative by the joint values."""
         N, m, D = self.residual.shape
-        return _by_placements(self.by_frame, self.motions, self.axes, (N, m * D, self.axes.shape[1]))
+        count, n = len(self.motions[0].R), self.axes.shape[1]
+        each = _by_placements(self.by_frame, self.motions, self.axes, (count, N * m * D // count, n))
+        return each.reshape(N, m * D, n)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +88,7 @@ class Tangent:
         parameters: the derivative's columns.
         model: of the arm at the state.
         G: (6 n, p) body twists of the placements for each of the arm's active parameters.
-        q: (N, n) joint values at the state. [rad or m]
+        q: (N, n) joint values at the state; (N m, n) where slots are taken at times of their own. [rad or m]
     """
 
     problem: Problem
@@ -108,15 +110,17 @@ class Tangent:
             parameters,
             arm.chain.build_model(arm.placements(offsets)),
             arm.twists(offsets, parameters.arm_rows),
-            problem.joint_values(observed.readings, state),
+            problem.joint_values(observed.by_slot.readings, state),
         )
 
     def linearise(self, poses: slice = _EVERY) -> Linearization:
         """Evaluate residuals and derivatives for some of the observations' N poses."""
         problem, state, parameters = self.problem, self.state, self.parameters
         observed = self.observed if poses == _EVERY else self.observed.at(poses)
+        shape, observed = observed.value.shape, observed.by_slot
         N, m, D = observed.value.shape
-        motions = link_motions(problem.arm.chain, self.model, self.q[poses], problem.attachments.tips)
+        q = self.q.reshape(len(self.observed.row), -1, self.q.shape[1])[poses].reshape(-1, self.q.shape[1])
+        motions = link_motions(problem.arm.chain, self.model, q, problem.attachments.tips)
         part = observed.readings.part
         links = Links.of(problem.attachments, state, part, [of.R for of in motions], [of.p for of in motions])
         J = Jacobian(parameters, N * m, D)
@@ -132,11 +136,12 @@ class Tangent:
         if self.G.shape[1]:
             by_arm = _by_placements(by_frame, motions, self.G, (N, m * D, self.G.shape[1]))
             J.values[:, :, parameters.active_columns(ARM)[0]] = by_arm.reshape(N * m, D, -1)
-        found = Linearization(residual, J.values.reshape(N, m, D, -1), by_frame, motions, joint_axes(problem.arm.chain))
+        axes = joint_axes(problem.arm.chain)
+        found = Linearization(residual.reshape(shape), J.values.reshape(*shape, -1), by_frame, motions, axes)
         for model in problem.joint_models:
             if J.wants(model.key):
                 by_model = model.jacobian(observed.readings, state[model.key])
-                J.put(model.key, (found.J_q @ by_model).reshape(N * m, D, -1))
+                J.put(model.key, (found.J_q.reshape(N, m * D, -1) @ by_model).reshape(N * m, D, -1))
         return found
 
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from urdfcal.arrays import Bools, Floats, Ints, evenly, frozen, numbered
 from urdfcal.estimation.joint_models import Readings
+from urdfcal.session.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -30,6 +32,8 @@ class Observations:
         index: for each key of the table but the pose (N, m) indices; 0 for padding.
         value: (N, m, D) what was measured; 0 for padding. [unit of the table]
         covariance: (N, m, D, D) of the measurement alone; identity for padding.
+        line: (N, m) of a moving arm before a rolling shutter, how far below the middle of its image each is seen, which
+            is then taken at a time of its own; empty of others. [px]
     """
 
     table: Measurement
@@ -38,6 +42,20 @@ class Observations:
     index: Mapping[str, Ints]
     value: Floats
     covariance: Floats
+    line: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+
+    @cached_property
+    def by_slot(self) -> Observations:
+        """The same with a pose for each slot (N m, 1) where slots are taken at times of their own; else the same."""
+        motion = self.readings.motion
+        if not self.line.size or not isinstance(motion, Trajectory):
+            return self
+        each = np.repeat(np.arange(len(self.row)), self.row.shape[1])
+        readings = self.readings.at(each)
+        readings = replace(readings, motion=replace(motion.at(each), line=self.line.ravel()))
+        single = {key: column.reshape(-1, 1) for key, column in self.index.items()}
+        value, covariance = (of.reshape(-1, 1, *of.shape[2:]) for of in (self.value, self.covariance))
+        return Observations(self.table, readings, self.row.reshape(-1, 1), single, value, covariance)
 
     @property
     def pose(self) -> Ints:
@@ -68,6 +86,7 @@ class Observations:
             {key: column[poses] for key, column in self.index.items()},
             self.value[poses],
             self.covariance[poses],
+            self.line[poses] if self.line.size else self.line,
         )
 
     def even(self, most: int) -> Ints:
@@ -105,4 +124,8 @@ def arrange(session: Session, table: Measurement) -> Observations:
     covariance = np.broadcast_to(np.eye(D), (*shape, D, D)).copy()
     value[group, slot], covariance[group, slot] = table.compared, table.covariances
     readings = Readings.of(session).at(poses)
-    return Observations(table, readings, frozen(row, np.intp), index, frozen(value), frozen(covariance))
+    cameras, line = session.rig.cameras, np.zeros((0, 0))
+    if isinstance(session.motion, Trajectory) and any(camera.rolling for camera in cameras):
+        middle = np.array([(camera.resolution[1] - 1) / 2.0 for camera in cameras])
+        line = np.where(row >= 0, value[..., 1] - middle[index["camera"]], 0.0)
+    return Observations(table, readings, frozen(row, np.intp), index, frozen(value), frozen(covariance), frozen(line))

@@ -95,7 +95,9 @@ class Problem:
 
     def predict(self, observed: Observations, state: State) -> Floats:
         """Return what should be measured (N, m, D); NaN where it is impossible, as behind a camera."""
-        return observed.table.predict(observed, self.links(observed.readings, state), state)
+        one = observed.by_slot
+        predicted: Floats = one.table.predict(one, self.links(one.readings, state), state)
+        return predicted.reshape(observed.value.shape)
 
     def residual(self, observed: Observations, state: State) -> Floats:
         """Return predicted minus measured (N, m, D), zero for padding. [unit of the table]."""
@@ -103,7 +105,8 @@ class Problem:
 
     def metres_per_unit(self, observed: Observations, state: State) -> Floats:
         """Return what one unit of residual is worth at the LED, (N, m). [m]."""
-        return observed.table.metres_per_unit(observed, self.links(observed.readings, state), state)
+        one = observed.by_slot
+        return one.table.metres_per_unit(one, self.links(one.readings, state), state).reshape(observed.row.shape)
 
     def off(self, observed: Observations, state: State) -> Floats:
         """Return how far what was measured is off (N, m), for pixels across the ray; turns do not count. [m]."""

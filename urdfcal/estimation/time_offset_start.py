@@ -10,7 +10,7 @@ from urdfcal.arrays import evenly
 from urdfcal.errors import CalibrationError
 from urdfcal.estimation.blocks.targets import point_places
 from urdfcal.estimation.camera_start import Views
-from urdfcal.estimation.joint_models.time_offset import TIME_OFFSETS, TimeOffsets
+from urdfcal.estimation.joint_models.time_offset import TIME_OFFSETS, TimeOffsets, nominal_clocks
 from urdfcal.estimation.measurements import Detections
 from urdfcal.estimation.start import Start, first_state, nominal_places
 from urdfcal.estimation.state import State
@@ -45,10 +45,10 @@ def start_state(session: Session, arm: ArmParameterization, offsets: Floats) -> 
     detections = session.find(Detections)
     if not isinstance(session.motion, Trajectory) or detections is None:
         return first_state(session, arm, offsets)
-    time_offsets = np.zeros(len(session.rig.cameras))
-    if TimeOffsets.estimated(session, "none"):
-        cameras = range(len(time_offsets))
-        time_offsets = np.array([_search(session, detections, arm, offsets, c) for c in cameras])
+    time_offsets = nominal_clocks(session)
+    if TimeOffsets.estimated(session, "none") and session.estimate.time_offset != "fixed":
+        for c in range(len(session.rig.cameras)):
+            time_offsets[c] = _search(session, detections, arm, offsets, c)
     return first_state(session.with_time_offsets(time_offsets), arm, offsets, {TIME_OFFSETS: time_offsets})
 
 
@@ -69,7 +69,7 @@ def _search(session: Session, detections: Detections, arm: ArmParameterization, 
 
 def _miss(session: Session, arm: ArmParameterization, offsets: Floats, camera: int, time_offset: float) -> float:
     """How far (median, px) the LEDs are seen from where the arm holds them, the camera put where that is least."""
-    session = session.with_time_offsets(np.full(len(session.rig.cameras), time_offset))
+    session = session.with_time_offsets(nominal_clocks(session, time_offset))
     at, detections = Start.of(session, arm, offsets), session.find(Detections)
     if detections is None:
         return np.inf

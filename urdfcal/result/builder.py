@@ -277,6 +277,9 @@ def _camera(of: FittedCalibration, c: int) -> Plain:
     if len(of.estimate.time_offsets):
         clocks, value = of.sigmas_of(TIME_OFFSETS), of.estimate.time_offsets[c]
         entry["time_offset"] = {"value": value, "sigma": _known(clocks[c]) if len(clocks) else None}
+    if of.estimate.cameras[c].rolling and len(of.estimate.time_offsets):
+        line = len(of.estimate.cameras) + c
+        entry["line_time"] = {"value": of.estimate.time_offsets[line], "sigma": _known(clocks[line])}
     return entry
 
 

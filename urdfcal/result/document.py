@@ -147,6 +147,13 @@ class TimeOffsetEntry(Section):
     sigma: float | None
 
 
+class LineTimeEntry(Section):
+    """How much later each row of a camera's images is taken than the one above, in s; sigma is None where given."""
+
+    value: float
+    sigma: float | None
+
+
 class CameraSigmas(Section):
     """Standard deviations of what was estimated of a camera; its pose's of a small motion in its own frame."""
 
@@ -168,6 +175,7 @@ class CameraEntry(Section):
     sigma: CameraSigmas
     time_offset: TimeOffsetEntry | None = None
     resolution: Annotated[list[int], Field(min_length=2, max_length=2)] | None = None
+    line_time: LineTimeEntry | None = None
 
     @model_validator(mode="after")
     def _has_a_pose(self) -> CameraEntry:

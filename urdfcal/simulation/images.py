@@ -131,6 +131,12 @@ def write_simulated_images(
             where="simulate",
             remedy="Leave --images out: detections are simulated for them as for any camera.",
         )
+    if isinstance(motion, Trajectory) and any(camera.rolling for camera in scene.cameras):
+        raise SessionError(
+            "images of rolling shutters cannot be rendered",
+            where="simulate",
+            remedy="Leave --images and --video out, or line_time in the rig's camera file.",
+        )
     stage_seed, view_seed, target_seed = np.random.SeedSequence((simulated.truth.seed, _STREAM)).spawn(3)
     sensors = [Sensor(camera.resolution, exposure.bits, exposure.electrons_per_count) for camera in scene.cameras]
     sceneries = _sceneries(scene, exposure, np.random.default_rng(stage_seed))

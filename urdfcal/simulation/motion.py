@@ -16,6 +16,10 @@ from urdfcal.simulation.planning import load_collision_checker
 from urdfcal.simulation.scene import noisy_values, simulate_detections
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from urdfcal.arrays import Ints
+    from urdfcal.cameras.camera import Camera
     from urdfcal.simulation.planning import CollisionChecker
     from urdfcal.simulation.simulate import Simulated
 
@@ -29,6 +33,8 @@ _REST, _DARK = 0.5, 0.25
 _STRIDE = 0.1
 # What the time offsets of cameras are within if nobody says. [s]
 _OFFSET = 0.03
+# After which the row is known to 1e-4 px.
+_STEPS = 3
 
 
 @dataclass(frozen=True)
@@ -59,8 +65,9 @@ def set_in_motion(simulated: Simulated, settings: MotionSettings) -> Simulated:
     """Move the robot of a simulated session through its poses, and film it.
 
     From pose to pose joints move straight and smoothly, at full speed but for the ramps, resting for a moment at each;
-    the order is that of the shortest next path without collisions. Exposure takes no time, all rows of an image are
-    taken at once, and the arm never hides an LED on the way.
+    the order is that of the shortest next path without collisions. Exposure takes no time, and the arm never hides an
+    LED on the way. Of a rolling shutter the line time is drawn as it is known; what is seen is where the arm was when
+    its row was taken.
 
     Args:
         simulated: a session of an arm at rest, and its truth.
@@ -98,11 +105,39 @@ def set_in_motion(simulated: Simulated, settings: MotionSettings) -> Simulated:
         motion=trajectory,
     )
     q = true_joint_values(exact, truth.joint_errors)
+    truth = replace(truth, cameras=tuple(_true_shutter(camera, offset_rng) for camera in truth.cameras))
+
+    def seen(late: Floats) -> Floats:
+        """Where (N, L, 2) each LED is seen if everything is taken that much (N,) later than its frame. [px]."""
+        later = replace(exact, q=path.at(time + late))
+        pixels: Floats = truth.pixels(true_joint_values(later, truth.joint_errors))[np.arange(len(time)), camera]
+        return pixels
+
+    uv = _by_rows(truth.cameras, camera, seen) if any(one.rolling for one in truth.cameras) else None
     noise, share = (truth.pixel, session.noise.of(Detections)), truth.outlier_share
-    detections, outliers = simulate_detections(truth, q, camera[:, None], noise, share, noise_rng, outlier_rng)
+    detections, outliers = simulate_detections(truth, q, camera[:, None], noise, share, noise_rng, outlier_rng, uv)
     moving = exact.measured((detections,), q=trajectory.values(np.zeros(count)))
     moved = replace(truth, q=frozen(q), outliers=frozen(outliers, np.intp), time_offsets=frozen(time_offsets))
     return replace(simulated, session=moving, truth=moved)
+
+
+def _true_shutter(camera: Camera, rng: np.random.Generator) -> Camera:
+    if not camera.rolling:
+        return camera
+    return replace(camera, line_time=camera.line_time + camera.line_time_sigma * rng.standard_normal())
+
+
+def _by_rows(cameras: Sequence[Camera], camera: Ints, seen: Callable[[Floats], Floats]) -> Floats:
+    """Where (N, 1, L, 2) cameras see LEDs that are in a row when it is taken, found in a few steps. [px]."""
+    line = np.array([one.line_time for one in cameras])[camera]
+    middle = np.array([(one.resolution[1] - 1) / 2.0 for one in cameras])[camera]
+    uv = seen(np.zeros(len(camera)))
+    # An LED at 1,000 px/s moves 1e-3 of the rows that pass meanwhile: each step wins two digits.
+    for _ in range(_STEPS):
+        for led in range(uv.shape[1]):
+            late = line * np.nan_to_num(uv[:, led, 1] - middle)
+            uv[:, led] = seen(late)[:, led]
+    return uv[:, None]
 
 
 @dataclass(frozen=True, eq=False)

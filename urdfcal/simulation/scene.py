@@ -181,6 +181,7 @@ def simulate_detections(
     outliers: float,
     noise_rng: np.random.Generator,
     outlier_rng: np.random.Generator,
+    uv: Floats | None = None,
 ) -> tuple[Detections, Ints]:
     """Detect the LEDs of a scene, and the points of targets that face the camera; what is out of an image is missing.
 
@@ -192,12 +193,13 @@ def simulate_detections(
         outliers: share of the detections that is moved by 5 to 200 px, within their images.
         noise_rng: the source of the noise.
         outlier_rng: the source of the outliers.
+        uv: (N, K, L, 2) where they are truly seen, if that is not where they are. [px]
 
     Returns:
         The detections, and the rows (K,) of the outliers among them.
     """
     each = np.arange(len(q))[:, None]
-    uv, inside = scene.pixels(q)[each, views], scene.turned_to(q)[each, views]
+    uv, inside = scene.pixels(q)[each, views] if uv is None else uv, scene.turned_to(q)[each, views]
     uv = uv + noise[0] * noise_rng.standard_normal(uv.shape)
     for c, one in enumerate(scene.cameras):
         inside[views == c] &= one.in_image(uv[views == c])

@@ -228,6 +228,7 @@ def _truth_to_dict(simulated: Simulated) -> dict[str, Any]:
     table, cameras, leds = rows_of(session.chain), session.rig.names, session.led_names
     targets = [target.name for target in session.targets]
     offsets = dict(zip(cameras, truth.time_offsets.tolist(), strict=False))
+    lines = {camera.name: camera.line_time for camera in truth.cameras if camera.rolling and offsets}
     detections = session.find(Detections)
     places = {name: place.tolist() for name, place in truth.places.items()}
     return {
@@ -253,6 +254,7 @@ def _truth_to_dict(simulated: Simulated) -> dict[str, Any]:
         **({"targets": dict(zip(targets, truth.targets.tolist(), strict=True))} if targets else {}),
         "T_cam_frame": dict(zip(cameras, truth.T_cam_frame.tolist(), strict=True)),
         **({"time_offsets": offsets} if offsets else {}),
+        **({"line_times": lines} if lines else {}),
         **({"places": places} if places else {}),
         **({"joint_errors": joint_errors_to_dicts(session, truth.joint_errors)} if truth.joint_errors else {}),
         "outliers": [

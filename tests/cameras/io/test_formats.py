@@ -233,6 +233,8 @@ BROKEN = {
     "fractional size": ("[752, 480]", "[752.5, 480]", r"\(cam0.resolution\): resolution \[752.5, 480.0\] is not"),
     "negative size": ("[752, 480]", "[752, -480]", r"\(cam0.resolution\): resolution .* whole positive"),
     "one size": ("[752, 480]", "[752]", r"\(cam0.resolution\): resolution .* whole positive"),
+    "line time in us": (INTRINSICS, f"{INTRINSICS}\n  line_time: 22", "line_time 22 .* is no time from one row"),
+    "line time": (INTRINSICS, f"{INTRINSICS}\n  line_time: fast", r"\(cam0.line_time\): 'fast' is not a finite"),
     "duplicate camera": ("cam1:", "cam0:", r"yaml:15:1: 'cam0' stands here a second time"),
     "duplicate key": ("  rostopic:", f"  {INTRINSICS}\n  rostopic:", r"yaml:8:3: 'intrinsics' stands here a second"),
     "gap": ("cam1:", "cam2:", "'cam2' comes after 'cam0': .* a camera that is missing. Number the cameras"),
@@ -265,6 +267,22 @@ BROKEN = {
     "millimetre baseline": (*with_step([1, 0, 0, -110], Y, Z, LAST), "are 110 m apart; it looks like millimetres"),
     "placeholder": (*with_step([1, 0, 0, 0], Y, Z, LAST), "are in the same place. Leave T_cn_cnm1 out"),
 }  # fmt: skip
+
+
+def test_how_fast_a_rolling_shutter_rolls_stands_beside_the_camera(tmp_path: Path) -> None:
+    for said, expected in (
+        ("line_time: 2.2e-5", (2.2e-5, 2.2e-6)),
+        ("line_time: 2.2e-5\n  line_time_sigma: 0", (2.2e-5, 0.0)),
+        ("line_time_sigma: 3e-5", (0.0, 3e-5)),
+    ):
+        rig = read_kalibr(written(tmp_path, KALIBR.replace(INTRINSICS, f"{INTRINSICS}\n  {said}", 1)))
+        first, second = rig.cameras
+        assert (first.line_time, first.line_time_sigma) == pytest.approx(expected)
+        assert first.rolling
+        assert not second.rolling
+        write_kalibr(tmp_path / "again.yaml", rig)
+        again = read_kalibr(tmp_path / "again.yaml").cameras[0]
+        assert (again.line_time, again.line_time_sigma) == (first.line_time, first.line_time_sigma)
 
 
 @pytest.mark.parametrize(("old", "new", "message"), BROKEN.values(), ids=BROKEN.keys())

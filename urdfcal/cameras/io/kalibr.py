@@ -9,6 +9,9 @@ Standard deviations stand beside each camera in ``urdfcal_sigma``, a key Kalibr 
       correlations: [[...], ...]                           # a row for each of these; with those of the cameras before,
                                                            # then with this camera's own
 
+A rolling shutter's ``line_time``, from row to row in s, and ``line_time_sigma`` (10 % of it unless given) are keys of
+urdfcal's own as well.
+
 T_cn_c0 is the camera's place seen from the first camera, the world; for a pair that is T_cn_cnm1.
 """
 
@@ -40,9 +43,13 @@ _USED = (
     "resolution",
     "distortion_coeffs",
     "T_cn_cnm1",
+    "line_time",
+    "line_time_sigma",
     _SIGMA,
     _SCALE,
 )
+# What a data sheet's line time may be off by, or one computed from the frame rate: rows that are not shown take time.
+_LINE_TIME = 0.1
 # Kalibr writes these too; they say nothing about where a pixel looks.
 _IGNORED = ("rostopic", "cam_overlaps", "timeshift_cam_imu", "T_cam_imu")
 _SIGMAS = ("intrinsics", "distortion_coeffs", "T_cn_c0", "correlations")
@@ -112,6 +119,8 @@ def write_kalibr(path: str | Path, rig: Rig) -> None:
             "distortion_coeffs": camera.distortion.tolist(),
             "resolution": list(camera.resolution),
         }
+        if camera.rolling:
+            entry |= {"line_time": float(camera.line_time), "line_time_sigma": float(camera.line_time_sigma)}
         if T is not None and i > 0:
             if T_before is None:
                 what = f"the place of '{camera.name}' is known, that of '{rig.names[i - 1]}' before it is not"
@@ -155,8 +164,11 @@ def _camera(entry: Entry) -> Camera:
     given = written != "none" or "distortion_coeffs" in entry.fields
     coefficients = entry.numbers("distortion_coeffs") if given else []
     size, intrinsics = entry.size("resolution"), entry.numbers("intrinsics")
+    line = entry.number("line_time") if "line_time" in entry.fields else 0.0
+    sigma = entry.number("line_time_sigma") if "line_time_sigma" in entry.fields else _LINE_TIME * abs(line)
+    model, distortion = _DISTORTIONS[written], np.array(coefficients)
     with standing(f"{place(entry.path, entry.node)} ({entry.name})"):
-        return Camera(entry.name, size, np.array(intrinsics), _DISTORTIONS[written], np.array(coefficients))
+        return Camera(entry.name, size, np.array(intrinsics), model, distortion, line, sigma)
 
 
 def _step(entry: Entry) -> Floats | None:
