@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from urdfcal.arrays import Floats, ReadOnly, finite_array, frozen, keep
+from urdfcal.arrays import Floats, Ints, ReadOnly, finite_array, frozen, keep
 from urdfcal.cameras.board.board import Board
 from urdfcal.errors import CameraError, SessionError
 from urdfcal.rotations import rpy_to_matrix
@@ -40,9 +40,9 @@ class Pattern(ABC):
         """(3,) each point in the target's frame, by its name after the colon in detections.csv. [m]."""
 
     @property
-    def ambiguous(self) -> bool:
-        """Whether a picture does not tell it from the same turned around."""
-        return False
+    def symmetries(self) -> tuple[Ints, ...]:
+        """Orders (M,) of the points in which a picture of it is the same, turned by a whole circle in equal steps."""
+        return (np.arange(len(self.points)),)
 
 
 @dataclass(frozen=True)
@@ -71,9 +71,9 @@ class ChessboardPattern(Pattern):
             raise SessionError(error.what, where=self.kind, remedy=error.remedy) from error
 
     @property
-    def ambiguous(self) -> bool:
-        """Whether both sides are odd or both even."""
-        return len(self.board.symmetries) > 1
+    def symmetries(self) -> tuple[Ints, ...]:
+        """Turned by half, where both sides are odd or both even; by a quarter where they are equal and even."""
+        return self.board.symmetries
 
     def _board(self) -> Board:
         return Board("chessboard", *self.size, self.square)
@@ -126,9 +126,14 @@ class CirclesPattern(Pattern):
             raise SessionError(f"a grid of {self.size[0]} x {self.size[1]} dots is a line", where=self.kind)
 
     @property
-    def ambiguous(self) -> bool:
-        """True, but for an asymmetric grid of an odd number of rows."""
-        return not self.asymmetric or self.size[1] % 2 == 0
+    def symmetries(self) -> tuple[Ints, ...]:
+        """Turned by half, but for an asymmetric grid of an odd number of rows; by a quarter where sides are equal."""
+        grid = np.arange(len(self.points)).reshape(self.size[::-1])
+        if self.asymmetric:
+            turns: tuple[int, ...] = (0,) if self.size[1] % 2 else (0, 2)
+        else:
+            turns = (0, 1, 2, 3) if self.size[0] == self.size[1] else (0, 2)
+        return tuple(np.rot90(grid, k).ravel() for k in turns)
 
     @cached_property
     def points(self) -> Mapping[str, Floats]:

@@ -163,7 +163,13 @@ def test_points_that_are_not_the_target_s_are_refused() -> None:
     ],
 )
 def test_what_looks_the_same_turned_around_is_known(pattern: Pattern, ambiguous: bool) -> None:
-    assert pattern.ambiguous == ambiguous
+    assert (len(pattern.symmetries) > 1) == ambiguous
+    for order in pattern.symmetries:  # each is the print turned
+        at = np.array(list(pattern.points.values()))[:, :2]
+        middle = at - at.mean(axis=0)
+        turn = np.linalg.lstsq(middle, middle[order], rcond=None)[0]
+        np.testing.assert_allclose(middle @ turn, middle[order], atol=1e-12)
+        assert np.linalg.det(turn) == pytest.approx(1.0)
     points = np.array(list(pattern.points.values()))[:, :2]
     turned = points.max(axis=0) + points.min(axis=0) - points
     alike = all(np.min(np.linalg.norm(points - p, axis=1)) < 1e-9 for p in turned)

@@ -11,13 +11,15 @@ import numpy as np
 from urdfcal.arrays import evenly
 from urdfcal.detection.targets.alternatives import other_print
 from urdfcal.detection.targets.find import Found, find_target
+from urdfcal.detection.targets.turned import UNTOLD, View, readings
 from urdfcal.errors import SessionError
 from urdfcal.estimation.measurements import Detections
 from urdfcal.images.files import in_parallel
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
+    from urdfcal.arrays import Floats, Ints
     from urdfcal.cameras.camera import Camera
     from urdfcal.detection.image_index import ImageIndex
     from urdfcal.images.files import Image, SequenceImage
@@ -57,21 +59,14 @@ def find_targets(
         progress: called with the number of images looked at since the last call.
 
     Raises:
-        SessionError: a target's points cannot be told apart.
+        SessionError: the points of a target that looks the same turned around cannot be told apart.
         CameraError: an image cannot be read, or has another size than its camera.
     """
     targets, first = positions.targets, len(positions.leds)
-    for target in targets:
-        if target.pattern.ambiguous:
-            what = f"target {target.name!r} looks the same turned around: its points cannot be told apart in pictures"
-            remedy = (
-                "Use a ChArUco board, a chessboard with one odd and one even number of corners, or an asymmetric grid "
-                "of an odd number of rows; or write detections.csv yourself, the points in one order."
-            )
-            raise SessionError(what, where=f"targets.{target.name}", remedy=remedy)
     ends = first + np.cumsum([0, *(len(target.points) for target in targets)])
     parts, rejected, images = [], [], 0
     seen: Counter[str] = Counter()
+    views: list[list[tuple[View, Floats]]] = [[] for _ in targets]
 
     def look(task: tuple[Camera, SequenceImage]) -> list[Found]:
         camera, shown = task
@@ -89,11 +84,19 @@ def find_targets(
                 if of.reason:
                     rejected.append((positions.label(pose), camera.name, target.name, of.reason))
                     continue
-                seen[target.name] += 1
-                points = np.flatnonzero(np.isfinite(of.uv[:, 0]))
-                sigma = np.maximum(_LEAST_SIGMA, of.sigma[points])
-                index_of = np.full(len(points), pose), np.full(len(points), c), ends[t] + points
-                parts.append((*index_of, of.uv[points], sigma))
+                views[t].append((View(c, pose, of.uv), of.sigma))
+    for t, (target, mine) in enumerate(zip(targets, views, strict=True)):
+        orders = _orders(positions, t, [view for view, _ in mine])
+        for (view, sigma), order in zip(mine, orders, strict=True):
+            if order is None:
+                label = positions.label(view.pose)
+                rejected.append((label, positions.rig.names[view.camera], target.name, UNTOLD))
+                continue
+            seen[target.name] += 1
+            uv, sigma = view.uv[order], sigma[order]
+            points = np.flatnonzero(np.isfinite(uv[:, 0]))
+            index_of = np.full(len(points), view.pose), np.full(len(points), view.camera), ends[t] + points
+            parts.append((*index_of, uv[points], np.maximum(_LEAST_SIGMA, sigma[points])))
     detections = Detections(*(np.concatenate(column) for column in zip(*parts, strict=True))) if parts else None
     rare = [target for target in targets if target.point_names and seen[target.name] < _RARE * images]
     sample = list(_sample(positions, index)) if rare else []
@@ -102,6 +105,26 @@ def find_targets(
         instead = other_print(target, sample)
         warnings.append(f"target {target.name!r} is found in {seen[target.name]} of {images} images{instead}")
     return TargetSightings(detections, tuple(rejected), tuple(warnings), images)
+
+
+def _orders(positions: Positions, t: int, views: list[View]) -> Sequence[Ints | None]:
+    """The order of a target's points in each view, None where it does not show.
+
+    Raises:
+        SessionError: it shows in none.
+    """
+    target = positions.targets[t]
+    if len(target.pattern.symmetries) == 1:
+        return [np.arange(len(target.points))] * len(views)
+    orders = readings(positions, t, views)
+    if views and not any(order is not None for order in orders):
+        what = f"target {target.name!r} looks the same turned around, and the arm does not tell which way round it is"
+        remedy = (
+            "Are its link and the URDF right? Otherwise use a ChArUco board, a chessboard with one odd and one even "
+            "number of corners, or an asymmetric grid of an odd number of rows."
+        )
+        raise SessionError(what, where=f"targets.{target.name}", remedy=remedy)
+    return orders
 
 
 def _sample(positions: Positions, index: ImageIndex) -> Iterator[tuple[Camera, Image]]:
