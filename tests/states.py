@@ -10,7 +10,7 @@ import numpy as np
 from urdfcal.estimation.blocks.arm import ARM
 from urdfcal.estimation.blocks.base_pose import BASE
 from urdfcal.estimation.blocks.leds import LEDS
-from urdfcal.estimation.blocks.targets import print_key, target_key
+from urdfcal.estimation.blocks.targets import bend_key, print_key, target_key
 from urdfcal.estimation.joint_models import joint_models_of
 from urdfcal.estimation.measurements.pixels import camera_state
 from urdfcal.estimation.state import State
@@ -41,6 +41,7 @@ def state_of(
     poses = zip(session.targets, targets, strict=True)
     values = {ARM: offsets, BASE: T_world_base, LEDS: leds[: len(session.leds)]}
     values |= {print_key(target.name): np.zeros(1) for target in session.targets if target.scale_sigma is not None}
+    values |= {bend_key(target.name): np.zeros(3) for target in session.targets if target.flatness is not None}
     values |= {target_key(target.name): T for target, T in poses}
     return State({**values, **joints, **camera_state(session, T_cam_frame)})
 

@@ -13,7 +13,7 @@ from tests.estimation.derivatives import assert_derivatives
 from urdfcal.arrays import inverse, rms
 from urdfcal.errors import CalibrationError, SessionError
 from urdfcal.estimation.blocks.arm import no_offsets
-from urdfcal.estimation.blocks.targets import TargetBlock, point_places, print_key, target_key
+from urdfcal.estimation.blocks.targets import TargetBlock, bend_key, point_places, print_key, target_key
 from urdfcal.estimation.evaluation import compare
 from urdfcal.estimation.measurements import Detections, Points
 from urdfcal.estimation.model_spec import ModelSpec
@@ -21,6 +21,8 @@ from urdfcal.estimation.parameters import choose_parameters
 from urdfcal.estimation.problem import Problem
 from urdfcal.estimation.start import first_state
 from urdfcal.estimation.target_start import hand_eye
+from urdfcal.io.folder import read_rig
+from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.session.combine import combine
@@ -29,6 +31,7 @@ from urdfcal.session.knowledge import Excluded, Led
 from urdfcal.session.moves import resolve_moves
 from urdfcal.session.pattern import DotsPattern
 from urdfcal.session.target import Target
+from urdfcal.simulation.simulate import simulate
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -48,11 +51,12 @@ def unplaced(session: Session) -> Session:
 @pytest.mark.parametrize("rig", RIGS)
 def test_every_derivative_agrees_with_finite_differences(rig: str, simulated: Callable, true_state: Callable) -> None:
     data = simulated(rig, poses=5)
-    session = replace(data.session, targets=tuple(replace(of, scale_sigma=0.01) for of in data.session.targets))
+    unsure = tuple(replace(of, scale_sigma=0.01, flatness=0.001) for of in data.session.targets)
+    session = replace(data.session, targets=unsure)
     problem = Problem.of(session, rows_of(session.chain))
     centre = true_state(replace(data, session=session))
     parameters = choose_parameters(session, problem, centre, ModelSpec("dh", ("free",), (RIGS[rig],)))
-    assert {f"{session.targets[0].name}.{axis}" for axis in ("x", "rz", "scale")} < set(parameters.names)
+    assert {f"{session.targets[0].name}.{axis}" for axis in ("x", "rz", "scale", "bend_xy")} < set(parameters.names)
     state = parameters.retract(centre, np.random.default_rng(0).normal(0.0, 1e-3, parameters.count))
     assert_derivatives(problem, problem.observations[0], state, parameters)
 
@@ -119,6 +123,23 @@ def test_a_print_of_another_size_is_within_what_is_claimed_of_its_scale(simulate
     silent = calibrate(data.session).evidence.scale
     assert silent.declared is None
     assert 2e-4 < silent.tip_per_permille < 1e-3
+
+
+def test_a_bent_print_is_found_as_bent_as_it_is_and_spoils_what_takes_it_for_flat() -> None:
+    rig = read_rig(find_rig("ur5_charuco"))
+    bent = replace(rig, targets=tuple(replace(target, flatness=1e-3) for target in rig.targets))
+    simulated = simulate(bent, poses=20, seed=0)
+    (target,) = simulated.session.targets
+    off = simulated.truth.leds[simulated.truth.led_count :, 2] - target.points[:, 2]
+    assert np.abs(off).max() > 2e-4
+    found = calibrate(simulated.session)
+    assert found.assessment.level == "good"
+    key = bend_key(target.name)
+    error = found.fit.state[key] - np.linalg.lstsq(target.bends, off, rcond=None)[0]
+    assert (np.abs(error) < 3.5 * found.sigmas_of(key)).all()
+    assert (found.sigmas_of(key) < 1e-4).all()
+    flat = replace(simulated.session, targets=(replace(target, flatness=None),))
+    assert calibrate(flat, force=True).assessment.level != "good"
 
 
 def test_a_tracker_s_body_of_unknown_pose(simulated: Callable) -> None:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 TARGETS = """
 board: {kind: charuco, size: [5, 7], square: 0.036, marker: 0.018, dictionary: DICT_6X6_250, legacy: true, link: tool0}
-chess: {kind: chessboard, size: [9, 6], square: 0.03, link: world, scale: {sigma: 0.002}}
+chess: {kind: chessboard, size: [9, 6], square: 0.03, link: world, scale: {sigma: 0.002}, flatness: 0.0005}
 dots: {kind: circles, size: [4, 3], spacing: 0.02}
 shifted: {kind: acircles, size: [4, 11], spacing: 0.02, position: [0.1, 0, 0], rpy: [0, 0.1, 3.0]}
 tags: {kind: apriltag, family: tag36h11, size: 0.04, tags: {0: , 7: {position: [0.1, 0, 0.02], rpy: [0, 1.5, 0]}}}
@@ -65,6 +65,7 @@ def test_every_kind_is_read_with_its_points(tmp_path: Path) -> None:
 def same_targets(a: RigDescription, b: RigDescription) -> None:
     for one, other in zip(a.targets, b.targets, strict=True):
         assert (one.name, one.link, one.scale_sigma) == (other.name, other.link, other.scale_sigma)
+        assert one.flatness == other.flatness
         assert one.point_names == other.point_names
         np.testing.assert_array_equal(one.points, other.points)
         for name in ("T_link_target", "sigma"):

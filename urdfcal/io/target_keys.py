@@ -24,6 +24,7 @@ class TargetKeys(PlaceKeys):
     link: Name | None = None
     sigma: tuple[NotNegative, NotNegative] | None = Field(default=None, strict=False)
     scale: ScaleKeys | None = None
+    flatness: Positive | None = None
 
     def target(self, name: str, usual: ScaleKeys | None) -> Target:
         """The same in arrays, of the session's scale where it says none; other keys are its pattern's fields."""
@@ -33,7 +34,7 @@ class TargetKeys(PlaceKeys):
         said = self.scale or usual
         scale = None if said is None else said.sigma
         try:
-            return Target(name, pattern(**own), self.link, self.T, sigma, scale)
+            return Target(name, pattern(**own), self.link, self.T, sigma, scale, self.flatness)
         except SessionError as error:
             raise SessionError(error.what, where=f"targets.{name}", remedy=error.remedy) from error
 

@@ -221,7 +221,10 @@ def _target_keys(target: Target) -> dict[str, Any]:
     pattern = {key: list(value) if isinstance(value, tuple) else value for key, value in pattern.items()}
     scale = None if target.scale_sigma is None else {"sigma": target.scale_sigma}
     place = _place_keys(target.T_link_target, target.sigma, f"target {target.name!r}")
-    return {**_said(kind=target.pattern.kind, **pattern, link=target.link, scale=scale), **place}
+    return {
+        **_said(kind=target.pattern.kind, **pattern, link=target.link, scale=scale, flatness=target.flatness),
+        **place,
+    }
 
 
 def _place_keys(T: Floats | None, sigma: Floats | None, where: str) -> dict[str, Any]:

@@ -27,6 +27,8 @@ class Target:
         sigma: (6,) how well that is known, standard deviations of a small motion x y z rx ry rz of the target in its
             own frame, 0 exactly; None where it is only a guess to start from. [m, rad]
         scale_sigma: of the share that its lengths may be given too long by; None where nothing is said.
+        flatness: how far, one standard deviation, it may be bent along each of its sides and twisted, at its rim; None
+            where it is flat. [m]
     """
 
     name: str
@@ -35,6 +37,7 @@ class Target:
     T_link_target: Floats | None = None
     sigma: Floats | None = None
     scale_sigma: float | None = None
+    flatness: float | None = None
 
     def __post_init__(self) -> None:
         where = f"targets.{self.name}"
@@ -42,13 +45,28 @@ class Target:
         check_place(self, "T_link_target", where, exact=True)
         if self.scale_sigma is not None:
             keep(self, scale_sigma=finite_number(self.scale_sigma, "scale.sigma", where, zero=True))
+        if self.flatness is not None:
+            keep(self, flatness=finite_number(self.flatness, "flatness", where, zero=False))
 
     @property
     def point_names(self) -> tuple[str, ...]:
         """What the tables call its M points."""
         return tuple(f"{self.name}:{point}" for point in self.pattern.points)
 
+    @property
+    def bends(self) -> Floats:
+        """(M, 3) how far each point is off the plane where the print is bent along x, twisted, bent along y by one."""
+        return bends_of(self.points)
+
     @cached_property
     def points(self) -> Floats:
         """(M, 3) points in the target's frame. [m]."""
         return frozen(np.array(list(self.pattern.points.values())).reshape(-1, 3))
+
+
+def bends_of(points: Floats) -> Floats:
+    """How far (M, 3) points (M, 3) of a print are off its plane per unit of its bends: 1 at its rim at most. [m]."""
+    middle = 0.5 * (points[:, :2].max(axis=0) + points[:, :2].min(axis=0))
+    half = max(float(0.5 * np.ptp(points[:, :2], axis=0).max()), 1e-9)
+    u, v = ((points[:, :2] - middle) / half).T
+    return np.stack([u * u, u * v, v * v], axis=1)

@@ -137,6 +137,12 @@ def write_simulated_images(
             where="simulate",
             remedy="Leave --images and --video out, or line_time in the rig's camera file.",
         )
+    if bent := [target.name for target in session.targets if target.flatness is not None]:
+        raise SessionError(
+            "images of a print that is not flat cannot be rendered",
+            where=f"targets.{bent[0]}.flatness",
+            remedy="Leave --images out, or flatness.",
+        )
     stage_seed, view_seed, target_seed = np.random.SeedSequence((simulated.truth.seed, _STREAM)).spawn(3)
     sensors = [Sensor(camera.resolution, exposure.bits, exposure.electrons_per_count) for camera in scene.cameras]
     sceneries = _sceneries(scene, exposure, np.random.default_rng(stage_seed))

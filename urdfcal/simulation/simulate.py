@@ -160,6 +160,7 @@ def simulate(
         targets=_true_targets(rig, nominal, led_rng),
         T_cam_frame=_true_mounts(rig, nominal.T_cam_frame, led_rng),
     )
+    true = replace(true, leds=_bent(rig, true.leds, led_rng))
 
     outlined = nominal.outlined()
     checker, warnings = load_collision_checker(outlined, rig)
@@ -279,6 +280,15 @@ def _check_arguments(seed: int, poses: int, pixel: float | None, error_scale: fl
     ):
         if not good:
             raise SessionError(what, where="simulate", remedy=remedy)
+
+
+def _bent(rig: RigDescription, points: Floats, rng: np.random.Generator) -> Floats:
+    """Return LEDs and targets' points (L + M, 3) with prints as flat as the rig says. [m]."""
+    points, attachments = points.copy(), rig.attachments
+    for k, target in enumerate(rig.targets, attachments.first_target):
+        if target.flatness is not None:
+            points[attachments.led == k, 2] += target.bends @ rng.normal(0.0, target.flatness, 3)
+    return points
 
 
 def nominal_scene(rig: RigDescription) -> Scene:

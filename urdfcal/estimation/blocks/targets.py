@@ -1,4 +1,4 @@
-"""How targets are fastened as unknowns: one pose each, and the scale of a print."""
+"""How targets are fastened as unknowns: one pose each, and the scale and the bends of a print."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from urdfcal.arrays import Floats, inverse
 from urdfcal.estimation.blocks.base import POSE_AXES, POSE_UNITS, Block, VectorBlock
 from urdfcal.estimation.blocks.leds import LEDS
 from urdfcal.estimation.state import Key
+from urdfcal.session.target import bends_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -31,6 +32,11 @@ def target_key(target: str) -> Key[Floats]:
 def print_key(target: str) -> Key[Floats]:
     """Key of the share (1,) that a target's lengths are given too long by."""
     return Key(f"{target}.print")
+
+
+def bend_key(target: str) -> Key[Floats]:
+    """Key of how far (3,) a target's print is bent along x, twisted, and bent along y, at its rim. [m]."""
+    return Key(f"{target}.bend")
 
 
 class TargetBlock(Block[Floats]):
@@ -92,6 +98,24 @@ class PrintBlock(VectorBlock):
         )
 
 
+class BendBlock(VectorBlock):
+    """How a target's print is bent, known to be flat to a standard deviation. [m]."""
+
+    order: ClassVar[int] = 3
+
+    @classmethod
+    def of(cls, target: Target) -> BendBlock:
+        """Take what the session says of it."""
+        return cls(
+            key=bend_key(target.name),
+            names=tuple(f"{target.name}.bend_{axes}" for axes in ("xx", "xy", "yy")),
+            units=("m",) * 3,
+            nominal=np.zeros(3),
+            sigma=np.full(3, target.flatness),
+            phrase=f"how {target.name} is bent",
+        )
+
+
 def target_blocks(targets: Iterable[Target], state: State, *, priors: bool) -> list[Block[Floats]]:
     """List the blocks of all targets."""
     blocks: list[Block[Floats]] = []
@@ -99,13 +123,16 @@ def target_blocks(targets: Iterable[Target], state: State, *, priors: bool) -> l
         blocks.append(TargetBlock.of(target, state[target_key(target.name)], priors=priors))
         if target.scale_sigma is not None:
             blocks.append(PrintBlock.of(target))
+        if target.flatness is not None:
+            blocks.append(BendBlock.of(target))
     return blocks
 
 
 def nominal_targets(targets: Iterable[Target]) -> dict[Key[Floats], Floats]:
     """Return the poses of the targets that are given, and prints as they should be."""
     poses = {target_key(of.name): of.T_link_target for of in targets if of.T_link_target is not None}
-    return {**poses, **{print_key(of.name): np.zeros(1) for of in targets if of.scale_sigma is not None}}
+    prints = {print_key(of.name): np.zeros(1) for of in targets if of.scale_sigma is not None}
+    return {**poses, **prints, **{bend_key(of.name): np.zeros(3) for of in targets if of.flatness is not None}}
 
 
 def point_places(attachments: Attachments, state: State) -> Floats:
@@ -115,6 +142,11 @@ def point_places(attachments: Attachments, state: State) -> Floats:
         return leds
     scales = [print_scale(name, state) for name in attachments.targets]
     own = attachments.led[len(leds) :] - attachments.first_target
+    for k, name in enumerate(attachments.targets):
+        if (bends := bend_key(name)) in state:
+            mine = own == k
+            points = points.copy()
+            points[mine, 2] += bends_of(attachments.target_points[mine]) @ state[bends]
     return np.concatenate([leds, points / np.array(scales)[own, None]])
 
 

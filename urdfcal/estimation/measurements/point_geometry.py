@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.estimation.blocks.leds import LEDS
-from urdfcal.estimation.blocks.targets import point_places, print_key, print_scale
+from urdfcal.estimation.blocks.targets import bend_key, point_places, print_key, print_scale
+from urdfcal.session.target import bends_of
 
 if TYPE_CHECKING:
     from urdfcal.arrays import Bools, Floats, Ints
@@ -94,7 +95,7 @@ def by_frames(
 
 
 def put_leds(J: Jacobian, observed: Observations, links: Links, E: Floats, lever: Floats, state: State) -> None:
-    """Put the derivatives by the LEDs' positions in their frames, and by the scale of targets' prints.
+    """Put the derivatives by the LEDs' positions in their frames, and by the scale and the bends of targets' prints.
 
     Args:
         J: takes them.
@@ -118,8 +119,9 @@ def put_leds(J: Jacobian, observed: Observations, links: Links, E: Floats, lever
 
 
 def _put_prints(J: Jacobian, observed: Observations, links: Links, E: Floats, lever: Floats, state: State) -> None:
-    """Put the derivatives by the scales of targets' prints: points shrink towards their target's origin."""
+    """Put the derivatives by the scales of targets' prints, points shrink towards their origin, and by their bends."""
     attachments = links.attachments
+    first = len(attachments.led) - len(attachments.target_points)
     frame = attachments.led[observed.index["led"]]
     for k, name in enumerate(attachments.targets, attachments.first_target):
         key = print_key(name)
@@ -127,6 +129,14 @@ def _put_prints(J: Jacobian, observed: Observations, links: Links, E: Floats, le
             mine = (frame == k) & observed.valid
             along = -np.where(mine[..., None], lever, 0.0) / print_scale(name, state)
             J.put(key, E @ along.reshape(-1, 3, 1))
+        if J.wants(bent := bend_key(name)):
+            mine = (frame == k) & observed.valid
+            bends = np.zeros((*frame.shape, 3))
+            own = np.flatnonzero(attachments.led[first:] == k)
+            at = observed.index["led"][mine] - first - own[0]
+            bends[mine] = bends_of(attachments.target_points[own])[at] / print_scale(name, state)
+            normal = np.broadcast_to(links.R[k], (len(frame), 3, 3))[:, None, :, 2, None]
+            J.put(bent, E @ (normal * bends[:, :, None]).reshape(-1, 3, 3))
 
 
 def carry(matrices: Floats, right: Floats) -> Floats:
