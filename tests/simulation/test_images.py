@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from urdfcal.cameras.rig import Rig
+from urdfcal.detection.detect import detect
 from urdfcal.errors import OutputError, SessionError
 from urdfcal.images.files import read_image
 from urdfcal.io.folder import read_rig
@@ -116,10 +117,27 @@ def test_only_a_moving_arm_with_one_led_makes_a_video(small: RigDescription, sti
     assert not (tmp_path / "s").exists()
 
 
-def test_images_of_cameras_on_the_robot_are_refused(tmp_path: Path) -> None:
+def test_a_camera_on_the_robot_takes_images_of_leds_but_passes_no_lamps(tmp_path: Path) -> None:
     simulated = simulate(read_rig(find_rig("ur5_handeye")), poses=3, seed=0)
-    with pytest.raises(SessionError, match=r"images of LEDs by eye-in-hand cameras cannot be.*Leave --images out"):
-        write_simulated_images(tmp_path / "s", simulated, Exposure())
+    with pytest.raises(
+        SessionError, match=r"lamps and reflections before eye-in-hand cameras.*Leave --distractors out"
+    ):
+        write_simulated_images(tmp_path / "s", simulated, Exposure(distractors=True))
+    assert not (tmp_path / "s").exists()
+    assert write_simulated_images(tmp_path / "s", simulated, Exposure()) == 3 * len(simulated.session.leds)
+    seen, truth = detect(tmp_path / "s"), truth_of(tmp_path / "s")
+    names, found = seen.positions, seen.detections
+    assert len(found) >= len(truth) - 1
+    for pose, camera, led, uv in zip(found.pose, found.camera, found.led, found.uv, strict=True):
+        at = truth[names.poses[pose], names.rig.names[camera], names.led_names[led]]
+        assert uv == pytest.approx(at, abs=0.1)
+
+
+def test_images_of_a_bent_print_are_refused(tmp_path: Path) -> None:
+    rig = read_rig(find_rig("ur5_charuco"))
+    bent = replace(rig, targets=tuple(replace(target, flatness=1e-3) for target in rig.targets))
+    with pytest.raises(SessionError, match=r"targets.board.flatness: images of a print that is not flat cannot be"):
+        write_simulated_images(tmp_path / "s", simulate(bent, poses=3, seed=0), Exposure())
     assert not (tmp_path / "s").exists()
 
 

@@ -117,19 +117,20 @@ def write_simulated_images(
         The number of images.
 
     Raises:
-        SessionError: a camera is eye-in-hand, or a video is to show several LEDs, which would all be lit, or an arm at
-            rest.
+        SessionError: lamps are to be before an eye-in-hand camera, a shutter rolls, a print is bent, or a video is to
+            show several LEDs, which would all be lit, or an arm at rest.
         CameraError: this OpenCV encodes no videos.
         OutputError: the folder holds a session or a truth already, or cannot be written.
     """
     session, scene, motion = simulated.session, simulated.truth, simulated.session.motion
     if video_rate is not None and (not isinstance(motion, Trajectory) or len(session.led_names) > 1):
         raise SessionError("a video shows a moving arm with one LED", where="simulate", remedy="Write images.")
-    if session.leds and len(session.attachments.eye_to_hand) < len(scene.cameras):
+    riding = len(session.attachments.eye_to_hand) < len(scene.cameras)
+    if session.leds and riding and exposure.distractors:
         raise SessionError(
-            "images of LEDs by eye-in-hand cameras cannot be rendered",
+            "lamps and reflections before eye-in-hand cameras, which pass them by, cannot be rendered",
             where="simulate",
-            remedy="Leave --images out: detections are simulated for them as for any camera.",
+            remedy="Leave --distractors out.",
         )
     if isinstance(motion, Trajectory) and any(camera.rolling for camera in scene.cameras):
         raise SessionError(
