@@ -43,6 +43,9 @@ from urdfcal.cli.console import PATH, POSITIVE, progress_bar, say, seed_option
     help="Electrons of the LED's brightest pixel, 1.5 m away; images saturate at 2500.",
 )  # fmt: skip
 @click.option(
+    "--arm", type=click.FloatRange(0.0, 1.0), default=0.0, help="How bright the arm is in images, a share of white."
+)
+@click.option(
     "--spot", type=click.FloatRange(0.3, 25.0), default=1.5, help="Standard deviation of the LED's spot in px."
 )
 def simulate(
@@ -60,6 +63,7 @@ def simulate(
     distractors: bool,
     peak: float,
     spot: float,
+    arm: float,
     **motion: Any,
 ) -> None:
     """Simulate a session of RIG (a shipped rig's name or a folder), with the truth beside it."""
@@ -88,7 +92,7 @@ def simulate(
     if filmed:
         from urdfcal.simulation.images import Exposure, write_simulated_images
 
-        exposure = Exposure(sigma=spot, peak=peak, distractors=distractors)
+        exposure = Exposure(sigma=spot, peak=peak, distractors=distractors, arm=arm)
         rate = motion["frame_rate"] if video else None
         with progress_bar("rendering", None) as advance:
             write_simulated_images(session, simulated, exposure, advance, video_rate=rate)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
@@ -15,6 +15,7 @@ from urdfcal.images.files import in_parallel, write_image, write_video
 from urdfcal.io.folder import IMAGES
 from urdfcal.io.writing import write_table
 from urdfcal.session.trajectory import Trajectory
+from urdfcal.simulation.bright_arm import bright_arms
 from urdfcal.simulation.render import Light, Scenery, Sensor
 from urdfcal.simulation.scene import any_direction
 from urdfcal.simulation.simulate import write_simulated
@@ -61,6 +62,7 @@ class Exposure:
         bits: of a pixel.
         electrons_per_count: of the sensor.
         distractors: whether there are lamps, reflections, hot pixels, streaks, and images with the LED hidden.
+        arm: how bright the arm is in images of LEDs, a share of white; black as a rule.
     """
 
     sigma: float = 1.5
@@ -68,8 +70,11 @@ class Exposure:
     bits: int = 8
     electrons_per_count: float = 10.0
     distractors: bool = False
+    arm: float = 0.0
 
     def __post_init__(self) -> None:
+        if not 0.0 <= self.arm <= 1.0:
+            raise SessionError(f"no arm is {self.arm} of white", where="simulate")
         if not (0.3 <= self.sigma <= 25.0 and self.peak > 0.0):
             raise SessionError(f"no LED has a spot of {self.sigma} px and {self.peak} electrons", where="simulate")
 
@@ -155,7 +160,12 @@ def write_simulated_images(
     write_simulated(folder, simulated, detections=False)
 
     def image(view: _View) -> Image:
-        electrons = sceneries[view.camera].expected(view.lights)
+        scenery = sceneries[view.camera]
+        if exposure.arm:
+            (arm,) = bright_arms(scene, simulated.truth.q[[view.pose]], view.camera)
+            shine = exposure.arm * sensors[view.camera].full_well * scenery.vignette
+            scenery = replace(scenery, background=scenery.background + arm * (shine - scenery.background))
+        electrons = scenery.expected(view.lights)
         return sensors[view.camera].expose(electrons, np.random.default_rng(view.seed))
 
     def counted(results: Iterator[T]) -> Iterator[T]:
