@@ -133,6 +133,25 @@ def test_a_camera_on_the_robot_takes_images_of_leds_but_passes_no_lamps(tmp_path
         assert uv == pytest.approx(at, abs=0.1)
 
 
+def test_a_light_arm_is_in_the_images_and_no_part_of_it_is_taken_for_an_led(tmp_path: Path) -> None:
+    simulated = simulate(read_rig(find_rig("ur5")), poses=9, seed=3)
+    write_simulated_images(tmp_path / "dark", simulated, Exposure())
+    write_simulated_images(tmp_path / "light", simulated, Exposure(arm=0.6))
+    for path in sorted((tmp_path / "light" / "images").rglob("*.png")):
+        light = read_image(path).astype(float)
+        dark = read_image(tmp_path / "dark" / path.relative_to(tmp_path / "light")).astype(float)
+        assert 0.005 < np.mean(light > dark + 60.0) < 0.3
+        assert light.max() < 255.0 or dark.max() == 255.0
+    truth, seen = truth_of(tmp_path / "light"), detect(tmp_path / "light")
+    found, names = seen.detections, seen.positions
+    assert len(found) > 0.15 * len(truth)  # most are missed, and said to be
+    for pose, camera, led, uv, sigma in zip(found.pose, found.camera, found.led, found.uv, found.sigma, strict=True):
+        at = truth[names.poses[pose], names.rig.names[camera], names.led_names[led]]
+        assert np.linalg.norm(uv - at) < max(0.15, 5.0 * sigma)
+    with pytest.raises(SessionError, match=r"no arm is 1.5 of white"):
+        Exposure(arm=1.5)
+
+
 def test_images_of_a_bent_print_are_refused(tmp_path: Path) -> None:
     rig = read_rig(find_rig("ur5_charuco"))
     bent = replace(rig, targets=tuple(replace(target, flatness=1e-3) for target in rig.targets))
