@@ -89,7 +89,7 @@ def test_a_continuous_joint_turns_on_where_its_reading_jumps(moving: Path) -> No
     turned = 2.0 * session.motion.time - session.q[:, roll]
     np.testing.assert_allclose(turned, turned[0], atol=1e-8)
     assert turned[0] / (2.0 * np.pi) == pytest.approx(round(turned[0] / (2.0 * np.pi)), abs=1e-8)
-    np.testing.assert_allclose(session.motion.velocities(np.zeros(2))[:, roll], 2.0, atol=1e-6)
+    np.testing.assert_allclose(session.motion.velocities(np.zeros(2))[0][:, roll], 2.0, atol=1e-6)
 
 
 def test_what_is_written_is_read_back(moving: Path, tmp_path: Path) -> None:
