@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -39,15 +40,33 @@ def test_a_plan_is_read_as_joints_and_drives_arms(capsys: pytest.CaptureFixture[
     table = read_joints(Path("plan.csv"), chain(), chain().names)
     program = Path("plan.script").read_text()
     assert program.count("movej(") == len(table.poses)
-    assert program.count("sleep(") == 5
+    assert program.count("sleep(") == 9
+    checks = [label for label in table.poses if label.startswith("check")]
+    assert checks == [f"check{k}" for k in range(1, 5)]
+    assert "4 random ones to check by: calibrate with --exclude-poses\n  check1,check2,check3,check4\n" in said.out
     trajectory = yaml.safe_load(Path("plan.yaml").read_text())
     assert trajectory["joint_names"] == list(chain().actuated)
     times = [p["time_from_start"]["sec"] + 1e-9 * p["time_from_start"]["nanosec"] for p in trajectory["points"]]
     assert np.all(np.diff(times) > 0.0)
-    assert len(times) == len(table.poses) + 5
+    assert len(times) == len(table.poses) + 9
     actions = json.loads(Path("plan.json").read_text())
     first = [actions[0]["action"][f"{name}.pos"] for name in chain().actuated]
     np.testing.assert_allclose(np.radians(first), table.readings[0])
+
+
+def test_a_calibration_says_how_far_the_arm_is_off_in_the_poses_to_check_by(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["simulate", "elbow3r", "-o", "s", "--poses", "16"]) == 0
+    for name in ("joints", "detections"):  # as if the last four had been planned to check by
+        text = Path(f"s/{name}.csv").read_text()
+        Path(f"s/{name}.csv").write_text(re.sub(r"^1([3-6]),", r"check\1,", text, flags=re.M))
+    capsys.readouterr()
+    assert run(["calibrate", "s", "-o", "out", "--exclude-poses", "check3,check4,check5,check6"]) == 0
+    assert "in the 4 poses left out" in capsys.readouterr().out
+    document = json.loads(Path("out/calibration.json").read_text())
+    found = document["validation"]["left_out"]
+    assert found["poses"] == 4
+    assert found["rms_mm"] < min(found["max_mm"], 0.3 * document["validation"]["rms_nominal_mm"])
+    assert "in the 4 poses left out" in Path("out/report.html").read_text()
 
 
 def test_until_asks_for_as_few_as_needed_and_says_when_that_is_out_of_reach(capsys: pytest.CaptureFixture[str]) -> None:

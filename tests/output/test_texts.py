@@ -31,12 +31,13 @@ def test_lists_read_like_sentences():
     assert [listed(["a", "b", "c"][:k]) for k in (1, 2, 3)] == ["a", "a and b", "a, b and c"]
 
 
-def said_of(more, poses=30, cameras=("left",)):
+def said_of(more, poses=30, cameras=("left",), left_out=None):
     """What is said of the tip, of a result with some of its keys."""
     scale = {"tip_mm_per_permille": 0.5, "factor_sigma": None, "declared_sigma": None}
     tip = {"rms_mm": 0.21, "interval_mm": [0.1, 0.3], "more": more}
     fit = {"poses": poses, "reduced_chi2": 4.0}
     document = {"tip": tip, "regions": {"rms_mm": 0.2}, "scale": scale, "fit": fit, "cameras": dict.fromkeys(cameras)}
+    document["validation"] = {} if left_out is None else {"left_out": left_out}
     return claims(document)
 
 
@@ -51,3 +52,5 @@ def test_what_more_poses_would_bring_is_said_or_that_the_model_is_the_limit():
         "the model is the limit, not the poses: the residuals are 2 times the declared noise"
     )
     assert len(said_of(None)) == 3  # results of earlier versions
+    found = {"poses": 4, "rms_mm": 0.33, "max_mm": 0.51}
+    assert said_of(None, left_out=found)[-1] == "0.33 mm rms, at most 0.51, in the 4 poses left out"

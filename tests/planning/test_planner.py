@@ -69,6 +69,18 @@ def test_every_pose_and_move_is_free_and_seen_on_the_true_arm(few: Simulated, pl
     assert all(checker.is_seen(q, c) for q, c in zip(measured, centres, strict=True))
 
 
+def test_random_poses_are_kept_to_check_by(few: Simulated, planner: Planner) -> None:
+    alone, plan = planner.plan(6), planner.plan(6, check=True)
+    assert not alone.check.any()
+    assert plan.check.sum() == 4
+    assert sorted(plan.rank[plan.rank >= 0]) == list(range(6))
+    assert not np.any(plan.check & (plan.rank >= 0))
+    np.testing.assert_array_equal(plan.measured, plan.check | (plan.rank >= 0))
+    np.testing.assert_array_equal(plan.errors, alone.errors)
+    checks, scene = plan.q[plan.check], few.truth
+    assert scene.in_image(scene.pixels(checks)).all()
+
+
 def test_the_next_pose_is_new_and_brings_most(few: Simulated, planner: Planner) -> None:
     q = planner.next(few.session)
     one = planner.plan(1)

@@ -56,6 +56,7 @@ class Length(click.ParamType[float]):
     "values, or the session's poses.  [default: the joints' ranges]",
 )  # fmt: skip
 @click.option("--candidates", type=click.IntRange(min=1), default=2000, help="Poses to choose from.")
+@click.option("--no-check", is_flag=True, help="Plan no further random poses to check the calibration by.")
 @click.option(
     "--format", "also", multiple=True, type=click.Choice(["urscript", "ros", "lerobot"]),
     help="Write what drives an arm through them, too, beside the table.",
@@ -64,7 +65,7 @@ class Length(click.ParamType[float]):
 @json_option
 def command(
     start: str, output: Path, poses: int | None, until: float | None, workspace: str | None, candidates: int,
-    also: tuple[str, ...], seed: int, as_json: bool,
+    no_check: bool, also: tuple[str, ...], seed: int, as_json: bool,
 ) -> int:  # fmt: skip
     """Plan the poses to measure next, those that make the tip most accurate.
 
@@ -73,6 +74,9 @@ def command(
     In every pose the arm keeps clear of itself, the table and the cameras, and every camera sees every LED; moves from
     row to row, straight in joint space, are free as well. Rows named pass1, pass2, ... only lead around something.
     Watch the first run: what else stands around the arm is not known here.
+
+    Rows named check1, check2, ... are random poses, a fifth more and at least four, to check the result by. Measure
+    them with the others and calibrate with --exclude-poses check1,check2,...: it says how far the arm is off in them.
 
     Exit status 1 says that --until cannot be reached.
     """
@@ -87,7 +91,7 @@ def command(
     with progress_bar("planning", candidates + 3 * count) as advance:
         urdf = _urdf_of(start, setup) if isinstance(setup, Calibration) else None
         planner = Planner(setup, urdf=urdf, workspace=where, candidates=candidates, seed=seed, progress=advance)
-        found = planner.plan(count, until=until or 0.0, progress=advance)
+        found = planner.plan(count, until=until or 0.0, check=not no_check, progress=advance)
     files = {}
     if found.count:
         files = {output: as_csv(found)}
@@ -154,18 +158,29 @@ def _print(plan: Plan, paths: list[str], until: float | None) -> None:
     for k, (error, likely) in enumerate(zip(plan.errors, plan.likely, strict=True)):
         rows.add_row(str(k), f"{1e3 * error:.3g}", f"{1e3 * likely:.3g}")
     terminal().print(rows)
-    passed = len(plan.rank) - plan.count
+    passed = int((~plan.measured).sum())
     say(
         f"{', '.join(paths)}: {plan.count} poses" + (f", and {passed} to pass through" if passed else "") + "; "
         f"the tip's expected rms error goes from {now} to {then}"
     )
+    if checks := _checks(plan):
+        say(f"and {len(checks)} random ones to check by: calibrate with --exclude-poses")
+        click.echo(f"  {','.join(checks)}")
     if until is not None and plan.likely[-1] > until:
         say(f"{1e3 * until:.3g} mm is not reached: a better camera, a nearer one or more LEDs would help more")
+
+
+def _checks(plan: Plan) -> list[str]:
+    """Return the labels of the poses to check by."""
+    from urdfcal.planning.files import labels
+
+    return [label for label, check in zip(labels(plan), plan.check.tolist(), strict=True) if check]
 
 
 def _as_dict(plan: Plan) -> dict[str, object]:
     return {
         "poses": plan.count,
+        "check_poses": _checks(plan),
         "tip_mm": [1e3 * error for error in plan.errors.tolist()],
         "tip_at_most_mm": [1e3 * error for error in plan.likely.tolist()],
         "warnings": list(plan.warnings),

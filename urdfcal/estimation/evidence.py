@@ -15,6 +15,7 @@ from urdfcal.estimation.diagnosis.residuals import Unexplained
 from urdfcal.estimation.diagnosis.scatter import scatter
 from urdfcal.estimation.diagnosis.trials import suspect
 from urdfcal.estimation.joint_models.linear import LinearJointModel
+from urdfcal.estimation.left_out import find_left_out
 from urdfcal.estimation.noise import find_noise
 from urdfcal.estimation.regions import joint_regions, tip_regions
 from urdfcal.estimation.scale import find_scale
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from urdfcal.arrays import Bools, Floats
     from urdfcal.estimation.diagnosis.doctor import Finding
     from urdfcal.estimation.diagnosis.trials import Suspicion
+    from urdfcal.estimation.left_out import LeftOut
     from urdfcal.estimation.model_selection import Comparison
     from urdfcal.estimation.noise import FoundNoise
     from urdfcal.estimation.problem import Problem
@@ -84,6 +86,7 @@ class Evidence:
         scale: what the unit of the instrument's lengths does.
         findings: effects that explain the residuals beyond chance, the largest share first.
         regions: the error in regions that were left out.
+        left_out: the error in poses that the user left out; None where there are none.
         tip: the error of the calibrated tip that is to be expected.
         bends: what the joints do that no URDF can hold, one sentence for each joint model; none of a rigid arm.
         rigid_loss: how far the rigid arm's tip is off for that at the measured poses, root mean square. [m]
@@ -98,6 +101,7 @@ class Evidence:
     scale: LengthScale
     findings: tuple[Finding, ...]
     regions: Regions
+    left_out: LeftOut | None
     tip: TipError
     bends: tuple[str, ...]
     rigid_loss: float
@@ -156,6 +160,7 @@ def gather(
         scale=find_scale(problem, fit, unexplained),
         findings=findings,
         regions=regions,
+        left_out=find_left_out(session, problem, fit.state),
         tip=tip,
         bends=bends,
         rigid_loss=rigid_loss(problem, fit.state) if bends else 0.0,

@@ -117,7 +117,7 @@ def headline(document: ResultData) -> str:
 
 
 def claims(document: ResultData) -> tuple[str, ...]:
-    """What error of the tip is claimed, what that is conditional on, and what more poses would bring.
+    """What error of the tip is claimed and found, what that is conditional on, and what more poses would bring.
 
     Nothing in files that do not say it.
     """
@@ -130,8 +130,17 @@ def claims(document: ResultData) -> tuple[str, ...]:
         f"that is against what was measured, its noise included; {regions_mm}",
         f"tip {tip['rms_mm']:.2g} mm rms (95 %: {interval}) expected over the workspace, without that noise",
         _condition(document["scale"]),
+        *_in_left_out(document),
         *_more_poses(document),
     )
+
+
+def _in_left_out(document: ResultData) -> tuple[str, ...]:
+    """What was found in poses that were left out by name; nothing where there are none."""
+    found = document["validation"].get("left_out")
+    if found is None:
+        return ()
+    return (f"{found['rms_mm']:.2g} mm rms, at most {found['max_mm']:.2g}, in the {found['poses']} poses left out",)
 
 
 def _condition(scale: ResultData) -> str:

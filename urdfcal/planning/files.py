@@ -24,13 +24,14 @@ _REST = 2.0
 
 
 def labels(plan: Plan) -> list[str]:
-    """Name poses in the order of the moves; where the arm only passes nothing need be measured."""
-    measured = np.cumsum(plan.rank >= 0)
-    width = len(str(plan.count))
-    passed = np.cumsum(plan.rank < 0)
-    return [
-        f"{measured[k]:0{width}d}" if rank >= 0 else f"pass{passed[k]}" for k, rank in enumerate(plan.rank.tolist())
-    ]
+    """Name poses in the order of the moves: numbers, check1 and so on; pass1 and so on where the arm only passes."""
+    width, numbers = len(str(plan.count)), dict.fromkeys(("", "check", "pass"), 0)
+    names = []
+    for rank, check in zip(plan.rank.tolist(), plan.check.tolist(), strict=True):
+        kind = "" if rank >= 0 else "check" if check else "pass"
+        numbers[kind] += 1
+        names.append(f"{numbers[kind]:0{width}d}" if rank >= 0 else f"{kind}{numbers[kind]}")
+    return names
 
 
 def as_csv(plan: Plan) -> str:
@@ -46,9 +47,9 @@ def as_csv(plan: Plan) -> str:
 def as_urscript(plan: Plan) -> str:
     """Write a program for a Universal Robot: straight moves in joint space, at rest in every pose."""
     lines = ["def measure():"]
-    for label, rank, values in _rows(plan):
+    for label, measured, values in _rows(plan):
         lines.append(f"  movej([{', '.join(f'{value:.6f}' for value in values)}], a={_ACCELERATION}, v={_SPEED})")
-        if rank >= 0:
+        if measured:
             lines += [f'  textmsg("pose {label}")', f"  sleep({_REST})"]
     return "\n".join([*lines, "end", ""])
 
@@ -58,13 +59,13 @@ def as_ros(plan: Plan) -> str:
     import yaml
 
     time, points, before = 0.0, [], None
-    for _, rank, values in _rows(plan):
+    for _, measured, values in _rows(plan):
         time += _REST if before is None else max(float(np.abs(np.subtract(values, before)).max()) / _SPEED, 1.0)
-        for _ in range(2 if rank >= 0 else 1):
+        for _ in range(2 if measured else 1):
             stamp = {"sec": int(time), "nanosec": int(1e9 * (time % 1.0))}
             points.append({"positions": list(values), "velocities": [0.0] * len(values), "time_from_start": stamp})
-            time += _REST if rank >= 0 else 0.0
-        time -= _REST if rank >= 0 else 0.0
+            time += _REST if measured else 0.0
+        time -= _REST if measured else 0.0
         before = values
     return yaml.safe_dump(
         {"joint_names": list(plan.chain.actuated), "points": points},
@@ -78,10 +79,10 @@ def as_lerobot(plan: Plan) -> str:
     """Write actions for LeRobot's robots: positions in degrees (sliding joints in m), as with ``use_degrees``."""
     slides = [joint.prismatic for joint in plan.chain.actuated_joints]
     rows = []
-    for label, rank, values in _rows(plan):
+    for label, measured, values in _rows(plan):
         degrees = np.where(slides, values, np.degrees(values)).tolist()
         action = {f"{name}.pos": value for name, value in zip(plan.chain.actuated, degrees, strict=True)}
-        rows.append({"pose": label, "measure": rank >= 0, "action": action})
+        rows.append({"pose": label, "measure": measured, "action": action})
     return json.dumps(rows, indent=1) + "\n"
 
 
@@ -93,6 +94,6 @@ WRITERS: dict[ProgramFormat, tuple[str, Callable[[Plan], str]]] = {
 """The suffix of each format's files, and what writes them."""
 
 
-def _rows(plan: Plan) -> list[tuple[str, int, list[float]]]:
-    """Label, rank and readings of each pose."""
-    return list(zip(labels(plan), plan.rank.tolist(), plan.chain.readings(plan.q).tolist(), strict=True))
+def _rows(plan: Plan) -> list[tuple[str, bool, list[float]]]:
+    """Label, whether something is measured, and readings of each pose."""
+    return list(zip(labels(plan), plan.measured.tolist(), plan.chain.readings(plan.q).tolist(), strict=True))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.arrays import one_blas_thread
+from urdfcal.arrays import frozen, one_blas_thread
 from urdfcal.errors import CalibrationError, SessionError
 from urdfcal.pipeline import calibrate
 from urdfcal.planning.belief import Belief, check_plannable
@@ -24,7 +24,7 @@ from urdfcal.simulation.simulate import nominal_scene
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from urdfcal.arrays import Floats, Ints
+    from urdfcal.arrays import Bools, Floats, Ints
     from urdfcal.planning.workspace import WorkspaceOfInterest
     from urdfcal.robot.mechanism import Mechanism
     from urdfcal.robot.urdf.urdf import Urdf
@@ -39,6 +39,8 @@ _MOST_MARGIN = 0.3
 _TO_START = 20
 # Ways are looked for so often, each time without the poses that none was found to.
 _TRIES = 20
+# Poses to check by, as a share of the others; fewer than four are an anecdote.
+_CHECKS, _LEAST_CHECKS = 0.2, 4
 _NO_WAY = "no free way was found from the last measured pose: bring the arm to the first pose of the plan yourself"
 
 
@@ -49,7 +51,8 @@ class Plan:
     Attributes:
         chain: the arm.
         q: (K, n) joint values in the order of the moves. [rad or m]
-        rank: (K,) which of the N poses each is, from 0, those that bring most first; -1 where the arm only passes.
+        rank: (K,) which of the N poses each is, from 0, those that bring most first; -1 of others.
+        check: (K,) which are random poses to check the calibration by; at the others of rank -1 the arm only passes.
         errors: (N + 1,) the tip's expected rms error over the workspace: as it is, and after each pose. [m]
         likely: (N + 1,) what it is at most in nine of ten arms. [m]
         warnings: what could not be checked.
@@ -58,14 +61,20 @@ class Plan:
     chain: Mechanism
     q: Floats
     rank: Ints
+    check: Bools
     errors: Floats
     likely: Floats
     warnings: tuple[str, ...]
 
     @property
     def count(self) -> int:
-        """Number of poses to measure."""
+        """Number of poses to calibrate by."""
         return int(np.count_nonzero(self.rank >= 0))
+
+    @property
+    def measured(self) -> Bools:
+        """(K,) where something is measured."""
+        return (self.rank >= 0) | self.check
 
 
 class Planner:
@@ -134,6 +143,7 @@ class Planner:
         count: int,
         *,
         until: float = 0.0,
+        check: bool = False,
         progress: Callable[[float], object] | None = None,
     ) -> Plan:
         """Plan poses, in an order of short moves that are free of collisions.
@@ -141,6 +151,7 @@ class Planner:
         Args:
             count: how many at most.
             until: fewer, where the tip's rms error comes to this in nine of ten arms. [m]
+            check: whether to plan random poses, too, by which the calibration can be checked: a fifth more.
             progress: called with the number of poses done since the last call, each three times.
 
         Raises:
@@ -149,28 +160,35 @@ class Planner:
         """
         with one_blas_thread():
             at = self._prepare(self._setup if isinstance(self._setup, Session) else None)
-            return self._planned(at, count, until, progress)
+            return self._planned(at, count, until, progress, check=check)
 
-    def _planned(self, at: Prospect, count: int, until: float, progress: Callable[[float], object] | None) -> Plan:
+    def _planned(
+        self, at: Prospect, count: int, until: float, progress: Callable[[float], object] | None, *, check: bool
+    ) -> Plan:
         rng, barred = np.random.default_rng(self._seed), set[int]()
         start, warnings, kept = at.belief.q, at.warnings, at.nothing
         for _ in range(_TRIES):
             chosen = at.choose(kept, count, barred=barred, until=until, rng=rng, progress=progress)
-            way = route(chosen.q, start, at.moves, at.vias, progress) if len(chosen) else NOWHERE
+            checks = max(_LEAST_CHECKS, round(_CHECKS * len(chosen))) if check and len(chosen) else 0
+            origin = (*chosen.origin, *at.spare(checks, chosen, barred))
+            q = np.vstack([chosen.q, at.q[list(origin[len(chosen) :])]])
+            way = route(q, start, at.moves, at.vias, progress) if len(q) else NOWHERE
             if not way.unreached:
                 break
-            if len(way.unreached) == len(chosen) and start is not None:
+            if len(way.unreached) == len(q) and start is not None:
                 start, warnings, kept = None, (*warnings, _NO_WAY), chosen
             else:
-                barred |= {chosen.origin[k] for k in way.unreached}
+                barred |= {origin[k] for k in way.unreached}
                 kept = chosen.of([k for k in range(len(chosen)) if k not in way.unreached])
         errors, likely = chosen.tell.course(at.belief.information, range(len(chosen)))
-        reached = len(chosen) - len(way.unreached)
+        reached = len(chosen) - sum(k < len(chosen) for k in way.unreached)
         if way.unreached or (reached < count and likely[-1] > until):
             what = f"{reached} of {count} poses found, among {len(at.q)} in view, that are free and a way leads to"
             remedy = "Ask for fewer poses, let the cameras stand further away, or move the arm elsewhere first."
             raise SessionError(what, where="plan", remedy=remedy)
-        return Plan(at.belief.setup.chain, way.q, way.pose, errors, likely, warnings)
+        spare = way.pose >= len(chosen)
+        rank = frozen(np.where(spare, -1, way.pose), np.intp)
+        return Plan(at.belief.setup.chain, way.q, rank, frozen(spare, bool), errors, likely, warnings)
 
     def _prepare(self, session: Session | None) -> Prospect:
         if self._prepared is None:

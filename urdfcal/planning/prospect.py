@@ -190,6 +190,15 @@ class Prospect:
         every = kept + more.of(order)
         return every.of(enough(every.tell, self.belief.information, until))
 
+    def spare(self, count: int, chosen: Choice, barred: Container[int]) -> tuple[int, ...]:
+        """Return random candidates beside chosen poses; fewer where the arm cannot take as many."""
+
+        def allowed(k: int) -> bool:
+            return k not in barred and _apart(self.q[k], chosen.q) and self.reach.takes(self.q[k])
+
+        # They are in no order, and the last ones as random as any.
+        return tuple(islice(filter(allowed, reversed(range(len(self.q)))), count))
+
 
 def unfree(free: int, count: int, margin: float) -> SessionError:
     """Return the error that too few poses are free, of those in view ``margin`` px from the images' borders."""

@@ -32,6 +32,7 @@ from urdfcal.session.moves import BASE_LINK as BASE_PART
 
 if TYPE_CHECKING:
     from urdfcal.estimation.evidence import TipError
+    from urdfcal.estimation.left_out import LeftOut
     from urdfcal.estimation.observations import Observations
     from urdfcal.result.fitted import FittedCalibration
 
@@ -324,8 +325,15 @@ def _validation(of: FittedCalibration) -> Plain:
         "interval_mm": [1e3 * low, 1e3 * high],
         "max_mm": distance.max(),
         "p95_mm": np.percentile(distance, 95),
+        **_left_out(of.evidence.left_out),
         **{f"rms_{prefix}px": _rms(trial.residuals("residual")[:, None]) for prefix, trial in trials},
     }
+
+
+def _left_out(found: LeftOut | None) -> Plain:
+    if found is None:
+        return {}
+    return {"left_out": {"poses": found.poses, "rms_mm": 1e3 * found.rms, "max_mm": 1e3 * found.largest}}
 
 
 def _tip(tip: TipError) -> Plain:

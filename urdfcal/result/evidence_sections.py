@@ -36,6 +36,14 @@ class Section(BaseModel):
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
 
 
+class LeftOutEntry(Section):
+    """The error in poses that the user left out of the calibration. [mm]."""
+
+    poses: int
+    rms_mm: float
+    max_mm: float
+
+
 class ValidationSection(Section):
     """Prediction errors on held-out poses, nominal and calibrated arm with the same cameras. [mm, px]."""
 
@@ -47,6 +55,7 @@ class ValidationSection(Section):
     p95_mm: float
     rms_nominal_px: float | None = None
     rms_px: float | None = None
+    left_out: LeftOutEntry | None = None
 
 
 class IdentifiabilitySection(Section):
