@@ -9,6 +9,8 @@ import pytest
 
 from tests.worlds import sagging
 from urdfcal.errors import CalibrationError
+from urdfcal.estimation.joint_models import JOINT_MODELS
+from urdfcal.estimation.joint_models.linear import LinearJointModel
 from urdfcal.estimation.measurements import Detections
 from urdfcal.estimation.model_selection import Trial, _preferred, with_fit
 from urdfcal.estimation.model_spec import ModelSpec
@@ -95,7 +97,7 @@ def test_where_residuals_exceed_the_noise_models_are_compared_by_regions_left_ou
 ) -> None:
     assert open_choice.comparison.chosen.elsewhere is None
     data = simulated("panda", poses=15, seed=2)
-    rigid = dict.fromkeys(("compliance", "backlash", "harmonics", "gain", "lag"), False)
+    rigid = {kind.name: False for kind in JOINT_MODELS if issubclass(kind, LinearJointModel)}
     bent = calibrate(replace(sagging(data, 7e-5), joint_models=rigid), force=True)
     comparison, observations = bent.comparison, bent.problem.observations
     offsets, rows = (attempt for attempt in comparison.attempts[1:3] if isinstance(attempt, Trial))
