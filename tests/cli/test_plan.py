@@ -94,6 +94,7 @@ def test_a_session_is_gone_on_from_and_a_box_is_where_it_counts(capsys: pytest.C
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
+        (["--scene", "none.yaml"], "none.yaml"),
         (["--until", "0.2"], "write it with its unit"),
         (["--workspace", "1,2,3"], "is no box, no file and no folder"),
         (["--workspace", "0:1,0:1,0:x"], "is no box"),

@@ -18,8 +18,10 @@ from urdfcal.pipeline import calibrate
 from urdfcal.planning.belief import Belief
 from urdfcal.planning.planner import Planner, base_margin
 from urdfcal.robot.dh import DHTable
+from urdfcal.robot.kinematics import tip_poses
 from urdfcal.robot.mechanism import BASE
 from urdfcal.session.knowledge import Estimate
+from urdfcal.session.obstacle import Obstacle
 from urdfcal.simulation.planning import MARGIN, CollisionChecker, load_collision_checker
 from urdfcal.simulation.simulate import nominal_scene
 
@@ -124,6 +126,34 @@ def test_the_arm_keeps_clear_of_cameras_and_itself() -> None:
     assert clear.sum() < bare.sum()
     alone = CollisionChecker(rig.chain, rig.urdf, [], [], 0.1)
     assert np.sum([alone.is_free(q_k) for q_k in q]) > clear.sum()
+
+
+def test_what_stands_around_is_kept_clear_of_and_hides_leds(few: Simulated) -> None:
+    assert few.session.urdf is not None
+    chain, nominal, urdf = few.session.chain, nominal_scene(read_rig(find_rig("ur5"))), few.session.urdf
+    plain = Planner(few.session, candidates=400).plan(4)
+    measured = plain.q[plain.rank >= 0]
+    tips = tip_poses(chain, measured)[:, :3, 3]
+    furthest = int(np.argmax(np.linalg.norm(tips, axis=1)))
+    crate = Obstacle("crate", np.full(3, 0.2), tips[furthest])
+    plan = Planner(few.session, candidates=400, scene=(crate,)).plan(4)
+    around = CollisionChecker(chain, urdf, *nominal.outlined().points_on_joints(), 0.0, [crate])
+    assert not around.is_free(measured[furthest])
+    here = plan.q[0]
+    for q in plan.q:
+        assert all(around.is_free(here + step * (q - here)) for step in np.linspace(0.0, 1.0, 60))
+        here = q
+    centres = nominal.camera_centres(measured[:1])[0]
+    led = nominal.led_positions(measured[:1])[0, 0]
+    screen = Obstacle("screen", np.full(3, 0.02), 0.5 * (centres[0] + led))
+    for scene, seen in ((), True), ((screen,), False):
+        checker = CollisionChecker(chain, urdf, *nominal.outlined().points_on_joints(), 0.0, scene)
+        assert checker.is_seen(measured[0], centres) == seen
+
+
+def test_a_box_in_the_arms_way_wherever_it_goes_is_refused(few: Simulated) -> None:
+    with pytest.raises(SessionError, match="collides with box floor in every pose"):
+        Planner(few.session, scene=(Obstacle("floor", (2, 2, 0.4), (0, 0, 0)),)).plan(3)
 
 
 def test_what_cannot_be_planned_is_refused(few: Simulated) -> None:

@@ -56,6 +56,11 @@ class Length(click.ParamType[float]):
     "values, or the session's poses.  [default: the joints' ranges]",
 )  # fmt: skip
 @click.option("--candidates", type=click.IntRange(min=1), default=2000, help="Poses to choose from.")
+@click.option(
+    "--scene", type=PATH, metavar="FILE",
+    help="Boxes that stand around the arm, as under the key scene of rig.yaml: {scene: {wall: {size: [x, y, z], "
+    "position: [x, y, z], rpy: [r, p, y]}}}, in the base link's frame, in m and rad.",
+)  # fmt: skip
 @click.option("--no-check", is_flag=True, help="Plan no further random poses to check the calibration by.")
 @click.option(
     "--format", "also", multiple=True, type=click.Choice(["urscript", "ros", "lerobot"]),
@@ -65,15 +70,16 @@ class Length(click.ParamType[float]):
 @json_option
 def command(
     start: str, output: Path, poses: int | None, until: float | None, workspace: str | None, candidates: int,
-    no_check: bool, also: tuple[str, ...], seed: int, as_json: bool,
+    scene: Path | None, no_check: bool, also: tuple[str, ...], seed: int, as_json: bool,
 ) -> int:  # fmt: skip
     """Plan the poses to measure next, those that make the tip most accurate.
 
     From a SESSION with a few measured poses; before anything is measured from a RIG (a shipped rig's name or a
     folder), or for an arm that was calibrated before from its RESULT, if the cameras still stand where they stood.
-    In every pose the arm keeps clear of itself, the table and the cameras, and every camera sees every LED; moves from
-    row to row, straight in joint space, are free as well. Rows named pass1, pass2, ... only lead around something.
-    Watch the first run: what else stands around the arm is not known here.
+    In every pose the arm keeps clear of itself, the table, the cameras and what is named, and every camera sees every
+    LED; moves from row to row, straight in joint space, are free as well. Rows named pass1, pass2, ... only lead around
+    something.
+    Watch the first run: what stands around the arm and is not named in --scene is not known here.
 
     Rows named check1, check2, ... are random poses, a fifth more and at least four, to check the result by. Measure
     them with the others and calibrate with --exclude-poses check1,check2,...: it says how far the arm is off in them.
@@ -81,16 +87,19 @@ def command(
     Exit status 1 says that --until cannot be reached.
     """
     from urdfcal.files import write_text
+    from urdfcal.io.scene import read_scene
     from urdfcal.planning.files import FORMATS, WRITERS, as_csv
     from urdfcal.planning.planner import Planner
     from urdfcal.planning.workspace import parse_workspace
     from urdfcal.result.calibration import Calibration
 
-    setup, where = _read(start), parse_workspace(workspace)
+    setup, where, boxes = _read(start), parse_workspace(workspace), () if scene is None else read_scene(scene)
     count = poses or (_DEFAULT if until is None else _MOST)
     with progress_bar("planning", candidates + 3 * count) as advance:
         urdf = _urdf_of(start, setup) if isinstance(setup, Calibration) else None
-        planner = Planner(setup, urdf=urdf, workspace=where, candidates=candidates, seed=seed, progress=advance)
+        planner = Planner(
+            setup, urdf=urdf, scene=boxes, workspace=where, candidates=candidates, seed=seed, progress=advance
+        )
         found = planner.plan(count, until=until or 0.0, check=not no_check, progress=advance)
     files = {}
     if found.count:

@@ -21,6 +21,7 @@ from pydantic import (
 from urdfcal.estimation.joint_models import JOINT_MODELS
 from urdfcal.estimation.measurements import MEASUREMENTS, Measurement
 from urdfcal.io.keys import Keys, Name, NotNegative, PlaceKeys, Positive, ScaleKeys, Vector
+from urdfcal.io.scene import ObstacleKeys, obstacles
 from urdfcal.io.target_keys import AnyTargetKeys  # noqa: TC001  # as of the next
 from urdfcal.robot.dh import Parameter  # noqa: TC001  # pydantic needs it at run time
 from urdfcal.session.attachments import CameraMount
@@ -257,6 +258,7 @@ class SetupFile(Keys):
     payload: PayloadKeys | None = None
     gravity: _Gravity | None = None
     gear_ratio: dict[Name, Positive] = Field(default={})
+    scene: dict[Name, ObstacleKeys] = Field(default={})
     about: _About = Field(default={})
 
     @model_validator(mode="after")
@@ -283,6 +285,7 @@ class SetupFile(Keys):
             "scale_sigma": None if self.scale is None else self.scale.sigma,
             "payload": None if self.payload is None else Payload(**dict(self.payload)),
             "gear_ratio": self.gear_ratio,
+            "scene": obstacles(self.scene),
             "about": self.about,
             **({"gravity": np.array(self.gravity)} if isinstance(self.gravity, tuple | list) else {}),
         }

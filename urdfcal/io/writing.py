@@ -198,6 +198,7 @@ def _write_files(folder: Path, session: Positions, urdf: Urdf) -> None:
         "payload": {} if session.payload is None else _said(**vars(session.payload)),
         "gravity": _said(direction=session.estimate.gravity) or gravity,
         "gear_ratio": dict(session.gear_ratio),
+        "scene": {box.name: _said(**{**vars(box), "name": None}) for box in session.scene},
         "about": dict(session.about),
     }
     content["tolerances"] |= {name: dict(values) for name, values in session.tolerances.joints.items()}

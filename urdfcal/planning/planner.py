@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,13 +22,14 @@ from urdfcal.simulation.planning import MARGIN, in_view
 from urdfcal.simulation.simulate import nominal_scene
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from urdfcal.arrays import Bools, Floats, Ints
     from urdfcal.planning.workspace import WorkspaceOfInterest
     from urdfcal.robot.mechanism import Mechanism
     from urdfcal.robot.urdf.urdf import Urdf
     from urdfcal.session.model import Setup
+    from urdfcal.session.obstacle import Obstacle
     from urdfcal.simulation.scene import Scene
 
 # Before anything is measured, the base's place as a user gives it. [m, rad]
@@ -85,6 +86,7 @@ class Planner:
         setup: Setup | Calibration,
         *,
         urdf: Urdf | None = None,
+        scene: Sequence[Obstacle] = (),
         workspace: WorkspaceOfInterest = None,
         candidates: int = 2000,
         seed: int = 0,
@@ -96,6 +98,7 @@ class Planner:
             setup: a session; where nothing is measured yet a rig, or an earlier calibration of the arm, whose cameras
                 still stand where they stood.
             urdf: with a calibration the corrected one, without which collisions are not looked for.
+            scene: what stands around the arm beside what is known of that already.
             workspace: where the tip is to be accurate: joint values (M, n), a CSV file of them, two corners of a box
                 in the base link's frame [m], or "session"; the joints' ranges by default.
             candidates: how many poses to choose from.
@@ -108,8 +111,8 @@ class Planner:
         # Where all is thought to be, and the margin to keep for what it may be off; of a session nothing.
         self._known: tuple[tuple[Setup, Scene, float], ...] = ()
         if isinstance(setup, Calibration):
-            setup, scene = scene_of(setup, urdf)
-            self._known = ((setup, scene, MARGIN),)
+            setup, there = scene_of(setup, urdf)
+            self._known = ((setup, there, MARGIN),)
         check_plannable(setup)
         if isinstance(setup, RigDescription):
             self._known = ((setup, nominal_scene(setup), base_margin(setup)),)
@@ -119,7 +122,7 @@ class Planner:
         if candidates < 1:
             raise SessionError(f"{candidates} candidates are none", where="candidates")
         self._setup, self._workspace, self._seed = setup, workspace, seed
-        self._count, self._progress = candidates, progress
+        self._count, self._progress, self._scene = candidates, progress, tuple(scene)
         self._prepared: Prospect | None = None
 
     def next(self, session: Session) -> Floats:
@@ -211,6 +214,7 @@ class Planner:
         return self._with_candidates(Belief.of_scene(setup, scene, q), None, margin)
 
     def _with_candidates(self, belief: Belief, session: Session | None, margin: float) -> Prospect:
+        belief = replace(belief, setup=replace(belief.setup, scene=(*belief.setup.scene, *self._scene)))
         workspace = workspace_values(self._workspace, belief.setup.chain, session, self._seed)
         return Prospect.of(belief, workspace, self._count, margin=margin, seed=self._seed, progress=self._progress)
 

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
     from urdfcal.robot.mechanism import Mechanism
     from urdfcal.robot.urdf.urdf import Urdf
+    from urdfcal.session.obstacle import Obstacle
     from urdfcal.session.target import Target
 
 # Three positions are the fewest that fix a base pose.
@@ -74,6 +75,7 @@ class Setup(Rebuilt):
         gear_ratio: turns of the motor for one of the joint, by the joint's name.
         scale_sigma: of the share that the instrument's lengths may be too long by; where nothing is said the rig's,
             or None.
+        scene: what stands around the arm, which simulated and planned poses keep clear of.
         about: what else is to be known of it, such as the arm's serial number, the operator and the site.
         sha256: hash of every input file, by the name that the session gives it.
         folder: where it was read from.
@@ -98,13 +100,14 @@ class Setup(Rebuilt):
     gravity: Floats = field(default_factory=lambda: STANDARD_GRAVITY)
     gear_ratio: Mapping[str, float] = field(default_factory=dict)
     scale_sigma: float | None = None
+    scene: tuple[Obstacle, ...] = ()
     about: Mapping[str, str] = field(default_factory=dict)
     sha256: Mapping[str, str] = field(default_factory=dict)
     folder: Path | None = None
     parts: tuple[str, ...] = ("",)
 
     def __post_init__(self) -> None:
-        several = ("leds", "targets", "led_distances", "place_distances", "mounts")
+        several = ("leds", "targets", "led_distances", "place_distances", "mounts", "scene")
         keep(self, **{name: tuple(getattr(self, name)) for name in several})
         keep(self, **{name: ReadOnly(getattr(self, name)) for name in ("about", "sha256", "joint_models")})
         keep(self, gravity=finite_array(self.gravity, (3,), "gravity", "gravity"), gear_ratio=ReadOnly(self.gear_ratio))
@@ -117,6 +120,7 @@ class Setup(Rebuilt):
         for name in (name for distance in self.led_distances for name in distance.leds):
             check_known(name, [led.name for led in self.leds], "LEDs", "led_distances")
         check_names("LEDs", self.led_names)
+        check_names("boxes of the scene", [box.name for box in self.scene])
         rows = rows_of(self.chain).labels if self.tolerances.joints else ()
         for joint in self.tolerances.joints:
             between = f" between {self.chain.base_link!r} and {self.chain.tip_link!r}"

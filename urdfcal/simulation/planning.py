@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from urdfcal.robot.mechanism import Mechanism
     from urdfcal.robot.urdf.urdf import Urdf
     from urdfcal.session.model import Setup
+    from urdfcal.session.obstacle import Obstacle
     from urdfcal.simulation.scene import Scene
 
 # What stands on a table may reach below its own origin: mounting plates, cables, a table that is not flat. [m]
@@ -71,6 +72,7 @@ class CollisionChecker:
         leds: Sequence[tuple[int, Floats]],
         centres: Sequence[tuple[int, Floats]],
         clearance: float = 0.0,
+        scene: Sequence[Obstacle] = (),
     ) -> None:
         """Load the geometry.
 
@@ -81,9 +83,11 @@ class CollisionChecker:
             centres: the same of the cameras' centres.
             clearance: how near is a collision already, of pairs that are not built as near. With some, the arm
                 keeps clear of the cameras that stand around it, too. [m]
+            scene: what stands around the arm. It hides LEDs, and clearance is kept of it, however near it is.
 
         Raises:
             RobotError: a mesh cannot be found or read.
+            SessionError: a box of the scene is in the arm's way wherever it goes.
         """
         solids = _solids(chain, urdf)
         bulb, table = coal.Sphere(_BULB), coal.Halfspace(np.array([0.0, 0.0, 1.0]), _TABLE)
@@ -95,7 +99,12 @@ class CollisionChecker:
             for i, (joint, centre) in enumerate(centres)
             if clearance and joint == BASE
         ]
-        for one in (*solids, *bulbs, *stands, pin.GeometryObject("table", 0, pin.SE3.Identity(), table)):
+        boxes = [
+            pin.GeometryObject(f"box {box.name}", 0, pin.SE3(box.T_base_box), coal.Box(*box.size)) for box in scene
+        ]
+        before = len(solids) + len(bulbs) + len(stands)
+        self._around = range(before, before + len(boxes))
+        for one in (*solids, *bulbs, *stands, *boxes, pin.GeometryObject("table", 0, pin.SE3.Identity(), table)):
             self._geometry.addGeometryObject(one)
         self._model = chain.build_model()
         self._data = self._model.createData()
@@ -105,16 +114,17 @@ class CollisionChecker:
             self._keep_clear(chain, clearance)
         # A solid that holds an LED or a camera carries it: on which side of it that sits is unknown here.
         ends = [*self._leds, *((joint + 1, pin.SE3(np.eye(3), position)) for joint, position in centres)]
+        screens = (*range(len(solids)), *self._around)
         carriers = [
             {
                 i
-                for i, solid in enumerate(solids)
+                for i, solid in ((i, self._geometry.geometryObjects[i]) for i in screens)
                 if solid.parentJoint == joint and _touch(solid.geometry, solid.placement, bulb, M)
             }
             for joint, M in ends
         ]
         self._screens = [
-            [[i for i in range(len(solids)) if i not in of_led | of_camera] for of_camera in carriers[len(leds) :]]
+            [[i for i in screens if i not in of_led | of_camera] for of_camera in carriers[len(leds) :]]
             for of_led in carriers[: len(leds)]
         ]
         self.empty = not solids
@@ -143,18 +153,29 @@ class CollisionChecker:
         pairs = []
         for i, j in combinations(range(len(joints)), 2):
             a, b = sorted((joints[i], joints[j]))
-            # Neighbours touch by design. The table is on the base link's side, but nobody's neighbour.
-            if a != b and (j == table or self._model.parents[b] != a):
+            # Neighbours touch by design, but what stands around is nobody's neighbour.
+            if a != b and (j == table or self._is_around(pin.CollisionPair(i, j)) or self._model.parents[b] != a):
                 pairs.append(pin.CollisionPair(i, j))
                 self._geometry.addCollisionPair(pairs[-1])
         for k in np.flatnonzero(self._share(chain, self._geometry.createData()) == 1.0):
+            first, second = (self._geometry.geometryObjects[i].name for i in (pairs[k].first, pairs[k].second))
+            if self._is_around(pairs[k]):
+                remedy = "Make it smaller, or leave it out: what the arm stands on, it does not keep clear of."
+                raise SessionError(f"{first} collides with {second} in every pose", where="scene", remedy=remedy)
             self._geometry.removeCollisionPair(pairs[k])
+
+    def _is_around(self, pair: pin.CollisionPair) -> bool:
+        """Return whether a pair is of the arm and a box that stands around it."""
+        return pair.first in self._around or pair.second in self._around
 
     def _keep_clear(self, chain: Mechanism, clearance: float) -> None:
         """Ask a clearance of every pair that is not near by design."""
         for request in self._placed.collisionRequests:
             request.security_margin = clearance
-        near = self._share(chain, self._placed) > _BY_DESIGN
+        # Of boxes clearance is kept, unless that leaves no pose at all: those the arm stands on.
+        around = np.array([self._is_around(pair) for pair in self._geometry.collisionPairs], dtype=bool)
+        share = self._share(chain, self._placed)
+        near = np.where(around, share == 1.0, share > _BY_DESIGN)
         for request, by_design in zip(self._placed.collisionRequests, near, strict=True):
             request.security_margin = 0.0 if by_design else clearance
 
@@ -180,7 +201,7 @@ def load_collision_checker(
     if setup.urdf is None:
         return None, ("no URDF: the poses were not checked for collisions",)
     try:
-        checker = CollisionChecker(setup.chain, setup.urdf, *nominal.points_on_joints(), clearance)
+        checker = CollisionChecker(setup.chain, setup.urdf, *nominal.points_on_joints(), clearance, setup.scene)
     except RobotError as error:
         return None, (f"the poses were not checked for collisions: {error}",)
     if checker.empty:
