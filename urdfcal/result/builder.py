@@ -24,6 +24,7 @@ from urdfcal.estimation.model_selection import Trial
 from urdfcal.estimation.observations import arrange
 from urdfcal.estimation.validation import rms_interval
 from urdfcal.result.document import FORMAT, ResultDocument
+from urdfcal.result.error_sections import left_out_section, tip_section
 from urdfcal.result.joint_model_sections import joint_model_sections
 from urdfcal.robot.mechanism import BASE as BASE_LINK
 from urdfcal.robot.urdf.origins import origins_of
@@ -31,8 +32,6 @@ from urdfcal.rotations import matrix_to_rpy
 from urdfcal.session.moves import BASE_LINK as BASE_PART
 
 if TYPE_CHECKING:
-    from urdfcal.estimation.evidence import TipError
-    from urdfcal.estimation.left_out import LeftOut
     from urdfcal.estimation.observations import Observations
     from urdfcal.result.fitted import FittedCalibration
 
@@ -325,23 +324,8 @@ def _validation(of: FittedCalibration) -> Plain:
         "interval_mm": [1e3 * low, 1e3 * high],
         "max_mm": distance.max(),
         "p95_mm": np.percentile(distance, 95),
-        **_left_out(of.evidence.left_out),
+        **left_out_section(of.evidence.left_out),
         **{f"rms_{prefix}px": _rms(trial.residuals("residual")[:, None]) for prefix, trial in trials},
-    }
-
-
-def _left_out(found: LeftOut | None) -> Plain:
-    if found is None:
-        return {}
-    return {"left_out": {"poses": found.poses, "rms_mm": 1e3 * found.rms, "max_mm": 1e3 * found.largest}}
-
-
-def _tip(tip: TipError) -> Plain:
-    with_more = None if tip.rms_with_more is None else 1e3 * tip.rms_with_more
-    return {
-        "rms_mm": 1e3 * tip.rms,
-        "interval_mm": [1e3 * end for end in tip.interval],
-        "more": {"poses": tip.more, "rms_mm": with_more},
     }
 
 
@@ -351,7 +335,7 @@ def _evidence(of: FittedCalibration) -> Plain:
     regions, scale = evidence.regions, evidence.scale
     q, names = session.chain.readings(session.q), session.chain.actuated
     return {
-        "tip": _tip(evidence.tip),
+        "tip": tip_section(evidence.tip),
         "regions": {
             "count": regions.count,
             "rms_nominal_mm": 1e3 * regions.rms_nominal,
