@@ -119,6 +119,6 @@ def test_a_result_is_planned_from_and_says_how_to_go_on(capsys: pytest.CaptureFi
         assert "plan.csv: 3 poses" in said.out
         assert "tolerances: {length: " in said.out
         assert not said.err  # collisions are looked for
-        assert "urdf: elbow3r_calibrated.urdf\n" in said.out
+        assert "robot: {urdf: elbow3r_calibrated.urdf, ...}\n" in said.out
     Path("result/calibration.json").write_text("{}")
     assert run(["plan", "result", "-o", "plan.csv"]) == 2

@@ -13,6 +13,7 @@ from urdfcal.estimation.evaluation import explain
 from urdfcal.estimation.joint_model_choice import Alternatives, _transfers
 from urdfcal.estimation.joint_models import JOINT_MODELS, Readings
 from urdfcal.estimation.joint_models.compliance import Compliance
+from urdfcal.estimation.joint_models.leaning_compliance import LeaningCompliance
 from urdfcal.estimation.joint_models.linear import LinearJointModel
 from urdfcal.estimation.uncertainty import tip_error
 from urdfcal.estimation.validation import hold_out, random_folds
@@ -226,3 +227,13 @@ def bent_error(calibration: FittedCalibration, data, session) -> float:
     here = calibration.forward(chain.readings(q))[:, :3, 3]
     T = kabsch(here, true)
     return float(np.sqrt(np.mean(np.sum((here @ T[:3, :3].T + T[:3, 3] - true) ** 2, axis=1))))
+
+
+def test_a_joint_that_hardly_tells_does_not_turn_gravity_around() -> None:
+    p = np.array([0.0, 0.0, -1e-5] * 3 + [0.0, 0.0, 4.5e-5])
+    sigma = np.array([1e-6] * 9 + [4e-5] * 3)
+    direction, uncertain = LeaningCompliance.direction(p, sigma)
+    np.testing.assert_allclose(direction, [0.0, 0.0, -1.0], atol=0.05)
+    assert uncertain < 0.1
+    # Up or down is not known where joints contradict each other.
+    assert LeaningCompliance.direction(np.array([0.0, 0.0, -1e-5, 0.0, 0.0, 1e-5]), np.full(6, 1e-6))[1] == np.pi

@@ -32,6 +32,13 @@ def test_poses_left_out_show_the_error_of_the_estimate_there(simulated: Callable
     assert triangulated.evidence.left_out is None
 
 
+def test_where_the_base_was_bumped_nothing_is_predicted(simulated: Callable) -> None:
+    whole = replace(simulated("ur5", poses=16).session, estimate=Estimate("dh", "fixed", "fixed"))
+    bumped = replace(whole, moved={"base": (whole.poses[6],)})
+    calibration = calibrate(leave_out(bumped, Excluded(poses=whole.poses[12:])), force=True)
+    assert calibration.evidence.left_out is None
+
+
 def test_where_a_camera_went_too_nothing_is_predicted(simulated: Callable) -> None:
     whole = replace(simulated("ur5", poses=16).session, estimate=Estimate("dh", "fixed", "fixed"))
     one = leave_out(whole, Excluded(poses=whole.poses[12:], cameras=(whole.rig.names[1],)))

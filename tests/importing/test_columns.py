@@ -163,6 +163,8 @@ ROWS = ["0.1,0.2,0.3,1,2,3", "0.2,0.3,0.4,1,2,3", "0.3,0.4,0.5,1,2,3"]
         (HEADER, ["0.1,0.2,0.3,1,,3", *ROWS], ["{0}=A", "{1}=B", "{2}=C"], "data.csv:2:15: y: the cell is empty"),
         ("A,B,C,x,y", [row[:-2] for row in ROWS], ["{0}=A", "{1}=B", "{2}=C"], "there is x, y, but not z"),
         (HEADER, ROWS, ["joint9=A"], "there is nothing called 'joint9'"),
+        ("A,B,C,x,y,z [cm]", ROWS, ["{0}=A", "{1}=B", "{2}=C", "z=z [cm]"], "column 'z [cm]': the unit [cm] of"),
+        ("A,B,C,x,y,z", ROWS, ["{0}=A", "{1}=B", "{2}=x"], "column 'x' would be both"),
         (HEADER, ROWS[:2], ["{0}=A", "{1}=B", "{2}=C"], "2 poses are too few"),
         (
             "A,B,C,x,y,z,qx,qy,qz,qw",

@@ -152,6 +152,13 @@ def test_a_sample_that_is_wrong_is_named_by_its_line(tmp_path: Path, capsys: pyt
     assert f"a.samples:{line}:3, key 'tracking'" in capsys.readouterr().err
 
 
+def test_an_eye_that_the_file_contradicts_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "a.samples").write_text(yaml.safe_dump(easy("base")))
+    assert run(["import", str(tmp_path / "a.samples"), "--eye", "hand", "-o", str(tmp_path / "s")]) == 2
+    assert "the file says that its camera is on the base, not the hand" in capsys.readouterr().err
+    assert not (tmp_path / "s").exists()
+
+
 def test_options_that_do_not_belong_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["import", "some.bag", "--eye", "hand", "-o", str(tmp_path / "s")]) == 2
     assert "--eye goes with hand-eye samples" in capsys.readouterr().err

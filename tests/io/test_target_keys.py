@@ -125,6 +125,7 @@ def test_a_pose_known_unevenly_cannot_be_written(tmp_path: Path, simulated: Call
         ("{kind: apriltag, size: 0.03, tags: {0: {}}, family: 36h11}", "family is '36h11'.*tag36h11"),
         ("{kind: frame, sigma: [0.1, 0.1]}", "sigma is given without a position"),
         ("{kind: frame, position: [0, 0, 0]}", "position and rpy are given together"),
+        ("{kind: frame, flatness: 0.001}", "a body without points cannot be bent.*Leave flatness out"),
         ("{kind: frame, link: nose}", r"'targets\.x'.*no link 'nose'"),
         ("{kind: dots, dots: []}", r"'targets\.x\.dots'"),
     ],

@@ -13,7 +13,7 @@ from urdfcal.planning.planner import Planner
 from urdfcal.planning.recalibration import scene_of, tolerances_of
 from urdfcal.result.calibration import Calibration
 from urdfcal.result.document import ResultDocument
-from urdfcal.session.knowledge import Estimate
+from urdfcal.session.knowledge import Estimate, Tolerances
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -43,6 +43,13 @@ def test_six_poses_recalibrate_an_arm_that_is_known(before: tuple[Simulated, Cal
     found = true_error(made, calibrate(replace(known, tolerances=setup.tolerances), force=True))
     assert found < 1.5 * plan.likely[-1]
     assert found < 0.5 * true_error(made, calibrate(measured, force=True))
+
+
+def test_zero_offsets_say_nothing_of_the_links(before: tuple[Simulated, Calibration]) -> None:
+    document = before[1].document
+    zeros = [row for row in document.dh if row.parameter == "theta"]
+    assert any(row.sigma for row in zeros)
+    assert tolerances_of(document.model_copy(update={"dh": zeros})) == Tolerances()
 
 
 def test_what_came_out_is_known_and_the_zeros_are_not(before: tuple[Simulated, Calibration]) -> None:

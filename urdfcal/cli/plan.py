@@ -154,7 +154,7 @@ def _how_to_go_on(calibration: Calibration) -> str:
     known, urdf = tolerances_of(calibration.document), corrected_name(calibration.document.robot.urdf)
     return (
         "few poses are enough where what is known is said, in their session.yaml:\n"
-        f"  urdf: {urdf}\n  tolerances: {{length: {known.length:.2g}, angle: {known.angle:.2g}}}"
+        f"  robot: {{urdf: {urdf}, ...}}\n  tolerances: {{length: {known.length:.2g}, angle: {known.angle:.2g}}}"
     )
 
 

@@ -108,7 +108,7 @@ def compensate(result: Path, trajectory: Path, output: Path, torques: Path | Non
     import numpy as np
 
     from urdfcal.cli.judging import domain_of
-    from urdfcal.estimation.joint_models.compliance import Compliance
+    from urdfcal.estimation.joint_models.under_torque import UnderTorque
     from urdfcal.output.trajectory import CommandTable
     from urdfcal.result.calibration import Calibration
     from urdfcal.robot.compensation import Compensation
@@ -136,7 +136,7 @@ def compensate(result: Path, trajectory: Path, output: Path, torques: Path | Non
     _print_errors(output, given, found, next(iter(before.values())))
     for remark in domain_of(calibration, calibration.chain, given.q).remarks:
         say(remark)
-    if payload is not None and not any(of.kind is Compliance for of in calibration.joint_models.found):
+    if payload is not None and not any(issubclass(of.kind, UnderTorque) for of in calibration.joint_models.found):
         say("no compliance was estimated of this arm: what it carries makes no difference")
     for link in list(before)[1:]:
         say(

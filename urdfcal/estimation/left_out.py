@@ -41,10 +41,11 @@ def find_left_out(session: Session, problem: Problem, state: State) -> LeftOut |
         state: the estimate.
 
     Returns:
-        None where next to none were left out, whole cameras or LEDs went with them, or the arm moved.
+        None where next to none were left out, whole cameras or LEDs went with them, the arm moved, or something was
+        bumped: where it stands in the poses that were left out is then not known.
     """
     whole = session.excluded.whole
-    if whole is None or isinstance(session.motion, Trajectory):
+    if whole is None or isinstance(session.motion, Trajectory) or whole.moved or whole.parts != session.parts:
         return None
     if (whole.led_names, whole.rig.names) != (session.led_names, session.rig.names):
         return None

@@ -107,6 +107,8 @@ def tip_rms_with(problem: Problem, fit: Solution, factor: float, seed: int = 0) 
     priors = J.T @ J
     A = aligned_motion(problem, fit, seed).reshape(-1, fit.parameters.count)
     covariance = covariance_of(priors + factor * (fit.information - priors))
+    if fit.spread is not None:  # what is not modelled stays
+        covariance = covariance + fit.spread
     return float(np.sqrt(max(np.sum((A @ covariance) * A), 0.0) / _WORKSPACE))
 
 

@@ -39,6 +39,8 @@ _PLACE = ("x", "y", "z")
 _TURNS = (("qx", "qy", "qz", "qw"), ("rx", "ry", "rz"), ("roll", "pitch", "yaw"))
 # A unit in a column's own name: "X [mm]", "J1 (deg)".
 _IN_NAME = re.compile(r"[\[(]\s*(rad|deg|mm|m|px|°)\s*[\])]\s*$")
+# Anything in brackets at a name's end is meant as one.
+_BRACKETS = re.compile(r"[\[(][^\])]+[\])]\s*$")
 # A quaternion of six digits.
 _UNIT_LENGTH = 1e-3
 
@@ -116,6 +118,7 @@ def columns_session(
             )
     table = Table.parse(_with_commas(Source.read(path)), (), (), None)
     columns = {name: said.get(name, Column(name)) for name in known}
+    _refuse_twice({name: column for name, column in columns.items() if column.name in table.columns}, said, str(path))
     for name, column in columns.items():
         if column.name not in table.columns and (name in said or name in chain.actuated):
             remedy = suggest(column.name, list(table.columns), "columns")
@@ -146,6 +149,19 @@ def columns_session(
     return session, reader.said()
 
 
+def _refuse_twice(columns: Mapping[str, Column], said: Mapping[str, Column], path: str) -> None:
+    """Refuse a column that would be two quantities: a gantry's joint x, and the x of what was measured."""
+    first: dict[str, str] = {}
+    for name, column in columns.items():
+        if column.name in first:
+            raise SessionError(
+                f"column {column.name!r} would be both {first[column.name]} and {name}",
+                where=f"{path}:1",
+                remedy=f"Say which column is {name if name not in said else first[column.name]}: --column NAME=COLUMN.",
+            )
+        first[column.name] = name
+
+
 @dataclass(frozen=True, eq=False)
 class _Reader:
     """A table, and what its columns mean."""
@@ -168,6 +184,12 @@ class _Reader:
         """The unit of a quantity's column: as said, or in brackets in its name."""
         column = self.columns[name]
         found = _IN_NAME.search(column.name)
+        if not column.unit and not found and (odd := _BRACKETS.search(column.name)):
+            raise SessionError(
+                f"the unit {odd[0].strip()} of {name} is not known",
+                where=f"{self.table.path}:1, column {column.name!r}",
+                remedy=f"Say which it is: --column '{name}={column.name}:UNIT', of {', '.join(filter(None, UNITS))}.",
+            )
         return column.unit or (found[1].replace("°", "deg") if found else "")
 
     def numbers(self, name: str, units: Sequence[str], rows: Bools | None = None) -> Floats:

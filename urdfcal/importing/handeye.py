@@ -162,7 +162,13 @@ def read_handeye(path: Path, eye: Eye | None = None) -> HandEyeSamples:
         pairs = [part.validate(_EasySample) for part in parts]
         both = [[of.robot.T.ravel().tolist(), of.tracking.T.ravel().tolist()] for of in pairs]
     robot, seen = np.array(both).reshape(-1, 2, 4, 4).swapaxes(0, 1)
-    eye = eye or _TYPES.get(names.calibration_type)
+    told = _TYPES.get(names.calibration_type)
+    if eye is not None and told is not None and eye != told:
+        remedy = f"Leave --eye out, or write --eye {told}."
+        raise SessionError(
+            f"the file says that its camera is on the {told}, not the {eye}", where=str(path), remedy=remedy
+        )
+    eye = eye or told
     if eye is None:
         remedy = "Say what carries the camera: --eye hand or --eye base."
         raise SessionError("the file does not say where the camera was", where=str(path), remedy=remedy)

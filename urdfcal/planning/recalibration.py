@@ -78,10 +78,10 @@ def scene_of(calibration: Calibration, urdf: Urdf | None) -> tuple[Setup, Scene]
 
 def tolerances_of(document: ResultDocument) -> Tolerances:
     """Return how well an arm is known once it is calibrated: rms of what came out, zero offsets apart."""
-    sigmas = {
-        unit: [entry.sigma for entry in document.dh if entry.unit == unit and entry.sigma is not None]
-        for unit in ("m", "rad")
-    }
+    kinds = {name: joint.type for name, joint in document.robot.joints.items()}
+    # A joint's own variable is its zero offset.
+    rows = [e for e in document.dh if e.parameter != ("d" if kinds.get(e.joint) == "prismatic" else "theta")]
+    sigmas = {unit: [e.sigma for e in rows if e.unit == unit and e.sigma is not None] for unit in ("m", "rad")}
     known = {name: _rms(sigmas[unit]) for name, unit in (("length", "m"), ("angle", "rad")) if sigmas[unit]}
     usual = Tolerances()
     return Tolerances(**{name: min(sigma, getattr(usual, name)) for name, sigma in known.items()})

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.arrays import Floats, finite_number, frozen, keep
+from urdfcal.errors import SessionError
 from urdfcal.session.place import check_place
 
 if TYPE_CHECKING:
@@ -47,6 +48,9 @@ class Target:
             keep(self, scale_sigma=finite_number(self.scale_sigma, "scale.sigma", where, zero=True))
         if self.flatness is not None:
             keep(self, flatness=finite_number(self.flatness, "flatness", where, zero=False))
+            if not self.pattern.points:
+                remedy = "Leave flatness out, or name the print that is on it."
+                raise SessionError("a body without points cannot be bent", where=where, remedy=remedy)
 
     @property
     def point_names(self) -> tuple[str, ...]:

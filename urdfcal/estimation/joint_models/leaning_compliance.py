@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 # Least squares on products, one factor after the other: from the principal direction they are there after a few.
 _ROUNDS = 20
+# Standard deviations beyond which joints yield one way rather than the other.
+_SURE = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,12 +83,16 @@ class LeaningCompliance(UnderTorque):
             compliance = (weight * values) @ direction / np.maximum(weight @ direction**2, 1e-300)
             direction = compliance @ (weight * values) / np.maximum(compliance**2 @ weight, 1e-300)
             direction /= np.linalg.norm(direction)
-        if np.sum(compliance) < 0.0:  # joints yield to gravity, not against it
+        # Joints yield to gravity, not against it; those that hardly tell do not count.
+        scores = compliance * np.sqrt(weight @ direction**2)
+        if np.sum(scores) < 0.0:
             direction = -direction
         information = np.maximum(compliance**2 @ weight, 1e-300)
         # The part along the direction is the compliance's.
         across = np.eye(3) - np.outer(direction, direction)
-        return direction, float(np.sqrt(np.trace(across @ np.diag(1.0 / information) @ across)))
+        sigma_direction = float(np.sqrt(np.trace(across @ np.diag(1.0 / information) @ across)))
+        sure = abs(np.sum(scores)) > _SURE * np.sqrt(np.count_nonzero(scores))
+        return direction, sigma_direction if sure else np.pi
 
     def summary(self, readings: Readings, p: Floats, sigma: Floats) -> str:
         """Say where gravity comes out to point."""
