@@ -16,6 +16,7 @@ from urdfcal.io.folder import read_session
 from urdfcal.io.schema import SessionFile
 from urdfcal.io.writing import write_session
 from urdfcal.session.knowledge import Estimate, Led, LedDistance, Noise, Payload, Tolerances
+from urdfcal.session.obstacle import Obstacle
 from urdfcal.session.pattern import FramePattern
 from urdfcal.session.target import Target
 
@@ -210,6 +211,7 @@ def test_every_key_that_is_read_is_written(tmp_path: Path, session: Session) -> 
         gravity=np.array([9.81, 0.0, 0.0]),
         gear_ratio={"roll": 121.0},
         about={"serial": "0042", "date": "2026-11-27"},
+        scene=(Obstacle("table", np.array([1.0, 0.8, 0.02]), np.array([0.3, 0.0, -0.01]), np.array([0.0, 0.0, 0.1])),),
         torques=np.zeros(session.q.shape),
         previous=session.q[::-1],
     )
@@ -219,5 +221,10 @@ def test_every_key_that_is_read_is_written(tmp_path: Path, session: Session) -> 
     # Distances of places are written in test_sockets.py, where there are places.
     assert set(SessionFile.model_fields) - set(written) == other_tables | {"frames", "exclude", "place_distances"}
     found = read_session(tmp_path / "out")
+    assert [vars(box).keys() for box in found.scene] == [vars(box).keys() for box in full.scene]
+    for box, other in zip(found.scene, full.scene, strict=True):
+        assert box.name == other.name
+        for what in ("size", "position", "rpy"):
+            np.testing.assert_array_equal(getattr(box, what), getattr(other, what))
     for field in ("led_distances", "estimate", "joint_models", "scale_sigma", "gear_ratio", "about", "moved"):
         assert getattr(found, field) == getattr(full, field), field
