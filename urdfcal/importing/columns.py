@@ -37,10 +37,8 @@ _ANGLES, _LENGTHS = ("rad", "deg"), ("m", "mm")
 _PLACE = ("x", "y", "z")
 # Orientations: a unit quaternion, a rotation vector (as UR's controllers write), and URDF's angles about fixed axes.
 _TURNS = (("qx", "qy", "qz", "qw"), ("rx", "ry", "rz"), ("roll", "pitch", "yaw"))
-# A unit in a column's own name: "X [mm]", "J1 (deg)".
-_IN_NAME = re.compile(r"[\[(]\s*(rad|deg|mm|m|px|°)\s*[\])]\s*$")
-# Anything in brackets at a name's end is meant as one.
-_BRACKETS = re.compile(r"[\[(][^\])]+[\])]\s*$")
+# A unit in a column's own name: "X [mm]", "J1 (deg)". Anything in brackets at its end is meant as one.
+_IN_NAME = re.compile(r"[\[(]([^\])]+)[\])]\s*$")
 # A quaternion of six digits.
 _UNIT_LENGTH = 1e-3
 
@@ -182,15 +180,18 @@ class _Reader:
 
     def unit(self, name: str) -> str:
         """The unit of a quantity's column: as said, or in brackets in its name."""
-        column = self.columns[name]
-        found = _IN_NAME.search(column.name)
-        if not column.unit and not found and (odd := _BRACKETS.search(column.name)):
+        column, known = self.columns[name], list(filter(None, UNITS))
+        found = None if column.unit else _IN_NAME.search(column.name)
+        if found is None:
+            return column.unit
+        unit = found[1].strip().replace("°", "deg")
+        if unit not in known:
             raise SessionError(
-                f"the unit {odd[0].strip()} of {name} is not known",
+                f"the unit {found[0].strip()} of {name} is not known",
                 where=f"{self.table.path}:1, column {column.name!r}",
-                remedy=f"Say which it is: --column '{name}={column.name}:UNIT', of {', '.join(filter(None, UNITS))}.",
+                remedy=f"Say which it is: --column '{name}={column.name}:UNIT', of {', '.join(known)}.",
             )
-        return column.unit or (found[1].replace("°", "deg") if found else "")
+        return unit
 
     def numbers(self, name: str, units: Sequence[str], rows: Bools | None = None) -> Floats:
         """A quantity's numbers (N,), or those of some rows (N,), in SI units."""

@@ -142,7 +142,8 @@ def reach_pose(
         q: (k,) command to start from, which is near.
         limits: (k,) least and largest command.
         true: what the joints do when they are told to be somewhere.
-        weak: directions that move the tip less than this a radian, as a share of the reach, are not for plain steps.
+        weak: of fewer than six joints, directions that move the tip less than this a radian, as a share of the reach,
+            are not for plain steps.
 
     Returns:
         The command (k,), and the error (6,) that it leaves (m, rad).
@@ -181,9 +182,10 @@ def reach_pose(
 
 
 def _inverse(J: Floats, reach: float, weak: float) -> Floats | None:
-    """What turns an error (6,) of the tip into a step (k,), position first; None where a direction is weak.
+    """What turns an error (6,) of the tip into a step (k,), position first; None where there is none.
 
-    Joints that can serve both need no order: what serves them with the least step is the same.
+    Enough joints serve position and orientation at once, with the least step, and need no order. Of fewer a direction
+    must not be weak. J is used up.
     """
     J[:3] /= reach
     k = J.shape[1]

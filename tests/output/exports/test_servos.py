@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -96,3 +97,13 @@ def test_a_joint_without_its_servo_is_refused(bent: FittedCalibration, line: str
 def test_an_arm_that_does_not_yield_is_refused(results: Callable, tmp_path: Path) -> None:
     with pytest.raises(RobotError, match=r"--servos: no joint was found to yield.*Leave the option out"):
         yielding_servos(results("elbow3r").calibration, b"<mujoco/>", tmp_path / "arm.xml")
+
+
+def test_a_compliance_within_its_noise_is_none(bent: FittedCalibration, tmp_path: Path) -> None:
+    found = {"elbow_joint": {"compliance": SimpleNamespace(values=[1e-5], sigma=[8e-6])}}
+    unsure = SimpleNamespace(document=SimpleNamespace(joint_models=found), joint_models=bent.joint_models)
+    with pytest.raises(RobotError, match="no joint was found to yield"):
+        yielding_servos(unsure, with_servos(bent).encode(), tmp_path / "arm.xml")
+    found["elbow_joint"]["compliance"].sigma = [1e-6]
+    _, stiffness = yielding_servos(unsure, with_servos(bent).encode(), tmp_path / "arm.xml")
+    assert stiffness == {"elbow_joint": pytest.approx(1e5)}

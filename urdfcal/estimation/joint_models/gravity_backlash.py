@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from urdfcal.estimation.joint_models.linear import Prior
+from urdfcal.estimation.joint_models.backlash import Backlash
 from urdfcal.estimation.joint_models.under_torque import UnderTorque
 
 if TYPE_CHECKING:
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from urdfcal.arrays import Floats
     from urdfcal.estimation.joint_models.base import Readings
+    from urdfcal.estimation.joint_models.linear import Prior
     from urdfcal.robot.mechanism import Joint
 
 # Less does not press a gear against a flank: the friction of the smallest servos holds more. [N m or N]
@@ -32,8 +33,8 @@ class GravityBacklash(UnderTorque):
     name: ClassVar[str] = "gravity_backlash"
     groups: ClassVar[Mapping[str, tuple[int, ...]]] = {"side of the load": (0,)}
     over: ClassVar[tuple[str, str, str] | None] = ("side that its load presses it to", "1", "1")
-    revolute: ClassVar[Prior | None] = Prior("rad", 1e-4)
-    prismatic: ClassVar[Prior | None] = Prior("m", 1e-5)
+    revolute: ClassVar[Prior | None] = Backlash.revolute
+    prismatic: ClassVar[Prior | None] = Backlash.prismatic
 
     def features(self, readings: Readings) -> Floats:
         """Return the direction that the load presses to."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from urdfcal.estimation.joint_models.linear import Prior
+from urdfcal.estimation.joint_models.compliance import Compliance
 from urdfcal.estimation.joint_models.under_torque import UnderTorque
 
 if TYPE_CHECKING:
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from urdfcal.arrays import Floats
     from urdfcal.estimation.joint_models.base import Readings
+    from urdfcal.estimation.joint_models.linear import Prior
     from urdfcal.robot.mechanism import Joint
     from urdfcal.session.model import Positions
 
@@ -36,10 +37,11 @@ class LeaningCompliance(UnderTorque):
     name: ClassVar[str] = "leaning_compliance"
     words: ClassVar[tuple[str, ...]] = ("x", "y", "z")
     groups: ClassVar[Mapping[str, tuple[int, ...]]] = {"torque": (0, 1, 2)}
-    revolute: ClassVar[Prior | None] = Prior("rad/(N m)", 5e-5, 0.05)  # of compliance, in any direction
-    prismatic: ClassVar[Prior | None] = Prior("m/N", 1e-6, 0.01)
-    together: ClassVar[bool] = True
-    certain: ClassVar[float] = 0.0
+    revolute: ClassVar[Prior | None] = Compliance.revolute  # in any direction
+    prismatic: ClassVar[Prior | None] = Compliance.prismatic
+    together: ClassVar[bool] = Compliance.together
+    certain: ClassVar[float] = Compliance.certain
+    sentence_of_all = Compliance.sentence_of_all
 
     @classmethod
     def depends_on(cls, session: Positions) -> dict[str, Any] | None:
@@ -108,7 +110,3 @@ class LeaningCompliance(UnderTorque):
         del group
         unit = "m/N" if joint.prismatic else "rad/(N m)"
         return f"{joint.name} yields under the arm's weight, {np.linalg.norm(p):.1e} {unit}: the arm bends"
-
-    def sentence_of_all(self, joints: str, most: float) -> str:
-        """Say how much they yield."""
-        return f"sag of {joints} under the arm's weight, by up to {most:.2g} mrad: the arm bends"
