@@ -14,7 +14,7 @@ from urdfcal.errors import OutputError
 from urdfcal.pipeline import calibrate
 from urdfcal.result.rigid import best_rigid, draw_readings, measured_domain
 from urdfcal.robot.kinematics import tip_poses
-from urdfcal.session.knowledge import Estimate
+from urdfcal.session.knowledge import Estimate, Payload
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -80,3 +80,20 @@ def test_of_a_rigid_arm_nothing_changes(simulated: Callable) -> None:
     np.testing.assert_array_equal(lower, calibration.session.readings.min(axis=0))
     with pytest.raises(OutputError, match="the tip is in the box for 0 of 200000 configurations"):
         draw_readings(calibration, (lower, upper), np.array([[5.0, 6.0], [0.0, 1.0], [0.0, 1.0]]))
+
+
+def test_it_is_that_of_an_arm_that_carries_what_it_does_there(bent: FittedCalibration) -> None:
+    load = Payload("tool0", 4.0, np.array([0.0, 0.0, 0.1]))
+    session, q = replace(bent.session, payload=load), bent.session.readings
+    fit = best_rigid(bent, q, bends=bent.joint_models.under(session))
+    other = best_rigid(bent, q, bends=bent.joint_models.under(bent.session))
+    assert other.rms == pytest.approx(best_rigid(bent, q).rms, rel=1e-9)
+    loaded = bent.forward(q, payload=load)[:, :3, 3]
+    rigid = (tip_poses(bent.chain, bent.session.q, of.placements)[:, :3, 3] for of in (fit, other))
+    apart, unloaded = (rms(np.linalg.norm(of - loaded, axis=1)) for of in rigid)
+    assert fit.rms == pytest.approx(apart, rel=1e-9)
+    assert apart < 0.95 * unloaded
+    # On a wall the same arm bends another way.
+    wall = replace(bent.session, gravity=np.array([0.0, 9.81, 0.0]))
+    there = best_rigid(bent, q, bends=bent.joint_models.under(wall))
+    assert there.rms_before != pytest.approx(other.rms_before, rel=0.1)

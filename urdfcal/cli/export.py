@@ -128,12 +128,12 @@ def _region(calibration: Calibration, beside: Path, workspace: str | None) -> tu
     from urdfcal.result.rigid import best_rigid
 
     urdf = tables.corrected_urdf(calibration, beside)
-    what, q, torques, previous = configurations(calibration, workspace)
-    fit = best_rigid(calibration, q, torques, previous)
+    there = configurations(calibration, workspace)
+    fit = best_rigid(calibration, there.q, there.torques, there.previous, there.bends)
     remark = (
-        f"- against the full model in {len(q)} configurations of {what} its tip is {1e3 * fit.rms:.2g} mm rms off, "
-        f"{1e3 * fit.most:.2g} mm at most, and {1e3 * fit.angle:.2g} mrad rms; the corrected URDF's "
-        f"{1e3 * fit.rms_before:.2g} mm rms"
+        f"- against the full model in {fit.configurations} configurations of {there.what} its tip is "
+        f"{1e3 * fit.rms:.2g} mm rms off, {1e3 * fit.most:.2g} mm at most, and {1e3 * fit.angle:.2g} mrad rms; "
+        f"the corrected URDF's {1e3 * fit.rms_before:.2g} mm rms"
     )
     if not calibration.joint_models.found:
         remark = "- this arm is rigid: it is the corrected URDF, and nothing is lost"

@@ -9,6 +9,7 @@ import click
 
 if TYPE_CHECKING:
     from urdfcal.arrays import Floats
+    from urdfcal.estimation.joint_models.found import FoundJointModels
     from urdfcal.result.calibration import Calibration
 
 
@@ -20,12 +21,14 @@ class Configurations(NamedTuple):
         q: (N, k) of the actuated joints. [rad or m]
         torques: (N, k) measured, where there are any. [N m or N]
         previous: (N, k) where the arm came from, where that is known. [rad or m]
+        bends: the arm's joint models with what it carried there; None for what it carried when it was calibrated.
     """
 
     what: str
     q: Floats
     torques: Floats | None = None
     previous: Floats | None = None
+    bends: FoundJointModels | None = None
 
 
 def configurations(calibration: Calibration, workspace: str | None) -> Configurations:
@@ -60,7 +63,8 @@ def configurations(calibration: Calibration, workspace: str | None) -> Configura
         if chain.actuated != calibration.chain.actuated:
             raise click.BadParameter(f"{workspace} is a session of other joints", param_hint="--workspace")
         measured = None if torques is None else chain.readings(torques)
-        return Configurations(workspace, session.readings, measured, chain.readings(session.came_from))
+        bends = calibration.joint_models.under(session)
+        return Configurations(workspace, session.readings, measured, chain.readings(session.came_from), bends)
     from urdfcal.robot.box import parse_box
 
     q = draw_readings(calibration, measured_domain(calibration), parse_box(workspace))

@@ -11,6 +11,7 @@ from urdfcal.arrays import Floats, frozen
 from urdfcal.errors import RobotError
 from urdfcal.estimation.alignment import kabsch
 from urdfcal.estimation.blocks.arm import no_offsets
+from urdfcal.estimation.joint_models.bending import Bending
 from urdfcal.estimation.joint_models.linear import LinearJointModel
 from urdfcal.estimation.joint_models.time_offset import time_offsets
 from urdfcal.estimation.model_spec import nominal
@@ -149,7 +150,10 @@ def explain(
         CalibrationError: no start from these measurements.
     """
     models = () if bends is None else bends.of_session(session)
-    session = resolve_moves(replace(session, chain=chain, place_distances=()))  # they are a check of the arm
+    # Distances of places are a check of the arm.
+    session = resolve_moves(replace(session, chain=chain, place_distances=()))
+    if bends is not None:
+        session = replace(session, joint_models={Bending.name: dict.fromkeys(bends.bending, True)})
     arm = rows_of(chain)
     start = start_state(session, arm, no_offsets(arm))
     session = session.recorded(time_offsets(start))

@@ -133,7 +133,7 @@ class Alternatives:
                 N, m, D = at.residual.shape
                 used, J = kept[some], at.J.reshape(N, m * D, -1)
                 X = np.concatenate([J, at.residual.reshape(N, m * D, 1) - J[..., P:] @ values[:, None]], axis=2)
-                reading = joint_noise(at, thinned.arm.chain.reading_jacobian, joint)
+                reading = joint_noise(at, thinned.mechanism.reading_jacobian, joint)
                 W = Whitening.of(covariance / np.where(used, 1.0, _REJECTED)[..., None, None], reading)
                 size = np.nan_to_num(thinned.metres_per_unit(observed, fit.state)) * used
                 rows.append((observed.pose, W(X), np.repeat(size, D, axis=1)[..., None] * X, used.sum(axis=1)))

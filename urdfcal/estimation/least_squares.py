@@ -70,7 +70,7 @@ class LeastSquares:
 
     def linearise(self, state: State, noise: tuple[JointNoise, ...] | None = None) -> Neighbourhood:
         """Find residuals, derivatives, and the noise that the joint readings give at a state."""
-        problem, count, readings = self.problem, self.parameters.count, self.problem.arm.chain.reading_jacobian
+        problem, count, readings = self.problem, self.parameters.count, self.problem.mechanism.reading_jacobian
         residuals: list[Floats] = []
         derivatives: list[Floats] = []
         noises: list[JointNoise] = []

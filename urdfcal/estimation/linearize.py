@@ -102,14 +102,13 @@ class Tangent:
     @classmethod
     def at(cls, problem: Problem, observed: Observations, state: State, parameters: Parameters) -> Tangent:
         """Prepare."""
-        arm, offsets = problem.arm, state[ARM]
         return cls(
             problem,
             observed,
             state,
             parameters,
-            arm.chain.build_model(arm.placements(offsets)),
-            arm.twists(offsets, parameters.arm_rows),
+            problem.mechanism.build_model(problem.placements(state)),
+            problem.twists(state[ARM], parameters.arm_rows),
             problem.joint_values(observed.by_slot.readings, state),
         )
 
@@ -120,7 +119,7 @@ class Tangent:
         shape, observed = observed.value.shape, observed.by_slot
         N, m, D = observed.value.shape
         q = self.q.reshape(len(self.observed.row), -1, self.q.shape[1])[poses].reshape(-1, self.q.shape[1])
-        motions = link_motions(problem.arm.chain, self.model, q, problem.attachments.tips)
+        motions = link_motions(problem.mechanism, self.model, q, problem.attachments.tips)
         part = observed.readings.part
         links = Links.of(problem.attachments, state, part, [of.R for of in motions], [of.p for of in motions])
         J = Jacobian(parameters, N * m, D)
@@ -136,7 +135,7 @@ class Tangent:
         if self.G.shape[1]:
             by_arm = _by_placements(by_frame, motions, self.G, (N, m * D, self.G.shape[1]))
             J.values[:, :, parameters.active_columns(ARM)[0]] = by_arm.reshape(N * m, D, -1)
-        axes = joint_axes(problem.arm.chain)
+        axes = joint_axes(problem.mechanism)
         found = Linearization(residual.reshape(shape), J.values.reshape(*shape, -1), by_frame, motions, axes)
         for model in problem.joint_models:
             if J.wants(model.key):
@@ -196,12 +195,13 @@ def fulfilled(problem: Problem, observed: Observations, state: State, parameters
     That something is zero, as a ball's distance from its socket, stays true however all turn together, but a residual
     turns along, and its derivative would look like information. Newton's method, with the shortest step of each pose.
     """
+    moved = problem.mechanism.reading_jacobian
     for _ in range(_NEWTON):
         at = Tangent.at(problem, observed, state, parameters).linearise()
-        r, J = at.residual.reshape(len(at.residual), -1, 1), at.J_q
+        r, J = at.residual.reshape(len(at.residual), -1, 1), at.J_q @ moved
         done = np.abs(r[..., 0]).max(axis=1) < _ZERO
         if done.all():
             break
-        q = observed.readings.q - (np.linalg.pinv(J, rcond=_SINGULAR) @ r)[..., 0]
+        q = observed.readings.q - (np.linalg.pinv(J, rcond=_SINGULAR) @ r)[..., 0] @ moved.T
         observed = replace(observed, readings=replace(observed.readings, q=q))
     return observed.at(done) if done.any() else observed

@@ -139,7 +139,7 @@ def _same_arm(problem: Problem, a: Solution, b: Solution) -> bool:
         q = chain.random_values(len(observed.pose), np.random.default_rng(0))
         # Where an arm that moved happened to go must not decide.
         same = observed.readings
-        elsewhere = replace(observed, readings=Readings(q, same.pose, AT_REST, same.part, same.torques))
+        elsewhere = replace(observed, readings=Readings(problem.told(q), same.pose, AT_REST, same.part, same.torques))
         of_a, of_b = (
             elsewhere.table.points(elsewhere, problem.links(elsewhere.readings, of.state), of.state) for of in (a, b)
         )

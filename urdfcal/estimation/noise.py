@@ -168,7 +168,7 @@ class _Part:
         at = Tangent.at(problem, observed.at(some), fit.state, fit.parameters).linearise()
         N, m, D = at.residual.shape
         used = np.repeat(kept[some], D, axis=1)
-        joint = joint_noise(at, problem.arm.chain.reading_jacobian, 1.0)
+        joint = joint_noise(at, problem.mechanism.reading_jacobian, 1.0)
         alone = Whitening.of(observed.covariance[some], joint[..., :0])
         columns = at.residual.reshape(N, m * D, 1), at.J.reshape(N, m * D, -1), joint
         residual, J, joint = (alone(of * used[..., None]) for of in columns)

@@ -65,7 +65,7 @@ def partial_residuals(problem: Problem, fit: Solution) -> Iterator[PartialResidu
     at = Tangent.at(problem, observed.at(some), fit.state, fit.parameters).linearise()
     N, m, D = at.residual.shape
     used = np.repeat(kept[some], D, axis=1)[..., None]
-    effect = joint_noise(at, problem.arm.chain.reading_jacobian, 1.0)
+    effect = joint_noise(at, problem.mechanism.reading_jacobian, 1.0)
     whiten = Whitening.of(observed.covariance[some], effect[..., :0])
     r, B = (used * whiten(of) for of in (at.residual.reshape(N, m * D, 1), effect))
     readings = observed.readings.at(some)
@@ -77,10 +77,11 @@ def partial_residuals(problem: Problem, fit: Solution) -> Iterator[PartialResidu
             mine = model.of_joints([joint.name]) & (fit.state[model.key] != 0.0)
             strength = np.sum(B[..., j] ** 2, axis=1)
             seen = strength > 0.0
-            if not mine.any() or not seen.any():
+            own = problem.mechanism.joints.index(joint)
+            # What bends a link is no matter of the joint's own value.
+            if not np.any(values[:, own][:, mine]) or not seen.any():
                 continue
             left = -np.sum(B[..., j] * r[..., 0], axis=1)[seen] / strength[seen]
-            own = problem.arm.chain.joints.index(joint)
             value = (values[:, own][:, mine] @ fit.state[model.key][mine])[seen]
             over, axis = readings.q[:, own], f"{joint.name} [{joint.unit}]"
             if model.over is not None:

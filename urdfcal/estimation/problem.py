@@ -12,7 +12,9 @@ from urdfcal.estimation.joint_models import Readings, joint_models_of
 from urdfcal.estimation.links import Links
 from urdfcal.estimation.measurements import Measurement
 from urdfcal.estimation.observations import arrange
+from urdfcal.robot.flexure import spread_placements, spread_twists
 from urdfcal.robot.kinematics import link_poses
+from urdfcal.session.bending import bent
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
     from urdfcal.estimation.joint_models import JointModel
     from urdfcal.estimation.observations import Observations
     from urdfcal.estimation.state import State
+    from urdfcal.robot.mechanism import Mechanism
     from urdfcal.session.attachments import Attachments
     from urdfcal.session.model import Session
 
@@ -32,6 +35,7 @@ class Problem:
 
     Attributes:
         arm: the parameters of the arm's geometry.
+        mechanism: its joints, and flexures where links may bend: what joint values and measurements go by.
         joint_models: between joint readings and true joint values.
         attachments: what LEDs and cameras are attached to.
         readings: of the joints at all poses of the session.
@@ -40,6 +44,7 @@ class Problem:
     """
 
     arm: ArmParameterization
+    mechanism: Mechanism
     joint_models: tuple[JointModel, ...]
     attachments: Attachments
     readings: Readings
@@ -51,8 +56,10 @@ class Problem:
         """Take a session's measurements, or other tables of its poses."""
         if tables is None:
             tables = (table for table in session.measurements if isinstance(table, Measurement))
+        session = bent(session)
         return cls(
             arm,
+            session.chain,
             joint_models_of(session),
             session.attachments,
             Readings.of(session),
@@ -78,6 +85,18 @@ class Problem:
         parts = [model.offsets(self.arm, state[model.key]) for model in self.joint_models if model.key in state]
         return sum(parts, start=state[ARM])
 
+    def placements(self, state: State) -> Floats:
+        """Return the placements (n, 4, 4) of the mechanism's joints, flexures included. [m]."""
+        return spread_placements(self.mechanism, self.arm.placements(state[ARM]))
+
+    def twists(self, offsets: Floats, parameters: Iterable[tuple[int, str]]) -> Floats:
+        """Return the body twists (6 n, p) of these placements for parameters of the arm."""
+        return spread_twists(self.mechanism, self.arm.twists(offsets, parameters))
+
+    def told(self, q: Floats) -> Floats:
+        """Return values (N, n) of the mechanism's joints, flexures at zero, from those of the arm's. [rad or m]."""
+        return self.mechanism.joint_values(self.arm.chain.readings(q))
+
     def joint_values(self, readings: Readings, state: State) -> Floats:
         """Return the joints' true values (N, n): the readings, and what the joint models add. [rad or m]."""
         q = readings.q
@@ -89,7 +108,7 @@ class Problem:
     def links(self, readings: Readings, state: State) -> Links:
         """Return where the frames of LEDs, targets and cameras are."""
         q, tips = self.joint_values(readings, state), self.attachments.tips
-        T = link_poses(self.arm.chain, q, tips, self.arm.placements(state[ARM]))
+        T = link_poses(self.mechanism, q, tips, self.placements(state))
         R, p = [of[:, :3, :3] for of in T], [of[:, :3, 3] for of in T]
         return Links.of(self.attachments, state, readings.part, R, p)
 

@@ -19,14 +19,14 @@ _ROUNDS = 50
 
 def joint_regions(problem: Problem) -> Ints:
     """Divide the session's poses (N,) into clusters of joint space; lengths count in shares of the arm's reach."""
-    chain = problem.arm.chain
+    chain = problem.mechanism
     scale = np.array([1.0 / chain.reach if joint.prismatic else 1.0 for joint in chain.joints])
     return _clusters(problem, problem.readings.q * scale)
 
 
 def tip_regions(problem: Problem) -> Ints:
     """Divide the session's poses (N,) into clusters of tip positions."""
-    return _clusters(problem, tip_poses(problem.arm.chain, problem.readings.q)[:, :3, 3])
+    return _clusters(problem, tip_poses(problem.mechanism, problem.readings.q)[:, :3, 3])
 
 
 def _clusters(problem: Problem, points: Floats) -> Ints:

@@ -12,6 +12,7 @@ from urdfcal.estimation.alignment import kabsch
 from urdfcal.estimation.blocks.arm import ARM
 from urdfcal.estimation.joint_models import Readings
 from urdfcal.estimation.joint_models.linear import LinearJointModel
+from urdfcal.robot.flexure import spread_placements
 from urdfcal.robot.kinematics import joint_axes, tip_motion, tip_poses
 from urdfcal.rotations import skew
 from urdfcal.session.trajectory import AT_REST
@@ -151,7 +152,7 @@ def rigid_loss(problem: Problem, state: State) -> float:
     Returns:
         The rms distance after the best alignment: what a URDF cannot hold of the joint models. [m]
     """
-    chain, placements = problem.arm.chain, problem.arm.placements(state[ARM])
+    chain, placements = problem.mechanism, problem.placements(state)
     bent = [model for model in problem.joint_models if isinstance(model, LinearJointModel)]
     rigid = state.replace({model.key: model.nominal for model in bent})
     joints = (problem.joint_values(problem.readings, of) for of in (rigid, state))
@@ -175,10 +176,11 @@ def _less_alignment(A: Floats, rigid: Floats) -> tuple[Floats, Floats]:
 def _motion(problem: Problem, state: State, parameters: Parameters, q: Floats) -> tuple[Floats, Floats]:
     """How the tip moves with the active parameters (N, 3, count), and with the base as a rigid body (N, 3, 6)."""
     arm, offsets = problem.arm, problem.offsets(state)
-    motion = tip_motion(arm.chain, arm.chain.build_model(arm.placements(offsets)), q)
+    chain, q = problem.mechanism, problem.told(q)
+    motion = tip_motion(chain, chain.build_model(spread_placements(chain, arm.placements(offsets))), q)
     A = np.zeros((len(q), 3, parameters.count))
-    A[..., parameters.active_columns(ARM)[0]] = (motion.regressor @ arm.twists(offsets, parameters.arm_rows))[:, :3]
-    J_q = (motion.regressor @ joint_axes(arm.chain))[:, :3]
+    A[..., parameters.active_columns(ARM)[0]] = (motion.regressor @ problem.twists(offsets, parameters.arm_rows))[:, :3]
+    J_q = (motion.regressor @ joint_axes(chain))[:, :3]
     # Where an arm comes from, and torques that only a measurement tells, are as good as any.
     torques = problem.readings.torques
     if torques is not None:

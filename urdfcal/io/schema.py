@@ -26,10 +26,12 @@ from urdfcal.io.target_keys import AnyTargetKeys  # noqa: TC001  # as of the nex
 from urdfcal.robot.dh import Parameter  # noqa: TC001  # pydantic needs it at run time
 from urdfcal.session.attachments import CameraMount
 from urdfcal.session.knowledge import (
+    AUTO,
     ArmGeometry,
     Estimate,
     Freedom,
     JointError,
+    JointModelSaid,
     Led,
     LedDistance,
     Noise,
@@ -133,16 +135,16 @@ else:
     JointModelName = Literal[tuple(model.name for model in JOINT_MODELS)]
 
 
-def _by_joint(value: Any, on_or_off: Callable[[Any], bool]) -> bool | dict[str, bool]:
-    """Read what switches a model on or off, for all joints or for each by name."""
+def _by_joint(value: Any, on_or_off: Callable[[Any], bool]) -> JointModelSaid:
+    """Read what switches a model on or off or leaves it to the measurements, for all joints or for each by name."""
     if isinstance(value, dict):
-        return {str(joint): on_or_off(said) for joint, said in value.items()}
-    return on_or_off(value)
+        return {str(joint): AUTO if said == AUTO else on_or_off(said) for joint, said in value.items()}
+    return AUTO if value == AUTO else on_or_off(value)
 
 
 _JointModels = Annotated[
     dict[JointModelName, Annotated[bool, WrapValidator(_by_joint)]],
-    BeforeValidator(lambda value: {} if value == "auto" else value),
+    BeforeValidator(lambda value: {} if value == AUTO else value),
 ]
 
 

@@ -192,7 +192,7 @@ def _write_files(folder: Path, session: Positions, urdf: Urdf) -> None:
         "estimate": {key: value if isinstance(value, str) else dict(value) for key, value in estimate.items()},
         "tolerances": _said(**{**vars(session.tolerances), "joints": None}),
         "joint_models": {
-            name: said if isinstance(said, bool) else dict(said) for name, said in session.joint_models.items()
+            name: said if isinstance(said, bool | str) else dict(said) for name, said in session.joint_models.items()
         },
         "scale": _said(sigma=session.scale_sigma),
         "payload": {} if session.payload is None else _said(**vars(session.payload)),

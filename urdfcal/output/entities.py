@@ -67,9 +67,10 @@ def _log_cameras(base: Layer, calibration: FittedCalibration, scene: Calibration
     """Log the cameras' poses and frusta, their rays to the LEDs, their images, and the arm drawn into these."""
     photographs, rejected = find_photographs(calibration.session), find_rejected(calibration.session)
     fastened = calibration.session.attachments
+    told = calibration.problem.told(calibration.session.q)
     # The calibrated arm, thinner, lies on the nominal one.
     lines = [
-        ("nominal", arm_in_images(calibration, calibration.nominal, calibration.session.q), 2 * _LINE),
+        ("nominal", arm_in_images(calibration, calibration.nominal, told), 2 * _LINE),
         ("calibrated", arm_in_images(calibration, calibration.estimate, calibration.true_q), _THIN),
     ]
     for index, camera in enumerate(calibration.estimate.cameras):

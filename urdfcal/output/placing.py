@@ -9,6 +9,7 @@ import numpy as np
 
 from urdfcal.arrays import Floats, Ints, inverse
 from urdfcal.robot.dh import DHTable, row_transform
+from urdfcal.robot.flexure import rigid_joints, spread_placements
 from urdfcal.robot.kinematics import link_poses
 from urdfcal.robot.mechanism import BASE, Mechanism, Tip
 from urdfcal.session.moves import poses_of_camera
@@ -39,10 +40,12 @@ class RobotPoses:
 
     @classmethod
     def of(cls, calibration: FittedCalibration, arm: Snapshot, q: Floats) -> RobotPoses:
-        """Run one of a calibration's arms' kinematics at joint values (N, n): the session's, or others. [rad, m]."""
+        """Run one of a calibration's arms' kinematics at joint values (N, n) of its problem's mechanism. [rad, m]."""
         session, table = calibration.session, calibration.table
         fastened, T_base_world = session.attachments, inverse(arm.T_world_bases)
-        frames = joint_frames(calibration.chain, calibration.geometry.placements(arm.offsets), q)
+        mechanism = calibration.problem.mechanism
+        placements = spread_placements(mechanism, calibration.geometry.placements(arm.offsets))
+        frames = joint_frames(mechanism, placements, q)[:, [0, *(rigid_joints(mechanism) + 1)]]
         part = session.part if len(q) == len(session.part) else np.zeros(len(q), np.intp)
         every = [T_base_world[part], *(link_frames(frames, tip) for tip in fastened.tips)]
         every += [every[carrier] @ T for T, (_, carrier) in zip(arm.targets, fastened.carried, strict=True)]

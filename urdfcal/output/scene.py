@@ -115,7 +115,7 @@ def measurements_of(calibration: FittedCalibration) -> tuple[ResidualTable, ...]
             solution.norms[index][rows] / np.sqrt(block.dimension) for solution in (fit, calibration.nominal_fit)
         )
         at = Tangent.at(problem, block, fit.state, fit.parameters).linearise()
-        joint = joint_noise(at, problem.arm.chain.reading_jacobian, problem.joint_sigma)
+        joint = joint_noise(at, problem.mechanism.reading_jacobian, problem.joint_sigma)
         variance = np.sum(joint.reshape(*block.value.shape, -1) ** 2, axis=-1)
         variance += np.diagonal(block.covariance, axis1=-2, axis2=-1)
         tables.append(
@@ -195,7 +195,7 @@ def build_scene(calibration: FittedCalibration) -> CalibrationScene:
     # The two arms are compared in what they share, the world or the link that carries the camera, seen by the same
     # cameras (wrong lenses would put the nominal arm anywhere); the calibrated base carries the view.
     nominal_arm = calibration.snapshot(calibration.comparison.nominal_arm.fit.state)
-    other = RobotPoses.of(calibration, nominal_arm, session.q)
+    other = RobotPoses.of(calibration, nominal_arm, calibration.problem.told(session.q))
     T_base_other = poses.T_base_frame @ inverse(other.T_base_frame)
     nominal = T_base_other[0, :, None] @ other.frames
     nominal_leds = np.einsum("fnij,nlj->fnli", T_base_other[..., :3, :3], other.leds) + T_base_other[:, :, None, :3, 3]

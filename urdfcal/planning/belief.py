@@ -104,7 +104,7 @@ class Belief:
         scene = Scene(
             chain=arm.chain,
             placements=arm.placements(found.offsets),
-            attachments=problem.attachments,
+            attachments=session.attachments,
             leds=found.leds,
             targets=found.targets,
             T_world_base=found.T_world_bases[-1],
@@ -156,7 +156,7 @@ class Belief:
     ) -> Floats:
         """Whitened Jacobians (N, r, P) of poses, of no more rows than there are parameters."""
         tangent = Tangent.at(problem, observed, self.state, self.parameters)
-        readings, parts = problem.arm.chain.reading_jacobian, []
+        readings, parts = problem.mechanism.reading_jacobian, []
         for first in range(0, len(observed.pose), _BLOCK):
             poses = slice(first, first + _BLOCK)
             at = tangent.linearise(poses)

@@ -16,6 +16,7 @@ from urdfcal.robot.apply import apply_to_model, apply_to_urdf
 from urdfcal.robot.chain import Chain, Tree
 from urdfcal.robot.compensation import Compensation, compensate, compensate_one
 from urdfcal.robot.dh import PARAMETERS
+from urdfcal.robot.flexure import spread_placements
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.robot.mechanism import BASE, Joint, Mechanism, Tip
 from urdfcal.robot.newton import TipAtOnce
@@ -158,6 +159,15 @@ class Calibration:
         """The joints with their calibrated placements."""
         return self.chain.with_placements(self.placements)
 
+    @cached_property
+    def bending(self) -> Mechanism:
+        """The calibrated joints, and before each link that bends two flexures: what :meth:`joint_values` are for.
+
+        ``bending.build_model()`` is its Pinocchio model. Where no link bends it is :attr:`calibrated`.
+        """
+        mechanism = self.joint_models.mechanism
+        return mechanism.with_placements(spread_placements(mechanism, self.placements))
+
     def apply(self, model: pin.Model, *, in_place: bool = False) -> pin.Model:
         """Give a Pinocchio model of this robot the calibrated joint placements.
 
@@ -225,6 +235,8 @@ class Calibration:
     ) -> Floats:
         """Compute the joints' true values, for any program that has the calibrated placements (:meth:`apply`).
 
+        Where links bend, no values of the joints alone are true: those of :attr:`bending` are returned.
+
         Args:
             readings: (..., k) of the actuated joints, in the order of ``chain.actuated``. [rad or m]
             torques: (..., k) measured joint torques; needed where compliances were found with such. [N m or N]
@@ -233,7 +245,7 @@ class Calibration:
                 sessions in the first. Measured torques hold it already.
 
         Returns:
-            (..., n) of all joints, mimic joints included. [rad or m]
+            (..., n) of all joints, mimic joints and flexures included. [rad or m]
 
         Raises:
             RobotError: shapes do not agree, or nothing is known of the payload's link.
@@ -262,7 +274,7 @@ class Calibration:
     ) -> Floats:
         """Compute the calibrated tip's frame T_base_tip (..., 4, 4) with all joint models; see :meth:`joint_values`."""
         values = self.joint_values(readings, torques, previous, payload)
-        T = tip_poses(self.calibrated, values.reshape(-1, values.shape[-1]))
+        T = tip_poses(self.bending, values.reshape(-1, values.shape[-1]))
         return T.reshape(*values.shape[:-1], 4, 4)
 
     def compensate(
@@ -301,12 +313,12 @@ class Calibration:
         def true_values(commands: Floats, some: Ints) -> tuple[Floats, Floats]:
             return bends.joint_values(commands, **{name: values[some] for name, values in given.items()})
 
-        return compensate(self.chain, self.calibrated, q, true_values)
+        return compensate(self.chain, self.bending, q, true_values)
 
     @cached_property
     def _arms(self) -> tuple[TipAtOnce, TipAtOnce]:
         """The nominal arm and the calibrated one."""
-        return TipAtOnce(self.chain), TipAtOnce(self.calibrated)
+        return TipAtOnce(self.chain), TipAtOnce(self.bending)
 
     def _carrying(self, payload: Carried) -> FoundJointModels:
         return self.joint_models if payload is None else self.joint_models.carrying(payload)

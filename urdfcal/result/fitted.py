@@ -102,8 +102,9 @@ class FittedCalibration(Calibration):
 
     @cached_property
     def true_q(self) -> Floats:
-        """(N, n) joint values of the session's poses with the joint models, as the calibrated placements take them."""
-        readings, state, q = Readings.of(self.session), self.fit.state, self.session.q
+        """(N, n) true joint values of the session's poses, of the problem's mechanism. [rad or m]."""
+        readings, state = Readings.of(self.session), self.fit.state
+        q = readings.q
         for model in self.problem.joint_models:
             if isinstance(model, LinearJointModel) and model.key in state:
                 q = q + model.values(readings, state[model.key])

@@ -9,10 +9,12 @@ from pydantic import Field
 
 from urdfcal.arrays import frozen
 from urdfcal.estimation.joint_models import JOINT_MODELS
+from urdfcal.estimation.joint_models.bending import Bending
 from urdfcal.estimation.joint_models.found import FoundJointModels, FoundModel
 from urdfcal.estimation.joint_models.linear import LinearJointModel
 from urdfcal.estimation.joint_models.under_torque import UnderTorque
 from urdfcal.result.evidence_sections import Section, Sigmas, Transform, Triple
+from urdfcal.robot.flexure import with_flexures
 from urdfcal.robot.gravity import STANDARD_GRAVITY, Masses, masses_of, place_of
 from urdfcal.robot.mechanism import BASE, Tip
 from urdfcal.session.knowledge import Payload
@@ -141,21 +143,26 @@ def found_joint_models(document: ResultDocument, chain: Mechanism) -> FoundJoint
             joints = tuple(joint for joint in chain.actuated if joint in entries)
             values = np.array([value for joint in joints for value in entries[joint].values])
             found.append(FoundModel(kind, joints, values, tuple(entries[joint].inputs for joint in joints)))
+    bending = next((of.joints for of in found if of.kind is Bending), ())
+    mechanism = with_flexures(chain, bending) if bending else chain
     if load is None:
-        return FoundJointModels(chain, tuple(found), STANDARD_GRAVITY)
+        return FoundJointModels(mechanism, tuple(found), STANDARD_GRAVITY)
     masses = [load.masses[name] for name in chain.names if load.masses]
     payload = (
         None if load.payload is None else Payload(load.payload.link, load.payload.mass, frozen(load.payload.center))
     )
     places: tuple[Tip, ...] = ()
     if load.payload is not None:
-        joint = BASE if load.payload.joint is None else chain.names.index(load.payload.joint)
+        joint = BASE if load.payload.joint is None else mechanism.names.index(load.payload.joint)
         places = (Tip(load.payload.link, joint, np.array(load.payload.T_joint_link)),)
+    carried = (
+        Masses(chain, np.array([m.mass for m in masses]), np.array([m.center for m in masses])) if masses else None
+    )
     return FoundJointModels(
-        chain,
+        mechanism,
         tuple(found),
         np.array(load.gravity),
-        Masses(chain, np.array([m.mass for m in masses]), np.array([m.center for m in masses])) if masses else None,
+        None if carried is None else carried.on(mechanism),
         payload,
         places,
     )

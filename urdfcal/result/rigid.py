@@ -20,9 +20,8 @@ from urdfcal.rotations import matrix_to_rotation_vector
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import ArrayLike
-
     from urdfcal.estimation.blocks.arm import ArmParameterization
+    from urdfcal.estimation.joint_models.found import FoundJointModels
     from urdfcal.result.calibration import Calibration
 
 # A radian of orientation counts like so many metres: a tool's length, beyond which a user's point seldom is. [m]
@@ -59,7 +58,11 @@ class RigidFit:
 
 
 def best_rigid(
-    calibration: Calibration, q: Floats, torques: ArrayLike | None = None, previous: ArrayLike | None = None
+    calibration: Calibration,
+    q: Floats,
+    torques: Floats | None = None,
+    previous: Floats | None = None,
+    bends: FoundJointModels | None = None,
 ) -> RigidFit:
     """Fit the arm's geometry, without joint models, to the frames that the full model gives its tip links.
 
@@ -70,6 +73,7 @@ def best_rigid(
         q: (N, k) readings of the actuated joints in the region. [rad or m]
         torques: (N, k), see :meth:`Calibration.joint_values`.
         previous: (N, k) where the arm comes from.
+        bends: its joint models where it carries something else than when it was calibrated, or leans otherwise.
 
     Raises:
         SessionError: the compliance is that under measured torques, and there are none.
@@ -84,7 +88,9 @@ def best_rigid(
     else:
         table, offsets = rows_of(chain), calibration.dh_offsets
     tips = [tip for tip in chain.tips if tip.joint != BASE]
-    wanted = link_poses(chain, calibration.joint_values(q, torques, previous), tips, calibration.placements)
+    true = calibration.bending
+    values, _ = (bends or calibration.joint_models).joint_values(q, torques, previous)
+    wanted = link_poses(true, values, [true.tip(tip.link) for tip in tips])
     told, rows = chain.joint_values(q), table.parameters
     at = [row for row, _ in rows], [table.columns.index(name) for _, name in rows]
     before = after = _errors(wanted, link_poses(chain, told, tips, table.placements(offsets)))

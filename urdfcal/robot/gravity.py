@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from urdfcal.arrays import Floats, frozen
+from urdfcal.robot.flexure import rigid_joints, without_flexures
 from urdfcal.robot.kinematics import Buffers
 from urdfcal.robot.mechanism import BASE, Tip
 
@@ -66,6 +67,15 @@ class Masses:
         mass[at.joint] = total
         return Masses(self.mechanism, mass, center)
 
+    def on(self, mechanism: Mechanism) -> Masses:
+        """Return the same on the same joints of a mechanism that has flexures beside them, which carry nothing."""
+        real, count = rigid_joints(mechanism), len(mechanism.joints)
+        if len(real) == count:
+            return self
+        mass, center = np.zeros(count), np.zeros((count, 3))
+        mass[real], center[real] = self.mass, self.center
+        return Masses(mechanism, mass, center)
+
     def torques(self, q: Floats, gravity: Floats = STANDARD_GRAVITY) -> Floats:
         """Compute the torques or forces that hold the joints against gravity.
 
@@ -110,13 +120,14 @@ def masses_of(urdf: Urdf, mechanism: Mechanism, payload: Body | None = None) -> 
         mechanism: some of its joints.
         payload: what the robot carries beside its own links.
     """
-    model = _reduced(urdf, mechanism)
+    drawn = without_flexures(mechanism)
+    model = _reduced(urdf, drawn)
     if model is None:
         return None
-    inertias = [model.inertias[model.getJointId(name)] for name in mechanism.names]
+    inertias = [model.inertias[model.getJointId(name)] for name in drawn.names]
     mass = np.array([inertia.mass for inertia in inertias])
     center = np.array([inertia.lever if inertia.mass > 0.0 else np.zeros(3) for inertia in inertias])
-    found = Masses(mechanism, mass, center)
+    found = Masses(drawn, mass, center).on(mechanism)
     if payload is not None:
         found = found.carrying(payload, place_of(urdf, mechanism, payload.link))
     return found if np.any(found.mass > 0.0) else None
@@ -124,7 +135,7 @@ def masses_of(urdf: Urdf, mechanism: Mechanism, payload: Body | None = None) -> 
 
 def place_of(urdf: Urdf, mechanism: Mechanism, link: str) -> Tip:
     """Find the joint of a mechanism that carries a link of the URDF, and the link's frame in that joint's."""
-    model = _reduced(urdf, mechanism)
+    model = _reduced(urdf, without_flexures(mechanism))
     if model is None or not model.existFrame(link):
         return mechanism.tip(link)
     frame = model.frames[model.getFrameId(link)]

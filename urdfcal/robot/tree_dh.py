@@ -15,6 +15,7 @@ import numpy as np
 
 from urdfcal.arrays import Floats, frozen, inverse
 from urdfcal.robot.dh import MOUNT, DHRow, DHTable, row_transform
+from urdfcal.robot.flexure import without_flexures
 from urdfcal.rotations import turn_z_to
 
 if TYPE_CHECKING:
@@ -34,8 +35,8 @@ _TIE = 1e-6
 
 
 def rows_of(mechanism: Mechanism) -> DHTable:
-    """Derive the DH rows of a chain, or of a tree (METHOD 2)."""
-    return DHTable.from_chain(mechanism)
+    """Derive the DH rows of a chain, or of a tree (METHOD 2); flexures have none."""
+    return DHTable.from_chain(without_flexures(mechanism))
 
 
 def derive(mechanism: Mechanism) -> tuple[Floats, tuple[DHRow, ...], Floats, Floats, Floats]:

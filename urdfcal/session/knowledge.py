@@ -20,9 +20,13 @@ if TYPE_CHECKING:
 ArmGeometry: TypeAlias = Literal["dh", "offsets", "full", "none"]
 Freedom: TypeAlias = Literal["fixed", "refine", "free"]
 TimeOffset: TypeAlias = Literal["free", "fixed"]
-JointError: TypeAlias = Literal["compliance", "eccentricity", "backlash", "lag", "gain", "gravity_backlash"]
+JointError: TypeAlias = Literal["compliance", "eccentricity", "backlash", "lag", "gain", "gravity_backlash", "bending"]
 ErrorSizes: TypeAlias = Mapping[JointError, float | Mapping[str, float] | Literal["default"]]
 """Sizes of what is wrong with the joints of a simulated robot: of all, of each by name, or realistic ones."""
+
+AUTO: Literal["auto"] = "auto"
+JointModelSaid: TypeAlias = bool | Literal["auto"] | Mapping[str, bool | Literal["auto"]]
+"""Whether a joint model is estimated, or the measurements decide: of all joints, or of each by name."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,17 @@ from urdfcal.names import check_known, check_names
 from urdfcal.robot.gravity import STANDARD_GRAVITY
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.session.attachments import Attachments, CameraMount, attach
-from urdfcal.session.knowledge import Estimate, Excluded, Led, LedDistance, Noise, Payload, PlaceDistance, Tolerances
+from urdfcal.session.knowledge import (
+    Estimate,
+    Excluded,
+    JointModelSaid,
+    Led,
+    LedDistance,
+    Noise,
+    Payload,
+    PlaceDistance,
+    Tolerances,
+)
 from urdfcal.session.measurements import Kind, Measurements, numbered_alike
 from urdfcal.session.moves import check_moves, moves_at
 from urdfcal.session.trajectory import AT_REST, Motion, Trajectory
@@ -68,7 +78,7 @@ class Setup(Rebuilt):
         estimate: what is to be estimated.
         tolerances: of the robot.
         joint_models: by name, which are estimated (True) or not (False), of all joints or of each by name; of the
-            others the measurements decide.
+            others the measurements decide, of bending only where ``"auto"`` is said.
         payload: what the arm carries.
         payloads: what it carries in each part, where that differs.
         gravity: (3,) in the base link's frame. [m/s^2]
@@ -94,7 +104,7 @@ class Setup(Rebuilt):
     noise: Noise = field(default_factory=Noise)
     estimate: Estimate = field(default_factory=Estimate)
     tolerances: Tolerances = field(default_factory=Tolerances)
-    joint_models: Mapping[str, bool | Mapping[str, bool]] = field(default_factory=dict)
+    joint_models: Mapping[str, JointModelSaid] = field(default_factory=dict)
     payload: Payload | None = None
     payloads: tuple[Payload | None, ...] = ()
     gravity: Floats = field(default_factory=lambda: STANDARD_GRAVITY)

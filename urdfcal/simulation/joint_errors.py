@@ -10,16 +10,18 @@ import numpy as np
 from urdfcal.errors import SessionError
 from urdfcal.estimation.joint_models import Readings
 from urdfcal.estimation.joint_models.backlash import Backlash
+from urdfcal.estimation.joint_models.bending import Bending
 from urdfcal.estimation.joint_models.compliance import Compliance
 from urdfcal.estimation.joint_models.gain import Gain
 from urdfcal.estimation.joint_models.gravity_backlash import GravityBacklash
 from urdfcal.estimation.joint_models.harmonics import Harmonics
 from urdfcal.estimation.joint_models.lag import Lag
 from urdfcal.estimation.joint_models.under_torque import UnderTorque
+from urdfcal.session.bending import bent
 from urdfcal.session.knowledge import JointError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Collection, Mapping
 
     from urdfcal.arrays import Floats
     from urdfcal.estimation.joint_models.linear import LinearJointModel
@@ -30,6 +32,8 @@ if TYPE_CHECKING:
 _STREAM = 6
 # Encoders and gears err less twice a turn than once.
 _TWICE = 0.3
+# A link is not as stiff about one axis as about the other: it is no tube, or carries a motor on one side.
+_ASIDE = (0.25, 1.0)
 
 
 @dataclass(frozen=True)
@@ -52,6 +56,8 @@ class _Kind:
 
     def parameters(self, size: Floats, rng: np.random.Generator) -> Floats:
         """Return the model's parameters (k, words) of joints with such errors (k,)."""
+        if self.model is Bending:
+            return size[:, None] * rng.uniform(*_ASIDE, (len(size), len(Bending.words)))
         if self.model is not Harmonics:
             return self.factor * size[:, None]
         phase = rng.uniform(0.0, 2.0 * np.pi, (len(size), 2))
@@ -75,6 +81,8 @@ _KINDS: dict[JointError, _Kind] = {
     "gain": _Kind(Gain, (2e-4, 7e-4), either=True),
     # As backlash, of gears that the arm's weight turns back.
     "gravity_backlash": _Kind(GravityBacklash, (1e-4, 1e-3), sliding=0.1, factor=0.5),
+    # Bearings and tubes: see the class.
+    "bending": _Kind(Bending, (2e-6, 2e-5)),  # in rad/(N m) before sliding joints, too
 }
 
 
@@ -98,7 +106,7 @@ def draw_joint_errors(errors: ErrorSizes, positions: Positions, seed: int) -> di
     for name, said in errors.items():
         kind = _KINDS[name]
         rng = np.random.default_rng((seed, _STREAM, get_args(JointError).index(name)))
-        model = _applied(kind.model, positions)
+        model = _applied(kind.model, _bending(positions, errors))
         joints = list(dict.fromkeys(model.names_of_joints))
         prismatic = np.array([joint.prismatic for joint in model.mechanism.actuated_joints if joint.name in joints])
         usual = rng.uniform(*kind.usual, len(joints)) * np.where(prismatic, kind.sliding, 1.0)
@@ -122,11 +130,12 @@ def true_joint_values(positions: Positions, errors: Mapping[str, Floats]) -> Flo
         errors: parameters (k,) of joint models, by name, as they were drawn.
 
     Returns:
-        (N, n) joint values. [rad or m]
+        (N, n) joint values, of flexures where links bend too. [rad or m]
 
     Raises:
         SessionError: an error is one of arms that stand still, and this one moves.
     """
+    positions = _bending(positions, errors)
     readings, q = Readings.of(positions), positions.q
     for kind in (kind.model for kind in _KINDS.values() if kind.model.name in errors):
         q = q + _applied(kind, positions).values(readings, errors[kind.name])
@@ -135,12 +144,18 @@ def true_joint_values(positions: Positions, errors: Mapping[str, Floats]) -> Flo
 
 def joint_errors_to_dicts(positions: Positions, errors: Mapping[str, Floats]) -> list[dict[str, Any]]:
     """List the parameters of joint models for truth.json, called as the calibration's are."""
+    positions = _bending(positions, errors)
     models = [_applied(kind.model, positions) for kind in _KINDS.values() if kind.model.name in errors]
     return [
         {"parameter": name, "unit": unit, "value": value + 0.0}  # no "-0.0"
         for model in models
         for name, unit, value in zip(model.names, model.units, errors[model.name].tolist(), strict=True)
     ]
+
+
+def _bending(positions: Positions, errors: Collection[str]) -> Positions:
+    """The same, with flexures where some of the errors are that links bend."""
+    return bent(positions, positions.chain.actuated) if Bending.name in errors else positions
 
 
 def _applied(kind: type[LinearJointModel], positions: Positions) -> LinearJointModel:

@@ -9,6 +9,7 @@ import numpy as np
 
 from urdfcal.arrays import Bools, Floats, Ints, frozen, inverse
 from urdfcal.estimation.measurements import Detections
+from urdfcal.robot.flexure import spread_placements, with_flexures
 from urdfcal.robot.kinematics import link_poses
 from urdfcal.robot.mechanism import BASE, Tip
 
@@ -51,6 +52,13 @@ class Scene:
     def __post_init__(self) -> None:
         for name in ("placements", "leds", "targets", "T_world_base", "T_cam_frame"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
+
+    def bending(self) -> Scene:
+        """Return the same scene with flexures in all links of the robot."""
+        chain = with_flexures(self.chain, self.chain.actuated)
+        tips = tuple(chain.tip(tip.link) for tip in self.attachments.tips)
+        placements = spread_placements(chain, self.placements)
+        return replace(self, chain=chain, placements=placements, attachments=replace(self.attachments, tips=tips))
 
     def camera_centres(self, q: Floats) -> Floats:
         """Return the cameras' centres (N, C, 3) in the base link's frame at joint values ``q`` (N, n). [m]."""

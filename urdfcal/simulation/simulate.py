@@ -13,6 +13,7 @@ import pinocchio as pin
 from urdfcal.arrays import Floats, frozen, inverse
 from urdfcal.errors import OutputError, SessionError
 from urdfcal.estimation.blocks.leds import led_positions
+from urdfcal.estimation.joint_models.bending import Bending
 from urdfcal.estimation.measurements import Contacts, Detections
 from urdfcal.files import write_bytes, write_text
 from urdfcal.io.writing import write_session
@@ -66,7 +67,7 @@ class Truth(Scene):
         error_scale: factor on the offsets.
         outlier_share: of the detections, as asked for.
         offsets: (n, 5) of the DH rows, columns as ``PARAMETERS``. [rad, m]
-        q: (N, n) joint values. [rad or m]
+        q: (N, n) joint values, of flexures too where links bend. [rad or m]
         readings: (N, n) what perfect encoders say of them; of an arm that moves, in the poses that it moves through.
             [rad or m]
         joint_errors: parameters (k,) of the joint models that lie between, by name.
@@ -178,7 +179,9 @@ def simulate(
         warnings=warnings,
     )
     joint_errors = draw_joint_errors(rig.errors, planned, arm_seed)
-    q = true_joint_values(planned, joint_errors)
+    q, origins = true_joint_values(planned, joint_errors), true.placements
+    if Bending.name in joint_errors:
+        true = true.bending()
     pixel = rig.noise.of(Detections) if pixel is None else pixel
     if not rig.places:
         views, levels = np.tile(np.arange(len(true.cameras)), (poses, 1)), (pixel, noise.of(Detections))
@@ -197,7 +200,7 @@ def simulate(
         joint_errors=joint_errors,
         outliers=frozen(outlying, np.intp),
         places=rig.places,
-        urdf=b"" if rig.urdf is None else rewrite_origins(rig.urdf, origins_of(rig.urdf, rig.chain, true.placements)),
+        urdf=b"" if rig.urdf is None else rewrite_origins(rig.urdf, origins_of(rig.urdf, rig.chain, origins)),
     )
     return Simulated(session, truth)
 

@@ -20,6 +20,7 @@ from urdfcal.estimation.model_spec import ModelSpec
 from urdfcal.estimation.parameters import choose_parameters
 from urdfcal.estimation.problem import Problem
 from urdfcal.estimation.state import State
+from urdfcal.robot.flexure import rigid_joints
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.session.model import Session, Setup
 from urdfcal.simulation.planning import joint_limits
@@ -108,4 +109,4 @@ def _arrive(
     off = frozen(noise * rng.standard_normal(observed.value.shape))
     parameters = choose_parameters(session, problem, state, ModelSpec("none"))
     arrived = fulfilled(problem, replace(observed, value=off), state, parameters)
-    return arrived.readings.q, what[:, arrived.pose]
+    return arrived.readings.q[:, rigid_joints(problem.mechanism)], what[:, arrived.pose]

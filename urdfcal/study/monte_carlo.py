@@ -14,6 +14,7 @@ from urdfcal.estimation.evaluation import compare
 from urdfcal.io.folder import read_rig
 from urdfcal.pipeline import calibrate
 from urdfcal.planning.belief import Belief, check_plannable
+from urdfcal.robot.flexure import without_flexures
 from urdfcal.session.knowledge import Estimate, Led
 from urdfcal.simulation.scene import look_at
 from urdfcal.simulation.simulate import simulate
@@ -139,10 +140,10 @@ def run_one(run: Run) -> Floats | str:
         return error.what
     chain, truth = session.chain, simulated.truth
     q = chain.random_values(_WORKSPACE, np.random.default_rng(run.seed))
-    true = chain.with_placements(truth.placements)
+    true = without_flexures(truth.chain.with_placements(truth.placements))
     errors = [rms(compare(arm, true, q).position) for arm in (chain, chain.with_placements(built))]
-    belief = Belief.of_rig(rig, truth.q).identified_by(truth.q).with_session(session)
-    return np.array([*errors, belief.candidates(truth.q, q).error(belief.information)])
+    belief = Belief.of_rig(rig, truth.readings).identified_by(truth.readings).with_session(session)
+    return np.array([*errors, belief.candidates(truth.readings, q).error(belief.information)])
 
 
 def varied_rig(rig: RigDescription, setting: Variation) -> tuple[RigDescription, dict[str, Any]]:

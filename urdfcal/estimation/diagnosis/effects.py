@@ -74,7 +74,7 @@ class Effect:
 
 def subjects(session: Session, problem: Problem, state: State) -> Iterator[Subject]:
     """List what may have moved while a session was measured."""
-    for j, joint in enumerate(problem.arm.chain.joints):
+    for j, joint in enumerate(problem.mechanism.joints):
         if joint.mimic is None:
             yield Subject("joint", joint.name, partial(Part.by_joint, joint=j))
     for k, led in enumerate(session.leds):

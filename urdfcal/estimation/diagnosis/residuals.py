@@ -138,7 +138,7 @@ class Unexplained:
             for observed, covariance, some, norm, outlier in parts_of:
                 at = Tangent.at(thinned, observed, fit.state, everything).linearise()
                 J = Tangent.at(thinned, observed, fit.state, fit.parameters).linearise().J
-                sigma, chain = less_joint * thinned.joint_sigma, thinned.arm.chain
+                sigma, chain = less_joint * thinned.joint_sigma, thinned.mechanism
                 joint = joint_noise(at, chain.reading_jacobian, sigma)
                 limit = norm_quantile(observed.dimension, _BOUNDED)
                 weight = np.where(outlier[some], (limit / np.maximum(norm[some], limit)) ** 2, 1.0)

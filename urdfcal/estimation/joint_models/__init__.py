@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from urdfcal.errors import SessionError
 from urdfcal.estimation.joint_models.backlash import Backlash
 from urdfcal.estimation.joint_models.base import JointModel, Readings, Term
+from urdfcal.estimation.joint_models.bending import Bending
 from urdfcal.estimation.joint_models.compliance import Compliance
 from urdfcal.estimation.joint_models.gain import Gain
 from urdfcal.estimation.joint_models.gravity_backlash import GravityBacklash
@@ -19,6 +20,7 @@ from urdfcal.estimation.joint_models.motor_harmonics import MotorHarmonics
 from urdfcal.estimation.joint_models.time_offset import TimeOffsets
 from urdfcal.estimation.joint_models.torque_basis import TorqueBasis
 from urdfcal.estimation.joint_models.zero_offset import ZeroOffsets
+from urdfcal.session.bending import bent
 
 if TYPE_CHECKING:
     from urdfcal.session.model import Positions
@@ -35,6 +37,7 @@ JOINT_MODELS: tuple[type[JointModel], ...] = (
     MotorHarmonics,
     Backlash,
     GravityBacklash,
+    Bending,
 )
 """Every joint model there is. A new one is a file of its own and a name here."""
 
@@ -45,6 +48,7 @@ def joint_models_of(session: Positions) -> tuple[JointModel, ...]:
     Raises:
         SessionError: one that the session switches on does not apply to it, or what it leaves free cannot be found.
     """
+    session = bent(session)
     models = {kind.name: kind.of(session) for kind in JOINT_MODELS}
     for name, said in session.joint_models.items():
         if isinstance(said, Mapping) and not isinstance(models[name], LinearJointModel | None):

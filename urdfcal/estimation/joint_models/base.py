@@ -11,6 +11,7 @@ import numpy as np
 
 from urdfcal.estimation.blocks.arm import no_offsets
 from urdfcal.estimation.blocks.base import VectorBlock
+from urdfcal.session.bending import bent
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -46,7 +47,8 @@ class Readings:
 
     @classmethod
     def of(cls, session: Positions) -> Readings:
-        """Take all poses of a session."""
+        """Take all poses of a session; flexures of links that may bend are at zero."""
+        session = bent(session)
         poses = np.arange(len(session.poses))
         return cls(session.q, poses, session.motion, session.part, session.torques, session.came_from)
 

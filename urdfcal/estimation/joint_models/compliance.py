@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from urdfcal.estimation.joint_models.linear import Prior
-from urdfcal.estimation.joint_models.under_torque import UnderTorque
+from urdfcal.estimation.joint_models.under_torque import UnderTorque, Yielding
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from urdfcal.arrays import Floats
     from urdfcal.estimation.joint_models.base import Readings
     from urdfcal.estimation.joint_models.linear import OneCommand
-    from urdfcal.robot.gravity import Masses
     from urdfcal.robot.mechanism import Joint
 
 
@@ -50,7 +49,7 @@ class Compliance(UnderTorque):
         if len(self.masses) != 1:
             return super().of_one(p)
         yields = -(self._carry * p) @ self.mechanism.reading_jacobian.T[list(self.joints)]
-        return _Yielding(self.masses[0], self.gravity, yields)
+        return Yielding(self.masses[0], self.gravity, yields)
 
     def sentence(self, joint: Joint, group: str, p: Floats) -> str:
         """Say how much it yields."""
@@ -60,20 +59,3 @@ class Compliance(UnderTorque):
     def sentence_of_all(self, joints: str, most: float) -> str:
         """Say how much they yield."""
         return f"sag of {joints} under the arm's weight, by up to {most:.2g} mrad: the arm bends"
-
-
-@dataclass(frozen=True, eq=False)
-class _Yielding:
-    """What joints yield by in one pose: their torques times ``yields`` (n, n)."""
-
-    masses: Masses
-    gravity: Floats
-    yields: Floats
-
-    def values(self, readings: Readings) -> Floats:
-        result: Floats = self.yields @ self.masses.torques(readings.q, self.gravity)[0]
-        return result
-
-    def slopes(self, readings: Readings) -> Floats:
-        result: Floats = self.yields @ self.masses.slopes(readings.q, self.gravity)[0]
-        return result

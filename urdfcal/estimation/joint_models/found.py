@@ -11,8 +11,10 @@ import numpy as np
 from urdfcal.arrays import frozen
 from urdfcal.errors import RobotError
 from urdfcal.estimation.joint_models.base import Readings
+from urdfcal.estimation.joint_models.bending import Bending
 from urdfcal.estimation.joint_models.linear import LinearJointModel, Setting
 from urdfcal.estimation.joint_models.torque_basis import TorqueBasis
+from urdfcal.robot.flexure import without_flexures
 from urdfcal.robot.gravity import place_of
 from urdfcal.robot.newton import AsTold
 from urdfcal.session.trajectory import AT_REST, Trajectory
@@ -58,7 +60,7 @@ class FoundJointModels:
     """All joint models of a calibrated arm.
 
     Attributes:
-        mechanism: the joints, as drawn.
+        mechanism: the joints, as drawn, and flexures where links bend.
         found: what was estimated; nothing of a rigid arm.
         gravity: (3,) in the base link's frame. [m/s^2]
         masses: of the arm without payload; None where torques are measured, or nobody knows.
@@ -73,6 +75,11 @@ class FoundJointModels:
     payload: Body | None = None
     places: tuple[Tip, ...] = ()
 
+    @property
+    def bending(self) -> tuple[str, ...]:
+        """Names of the joints before which links bend."""
+        return next((of.joints for of in self.found if of.kind is Bending), ())
+
     def carrying(self, carried: Payload | Literal["nothing"]) -> FoundJointModels:
         """Return the same of an arm that carries something else, or nothing.
 
@@ -80,6 +87,18 @@ class FoundJointModels:
             RobotError: nothing is known of the payload's link, or of the arm's masses.
         """
         return _carrying(self, carried)
+
+    def under(self, session: Session) -> FoundJointModels:
+        """Return the same of an arm that stands and carries what it does in a session; of parts, in the first.
+
+        Raises:
+            RobotError: nothing is known of the arm's masses, and it carries something.
+        """
+        payload, urdf = (session.payloads or (session.payload,))[0], session.urdf
+        at = () if payload is None or urdf is None else (place_of(urdf, self.mechanism, payload.link),)
+        changed = replace(self, gravity=session.gravity, payload=payload, places=at)
+        _ = changed.models
+        return changed
 
     @cached_property
     def models(self) -> tuple[LinearJointModel, ...]:
@@ -100,9 +119,10 @@ class FoundJointModels:
         Raises:
             RobotError: the session has other joints.
         """
-        if self.found and session.chain.names != self.mechanism.names:
+        drawn = without_flexures(self.mechanism)
+        if self.found and session.chain.names != drawn.names:
             raise RobotError(
-                f"joint models were found of {', '.join(self.mechanism.names)}, the session's joints are "
+                f"joint models were found of {', '.join(drawn.names)}, the session's joints are "
                 f"{', '.join(session.chain.names)}",
                 remedy="Name a session with the same base link and tip links.",
             )
@@ -135,7 +155,7 @@ class FoundJointModels:
             previous: (N, k) readings where the arm came from. [rad or m]
 
         Returns:
-            (N, n) values of all joints, and (N, n, k).
+            (N, n) values of all joints, flexures included, and (N, n, k).
 
         Raises:
             SessionError: the compliance is that under measured torques, and there are none.

@@ -12,6 +12,7 @@ import numpy as np
 
 from urdfcal.estimation.joint_models.base import JointModel
 from urdfcal.estimation.state import Key
+from urdfcal.session.knowledge import AUTO
 from urdfcal.session.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -249,8 +250,9 @@ class LinearJointModel(JointModel):
 
     def said(self, session: Positions) -> dict[str, bool]:
         """Return whether the session switches the model on, by the joint's name; none of those it is silent of."""
-        said: Any = session.joint_models.get(self.name, {})
-        return dict(said) if isinstance(said, Mapping) else dict.fromkeys(self.names_of_joints, said)
+        said: Any = session.joint_models.get(self.name, AUTO)
+        each = dict.fromkeys(self.names_of_joints, said) if isinstance(said, str | bool) else dict(said)
+        return {joint: bool(on) for joint, on in each.items() if on != AUTO}
 
     def block(self, session: Positions, geometry: str, terms: Sequence[Term]) -> Self | None:
         """Return the block with the joints that are forced or chosen, on all but the nominal arm."""
@@ -265,8 +267,8 @@ class LinearJointModel(JointModel):
     @classmethod
     def estimated(cls, session: Positions, geometry: str) -> bool:
         """Return whether the session switches it on for a joint."""
-        said: Any = session.joint_models.get(cls.name, False)
-        return geometry != "none" and (any(said.values()) if isinstance(said, Mapping) else bool(said))
+        said: Any = session.joint_models.get(cls.name, AUTO)
+        return geometry != "none" and True in (said.values() if isinstance(said, Mapping) else [said])
 
     def document(self, value: Floats, sigma: Floats) -> tuple[dict[str, Any], ...]:
         """Return entries of the joints that have it."""

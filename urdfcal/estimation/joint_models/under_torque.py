@@ -97,3 +97,28 @@ class UnderTorque(LinearJointModel):
             return
         for part in np.unique(readings.part) if self.masses else ():
             yield part, readings.part == part
+
+
+@dataclass(frozen=True, eq=False)
+class Yielding:
+    """Joints that yield to the weight they carry, for one pose at a time.
+
+    Attributes:
+        masses: that they carry.
+        gravity: (3,) in the base link's frame. [m/s^2]
+        yields: (n, n) by how much each yields to each one's torque. [rad/(N m) and the like]
+    """
+
+    masses: Masses
+    gravity: Floats
+    yields: Floats
+
+    def values(self, readings: Readings) -> Floats:
+        """Return what joints (n,) yield by in one pose. [rad or m]."""
+        result: Floats = self.yields @ self.masses.torques(readings.q, self.gravity)[0]
+        return result
+
+    def slopes(self, readings: Readings) -> Floats:
+        """Return the derivative (n, n) of :meth:`values`."""
+        result: Floats = self.yields @ self.masses.slopes(readings.q, self.gravity)[0]
+        return result

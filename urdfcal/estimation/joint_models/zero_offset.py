@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from urdfcal.estimation.blocks.arm import no_offsets, parameter_tolerance, zero_rows
 from urdfcal.estimation.joint_models.base import JointModel
 from urdfcal.estimation.state import Key
+from urdfcal.robot.flexure import rigid_joints
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,11 +26,17 @@ ZERO_OFFSETS: Key[Floats] = Key("zero_offset")
 """(n,) added to each joint's reading. [rad or m]"""
 
 
+@dataclass(frozen=True, eq=False)
 class ZeroOffsets(JointModel):
     """A constant added to each joint reading, for an arm whose geometry is nominal.
 
     With DH rows estimated it is theta's offset (d's of a prismatic joint), and the model is left out.
+
+    Attributes:
+        carry: (n, k) derivative of all joints' values by those of the joints that have an offset: all but flexures.
     """
+
+    carry: Floats = field(kw_only=True)
 
     name: ClassVar[str] = "zero_offset"
     toleranced: ClassVar[bool] = True
@@ -38,7 +46,8 @@ class ZeroOffsets(JointModel):
     @classmethod
     def of(cls, session: Positions) -> Self:
         """Take one offset of each joint, with the tolerance of zero offsets as its prior."""
-        joints, tolerances = session.chain.joints, session.tolerances
+        real, tolerances = rigid_joints(session.chain), session.tolerances
+        joints = [session.chain.joints[i] for i in real]
         words = ["d" if joint.prismatic else "theta" for joint in joints]
         sigma = np.array(
             [parameter_tolerance(tolerances, j.name, word, zero=True) for j, word in zip(joints, words, strict=True)]
@@ -51,6 +60,7 @@ class ZeroOffsets(JointModel):
             sigma=np.where(sigma > 0.0, sigma, np.inf),
             fixed={int(k): "fixed by the session's tolerances" for k in np.flatnonzero(sigma == 0.0)},
             phrase="the joints' zero offsets",
+            carry=np.eye(len(session.chain.joints))[:, real],
         )
 
     @classmethod
@@ -66,11 +76,12 @@ class ZeroOffsets(JointModel):
 
     def values(self, readings: Readings, p: Floats) -> Floats:
         """Return the offsets, the same at every pose."""
-        return np.broadcast_to(p, readings.q.shape)
+        return np.broadcast_to(self.carry @ p, readings.q.shape)
 
     def jacobian(self, readings: Readings, p: Floats) -> Floats:
-        """Return the identity."""
-        return np.broadcast_to(np.eye(len(p)), (len(readings.q), len(p), len(p)))
+        """Return the identity, for joints that have an offset."""
+        del p
+        return np.broadcast_to(self.carry, (len(readings.q), *self.carry.shape))
 
     def offsets(self, arm: ArmParameterization, p: Floats) -> Floats:
         """Return the same as offsets of the rows' joint variables."""
