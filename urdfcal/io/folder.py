@@ -102,9 +102,8 @@ def read_session(
         wrong = np.setdiff1d(counting[kind].rows, table.rows)
         tables[kind] = tables[kind].only(~np.isin(tables[kind].rows, wrong))
     measurements = tuple(table.measurements for table in tables.values())
-    moved = {what: tuple(document.texts("moved", what)) for what in keys.moved}
     with document.placing():
-        session = positions.measured(measurements, sha256=hashes, warnings=warnings, moved=moved)
+        session = positions.measured(measurements, sha256=hashes, warnings=warnings)
         session = _with_torques(_with_previous(session, document, keys), document, keys, inputs.joints)
         return leave_out(session, excluded) if excluded else session
 
@@ -301,7 +300,9 @@ def _read_positions(document: Document, keys: SessionFile) -> Inputs:
         setup["sha256"][keys.frames] = frames.table.source.sha256
     setup["sha256"][keys.joints] = joints.table.source.sha256
     with document.placing():
-        positions = Positions(**setup, **poses, warnings=joints.warnings + (frames.warnings if frames else ()))
+        warnings = joints.warnings + (frames.warnings if frames else ())
+        moved = {what: tuple(document.texts("moved", what)) for what in keys.moved}
+        positions = Positions(**setup, **poses, moved=moved, warnings=warnings)
     return Inputs(document, positions, joints, frames)
 
 

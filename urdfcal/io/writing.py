@@ -184,7 +184,7 @@ def _write_files(folder: Path, session: Positions, urdf: Urdf) -> None:
             content[table.kind] = f"{table.kind}.csv"
             write_measurements(folder / f"{table.kind}.csv", session, table)
         content["exclude"] = session.excluded.named
-        content["moved"] = {what: list(labels) for what, labels in session.moved.items()}
+    content["moved"] = {what: list(labels) for what, labels in session.moved.items()}
     estimate = _said(**{**vars(session.estimate), "gravity": None})
     gravity = [] if np.array_equal(session.gravity, STANDARD_GRAVITY) else session.gravity.tolist()
     content |= {

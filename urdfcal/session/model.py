@@ -184,6 +184,7 @@ class Positions(Setup):
             None for the poses in order, of time if there is one. [rad or m]
         motion: at rest in every pose, or a trajectory: each pose is then a frame of one camera, q what its log says.
         part: (N,) of each pose; left out: the first.
+        moved: by name of an LED or a camera, or "base", the poses before which it moved.
         warnings: what looked odd when it was read.
     """
 
@@ -194,11 +195,12 @@ class Positions(Setup):
     previous: Floats | None = None
     motion: Motion = AT_REST
     part: Ints = field(default_factory=lambda: np.zeros(0, np.intp))
+    moved: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        keep(self, poses=tuple(map(str, self.poses)), warnings=tuple(self.warnings))
+        keep(self, poses=tuple(map(str, self.poses)), moved=ReadOnly(self.moved), warnings=tuple(self.warnings))
         count = len(self.poses)
         if count < MIN_POSES:
             raise SessionError(f"{count} poses are too few", remedy=f"Measure at least {MIN_POSES}, better 30 or more.")
@@ -214,6 +216,7 @@ class Positions(Setup):
         for name in ("torques", "previous"):
             if getattr(self, name) is not None:
                 keep(self, **{name: finite_array(getattr(self, name), self.q.shape, name, "session")})
+        check_moves(self)
 
     @property
     def readings(self) -> Floats:
@@ -242,16 +245,14 @@ class Session(Positions):
     Attributes:
         measurements: one table for each kind of measurement, such as detections in images or points of a tracker.
         excluded: what was left out of it.
-        moved: by name of an LED or a camera, or "base", the poses before which it moved.
     """
 
     measurements: tuple[Measurements, ...]
     excluded: Excluded = field(default_factory=Excluded)
-    moved: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        keep(self, measurements=numbered_alike(self.measurements), moved=ReadOnly(self.moved))
+        keep(self, measurements=numbered_alike(self.measurements))
         if not self.measurements:
             raise SessionError("there are no measurements", remedy="There is nothing to calibrate from.")
         counts = {"pose": len(self.poses), "led": len(self.led_names), "camera": len(self.rig.cameras)}
@@ -266,7 +267,6 @@ class Session(Positions):
                     raise SessionError("a moving arm is measured by cameras alone", where="session")
                 if np.any(table.index["camera"] != self.motion.camera[table.pose]):
                     raise SessionError("a detection is by another camera than its frame", where=table.kind)
-        check_moves(self)
         places = self.named("place")
         for name in (name for known in self.place_distances for name in known.places if places):
             check_known(name, places, "places", "place_distances")

@@ -33,8 +33,7 @@ def resolve_moves(session: Session) -> Session:
         session: whose ``moved`` says what moved, and before which poses.
     """
     for what, labels in session.moved.items():
-        firsts = sorted({session.poses.index(label) for label in labels})
-        moves = np.searchsorted(firsts, np.arange(len(session.poses)), side="right")
+        firsts, moves = sorted({session.poses.index(label) for label in labels}), moves_before(session, what)
         names = [f"{what}@{session.poses[k]}" for k in firsts]
         if session.targets and what not in (BASE_LINK, *session.rig.names):
             remedy = "Leave the poses from there on out (exclude), or those before."
@@ -46,6 +45,12 @@ def resolve_moves(session: Session) -> Session:
         else:
             session = _with_cameras(session, session.rig.index(what), names, moves)
     return replace(session, moved={}) if session.moved else session
+
+
+def moves_before(positions: Positions, *things: str) -> Ints:
+    """Return how often (N,) any of some things had moved before each pose was measured."""
+    firsts = {positions.poses.index(label) for what in things for label in positions.moved.get(what, ())}
+    return np.searchsorted(sorted(firsts), np.arange(len(positions.poses)), side="right")
 
 
 def unmoved(session: Session) -> Positions:
@@ -69,7 +74,7 @@ def poses_of_camera(session: Session, camera: int) -> Ints:
     return np.unique(np.concatenate([*seen, np.zeros(0, np.intp)]))
 
 
-def check_moves(session: Session) -> None:
+def check_moves(session: Positions) -> None:
     """Refuse moves of what there is not, or before a pose that there is not, and of all there is at once.
 
     Raises:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from urdfcal.detection.targets.turned import View, readings
+from urdfcal.detection.targets.turned import View, is_guessed, readings
 from urdfcal.errors import SessionError
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
@@ -21,11 +21,13 @@ if TYPE_CHECKING:
 POSES = 12
 
 
-def seen(rig: str, pattern: Pattern, *, known: bool) -> tuple[Simulated, Positions, list[View], np.ndarray]:
+def seen(
+    rig: str, pattern: Pattern, *, known: bool, poses: int = POSES
+) -> tuple[Simulated, Positions, list[View], np.ndarray]:
     """What a simulated arm's cameras find of a target, each picture read some way round."""
     description = read_rig(find_rig(rig))
     (target,) = description.targets
-    simulated = simulate(replace(description, targets=(replace(target, pattern=pattern),)), poses=POSES, seed=2)
+    simulated = simulate(replace(description, targets=(replace(target, pattern=pattern),)), poses=poses, seed=2)
     positions = simulated.session.unmeasured()
     if not known:
         (target,) = positions.targets
@@ -94,6 +96,54 @@ def test_where_it_is_fastened_must_show_if_it_is_given() -> None:
         SessionError, match="camera 'cam0' does not tell which way it is: the arm turned about one axis"
     ):
         readings(still, 0, [replace_pose(views[0], k) for k in range(POSES)])
+
+
+def way(simulated: Simulated, view: View, order: np.ndarray | None) -> int | None:
+    """Which of its ways round a target was read; None where that was left open."""
+    true = simulated.truth.pixels(simulated.truth.q)[view.pose, view.camera]
+    orders = simulated.session.targets[0].pattern.symmetries
+    off = [np.linalg.norm(view.uv[order] - true[of], axis=1).max() for of in orders if order is not None]
+    return int(np.argmin(off)) if off else None
+
+
+@pytest.mark.parametrize(
+    ("rig", "base", "pattern", "known"),
+    [
+        ("ur5_charuco", True, ChessboardPattern((7, 5), 0.03), True),
+        ("ur5_charuco", False, ChessboardPattern((6, 6), 0.03), False),
+        ("panda_handeye", False, ChessboardPattern((7, 5), 0.03), False),
+    ],
+)
+def test_it_is_fastened_the_same_after_a_move(rig: str, base: bool, pattern: Pattern, known: bool) -> None:
+    simulated, positions, views, _ = seen(rig, pattern, known=known, poses=20)
+    # Seen so by a camera that stands on its head from there on, or once the base has turned half around.
+    lens, at, halves = positions.rig.cameras[0], 8, [-1.0, -1.0, 1.0]
+    shown = [
+        view if view.pose < at else replace(view, uv=lens.project(lens.unproject(view.uv) * halves)) for view in views
+    ]
+    orders = readings(replace(positions, moved={"base" if base else lens.name: positions.poses[at : at + 1]}), 0, shown)
+    read = [way(simulated, view, order) for view, order in zip(views, orders, strict=True)]
+    assert len(set(read)) == 1
+    assert None not in read
+    assert not known or read[0] == 0
+    unsaid = readings(positions, 0, shown)
+    assert len({way(simulated, view, order) for view, order in zip(views, unsaid, strict=True)}) > 1
+
+
+def test_few_pictures_after_a_move_are_left_out_rather_than_read_wrong() -> None:
+    simulated, positions, views, _ = seen("ur5_charuco", ChessboardPattern((7, 5), 0.03), known=False)
+    orders = readings(replace(positions, moved={"base": positions.poses[10:11]}), 0, views)
+    read = [way(simulated, view, order) for view, order in zip(views, orders, strict=True)]
+    assert read[10:] == [None, None]
+    assert len(set(read[:10])) == 1
+
+
+def test_a_target_in_the_world_is_nearest_to_how_it_was_before_the_base_moved() -> None:
+    simulated, positions, views, _ = seen("panda_handeye", ChessboardPattern((7, 5), 0.03), known=False, poses=20)
+    assert is_guessed(replace(positions, moved={"base": positions.poses[8:9]}), 0)
+    assert not is_guessed(positions, 0)
+    orders = readings(replace(positions, moved={"base": positions.poses[8:9]}), 0, views)
+    assert len({way(simulated, view, order) for view, order in zip(views, orders, strict=True)}) == 1
 
 
 def replace_pose(view: View, pose: int) -> View:

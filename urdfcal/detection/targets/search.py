@@ -11,7 +11,7 @@ import numpy as np
 from urdfcal.arrays import evenly
 from urdfcal.detection.targets.alternatives import other_print
 from urdfcal.detection.targets.find import Found, find_target
-from urdfcal.detection.targets.turned import UNTOLD, View, readings
+from urdfcal.detection.targets.turned import UNTOLD, View, is_guessed, readings
 from urdfcal.errors import SessionError
 from urdfcal.estimation.measurements import Detections
 from urdfcal.images.files import in_parallel
@@ -100,7 +100,12 @@ def find_targets(
     detections = Detections(*(np.concatenate(column) for column in zip(*parts, strict=True))) if parts else None
     rare = [target for target in targets if target.point_names and seen[target.name] < _RARE * images]
     sample = list(_sample(positions, index)) if rare else []
-    warnings = []
+    warnings = [
+        f"target {target.name!r} looks the same turned around: the base is taken to have turned by less than "
+        f"{180 // len(target.pattern.symmetries)} degrees whenever it moved"
+        for t, target in enumerate(targets)
+        if seen[target.name] and is_guessed(positions, t)
+    ]
     for target in rare:
         instead = other_print(target, sample)
         warnings.append(f"target {target.name!r} is found in {seen[target.name]} of {images} images{instead}")
