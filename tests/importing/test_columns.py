@@ -13,6 +13,10 @@ from scipy.spatial.transform import Rotation
 
 from urdfcal.cameras.io.formats import write_kalibr
 from urdfcal.cli import run
+from urdfcal.files import Source
+from urdfcal.importing.columns import with_commas
+from urdfcal.importing.decimals import with_points
+from urdfcal.io.csv_table import Table
 from urdfcal.io.folder import read_rig, read_session
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.robot.kinematics import tip_poses
@@ -149,6 +153,30 @@ def test_detections_of_named_cameras(folder: Path, simulated: Simulated, capsys:
     assert improved(folder, capsys) < 0.1
 
 
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+@pytest.mark.parametrize(
+    ("numbers", "options", "expected"),
+    [
+        (("0.5", "1,234.25", "-1,234"), [], (0.5, 1234.25, -1234)),
+        (("0,5", "1.234,25", "-1,234"), [], (0.5, 1234.25, -1.234)),
+        (("2", "1,234,567", "1,234"), [], (2, 1234567, 1234)),
+        (("2", "1,234", "-12,345"), ["--decimal", "comma"], (2, 1.234, -12.345)),
+        (("2", "1,234", "-12,345"), ["--decimal", "point"], (2, 1234, -12345)),
+        (("2", "1.234", "2"), [], (2, 1.234, 2)),
+        (("1,5e-1", "1.234", "2"), [], (0.15, 1234, 2)),
+    ],
+)
+def test_commas_are_decimal_or_between_thousands(
+    tmp_path: Path, separator: str, numbers: tuple[str, ...], options: list[str], expected: tuple[float, ...]
+) -> None:
+    with (tmp_path / "data.csv").open("w", newline="") as file:
+        csv.writer(file, delimiter=separator).writerows([("x", "y", "z", "note"), (*numbers, "a, b")])
+    table = Table.parse(with_commas(Source.read(tmp_path / "data.csv")), (), (), None)
+    read = with_points(table, "xyz", options[1] if options else None)
+    np.testing.assert_allclose(read.numbers("xyz")[0], expected, rtol=1e-15)
+    assert read.columns["note"] == ["a, b"]
+
+
 HEADER = "A,B,C,x,y,z"
 ROWS = ["0.1,0.2,0.3,1,2,3", "0.2,0.3,0.4,1,2,3", "0.3,0.4,0.5,1,2,3"]
 
@@ -177,6 +205,18 @@ ROWS = ["0.1,0.2,0.3,1,2,3", "0.2,0.3,0.4,1,2,3", "0.3,0.4,0.5,1,2,3"]
             "there is rx, ry, rz, but no x, y, z. Say which columns they are",
         ),
         (
+            HEADER.replace(",", ";"),
+            ["0;0;0;2;1,234;3", *(row.replace(",", ";").replace("0.", "") for row in ROWS)],
+            ["{0}=A", "{1}=B", "{2}=C"],
+            "data.csv:2:9: 1,234 may be 1.234 or 1234, and no other number tells. Say what stands before decimals",
+        ),
+        (
+            HEADER.replace(",", ";"),
+            [row.replace(",", ";") for row in ROWS] + ["0;0;0;2;1,25;3"],
+            ["{0}=A", "{1}=B", "{2}=C"],
+            "data.csv:2:1: 0.1 has a decimal point, where others have a decimal comma. Write all numbers alike.",
+        ),
+        (
             "P,A,B,C,x,y,z",
             ["a," + ROWS[0], "b," + ROWS[1], "a," + ROWS[2]],
             ["{0}=A", "{1}=B", "{2}=C", "pose=P"],
@@ -201,6 +241,19 @@ def test_what_is_wrong_is_named(
     assert not (folder / "s").exists()
 
 
+def test_what_is_said_of_numbers_or_of_an_led_must_be_so(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    names = read_rig(find_rig("elbow3r")).chain.actuated
+    (folder / "data.csv").write_text("\n".join([HEADER + ",qx,qy,qz,qw", *(f"{row},0,0,0,1" for row in ROWS), ""]))
+    said = [f"--column={name}={column}" for name, column in zip(names, "ABC", strict=True)]
+    arguments = ["import", "data.csv", "-o", "s", "--urdf", "arm.urdf", *LINKS, *said]
+    assert run([*arguments, "--decimal", "comma"]) == 2
+    assert "0.1 has a decimal point, where others have a decimal comma. Write all numbers alike, or say" in " ".join(
+        capsys.readouterr().err.split()
+    )
+    assert run([*arguments, "--led", "red"]) == 2
+    assert "nothing of the LED 'red'. Leave --led out" in " ".join(capsys.readouterr().err.split())
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -212,8 +265,10 @@ def test_what_is_wrong_is_named(
             ["data.csv", "-o", "s", "--urdf", "arm.urdf", "--column=a=b", "--column=a=c"],
             "two columns have the same name",
         ),
-        (["data.csv", "-o", "s", "--urdf", "arm.urdf", "--stills"], "--stills and --targets go with a bag"),
-        (["some.bag", "-o", "s", "--column", "a=b"], "--column and --columns go with a table"),
+        (["data.csv", "-o", "s", "--urdf", "arm.urdf", "--stills"], "--stills goes with a recording: this is a table"),
+        (["data.csv", "--list"], "--list goes with a recording"),
+        (["a.samples", "-o", "s", "--decimal", "comma"], "--decimal goes with a table: this is hand-eye samples"),
+        (["some.bag", "-o", "s", "--column", "a=b"], "--column goes with a table: this is a recording"),
         (["data.csv", "-o", "s", "--urdf", "arm.urdf", *LINKS, "--columns", "no.yaml"], "no.yaml: cannot be read"),
         (["nowhere.csv", "-o", "s", "--urdf", "arm.urdf", *LINKS], "nowhere.csv: cannot be read"),
     ],

@@ -162,5 +162,10 @@ def test_an_eye_that_the_file_contradicts_is_refused(tmp_path: Path, capsys: pyt
 def test_options_that_do_not_belong_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["import", "some.bag", "--eye", "hand", "-o", str(tmp_path / "s")]) == 2
     assert "--eye goes with hand-eye samples" in capsys.readouterr().err
+    for option in ("--urdf", "--tip", "--base", "--led", "--camera=a=b", "--cameras", "--joints", "--targets"):
+        words = [option] if "=" in option else [option, "a"]
+        assert run(["import", "some.samples", *words, "-o", str(tmp_path / "s")]) == 2
+        assert f"{option[:8]}" in (said := capsys.readouterr().err)
+        assert "this is hand-eye samples" in said
     assert run(["import", "some.samples"]) == 2
     assert "-o is needed" in capsys.readouterr().err

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import click
+from click.core import ParameterSource
 
 from urdfcal.cli.console import PATH, base_option, progress_bar, say, sheet, terminal
 
@@ -12,6 +13,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from urdfcal.cameras.rig import Rig
+    from urdfcal.importing.decimals import Decimal
     from urdfcal.importing.handeye import Eye
     from urdfcal.robot.chain import Chain
     from urdfcal.robot.urdf.urdf import Urdf
@@ -52,6 +54,26 @@ def _column(value: str) -> tuple[str, str]:
     return name, column
 
 
+_ENDINGS = {"hand-eye samples": (".samples", ".yaml", ".yml"), "a table": (".csv", ".tsv", ".txt")}
+_ROBOT = {"urdf", "tip", "base", "led", "described"}
+_OPTIONS = {
+    "a recording": _ROBOT | {"joints", "named", "targets", "stills", "listing"},
+    "a table": _ROBOT | {"columns", "columns_file", "decimal"},
+    "hand-eye samples": {"eye"},
+}
+
+
+def _check_options(source: str) -> None:
+    """Refuse options that a kind of source has no use for."""
+    context = click.get_current_context()
+    for option in context.command.params:
+        name = option.name or ""
+        takers = [kind for kind, options in _OPTIONS.items() if name in options]
+        given = context.get_parameter_source(name) is ParameterSource.COMMANDLINE
+        if given and takers and source not in takers:
+            raise click.UsageError(f"{option.opts[0]} goes with {' or '.join(takers)}: this is {source}")
+
+
 @click.command("import")
 @click.argument("path", metavar="SOURCE", type=PATH)
 @click.option("-o", "--output", "session", type=PATH, help="Folder to write.")
@@ -81,6 +103,10 @@ def _column(value: str) -> tuple[str, str]:
 @click.option(
     "--columns", "columns_file", type=PATH, metavar="FILE", help="The same as YAML, NAME: COLUMN:UNIT a line."
 )
+@click.option(
+    "--decimal", type=click.Choice(["point", "comma"]),
+    help="A table: what stands before decimals.  [default: as its numbers show]",
+)  # fmt: skip
 @click.option("--eye", type=click.Choice(["hand", "base"]), help="Hand-eye samples: what carries the camera.")
 def command(
     path: Path,
@@ -97,6 +123,7 @@ def command(
     listing: bool,
     columns: tuple[tuple[str, str], ...],
     columns_file: Path | None,
+    decimal: Decimal | None,
     eye: Eye | None,
 ) -> None:
     """Make a session of SOURCE, what another program has written.
@@ -109,19 +136,14 @@ def command(
 
     Hand-eye samples (.samples of easy_handeye2, .yaml of MoveIt): poses of a hand, and of a target that a camera sees.
     """
-    samples, table = path.suffix in (".samples", ".yaml", ".yml"), path.suffix in (".csv", ".tsv", ".txt")
-    if eye is not None and not samples:
-        raise click.UsageError("--eye goes with hand-eye samples")
-    if (columns or columns_file) and not table:
-        raise click.UsageError("--column and --columns go with a table, .csv, .tsv or .txt")
-    if (stills or targets) and (samples or table):
-        raise click.UsageError("--stills and --targets go with a bag")
-    if listing and not (samples or table):
+    source = next((kind for kind, endings in _ENDINGS.items() if path.suffix in endings), "a recording")
+    _check_options(source)
+    if listing:
         _list(path)
         return
     if session is None:
-        raise click.UsageError("-o is needed" + ("" if samples or table else "; --list prints the topics"))
-    if samples:
+        raise click.UsageError("-o is needed" + ("; --list prints the topics" if source == "a recording" else ""))
+    if source == "hand-eye samples":
         _import_samples(path, session, eye)
         return
     from urdfcal.cameras.io.formats import read_cameras
@@ -129,17 +151,15 @@ def command(
     from urdfcal.names import check_names
     from urdfcal.session.knowledge import Led
 
-    if led is None and targets is None:
-        led = ("led", None)
     leds = () if led is None else (Led(*led),)  # type: ignore[arg-type]  # a list serves as an array
     check_names("LEDs", [each.name for each in leds])
     rig = Rig() if described is None else read_cameras([described])
-    if table:
+    if source == "a table":
         if urdf is None:
             raise click.UsageError("--urdf is needed: a table says nothing of the robot")
         if len(dict(columns)) < len(columns):
             raise click.UsageError("two columns have the same name: " + ", ".join(name for name, _ in columns))
-        _import_table(path, session, (urdf, tip, base), rig, next(iter(leds)), dict(columns), columns_file)
+        _import_table(path, session, (urdf, tip, base), rig, leds, dict(columns), columns_file, decimal)
         return
     if len(dict(named)) < len(named):
         raise click.UsageError(f"two cameras have the same name: {', '.join(name for name, _ in named)}")
@@ -153,7 +173,7 @@ def command(
         robot = read_description(bag) if urdf is None else Urdf.read(urdf)
         known = KnownRobot(
             chain=_chain(robot, tip, base),
-            leds=leds,
+            leds=leds if leds or targets else (Led("led"),),
             targets=() if targets is None else read_targets(targets),
             rig=rig,
             urdf=robot,
@@ -182,9 +202,10 @@ def _import_table(
     folder: Path,
     robot: tuple[str, str | None, str | None],
     rig: Rig,
-    led: Led,
+    leds: tuple[Led, ...],
     columns: dict[str, str],
     columns_file: Path | None,
+    decimal: Decimal | None,
 ) -> None:
     from urdfcal.importing.columns import Column, columns_session, read_columns
     from urdfcal.io.writing import write_session
@@ -194,7 +215,7 @@ def _import_table(
     said = {} if columns_file is None else read_columns(columns_file)
     said |= {name: Column.parse(text) for name, text in columns.items()}
     urdf = Urdf.read(reference)
-    session, notes = columns_session(path, said, _chain(urdf, tip, base), urdf, reference, rig, led)
+    session, notes = columns_session(path, said, _chain(urdf, tip, base), urdf, reference, rig, leds, decimal)
     write_session(folder, session)
     counts = ", ".join(f"{len(table)} {table.kind}" for table in session.measurements)
     say(f"{path}: {len(session.poses)} poses, {counts}")

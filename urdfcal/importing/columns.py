@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -12,10 +14,12 @@ from pydantic import RootModel
 from urdfcal.errors import SessionError
 from urdfcal.estimation.measurements import Detections, Points, Poses
 from urdfcal.files import Source
+from urdfcal.importing.decimals import with_points
 from urdfcal.io.csv_table import Table, repeats
 from urdfcal.io.yaml_document import Document
 from urdfcal.names import listed, suggest
 from urdfcal.rotations import matrix_to_quaternion, rotation_vector_to_matrix, rpy_to_matrix
+from urdfcal.session.knowledge import Led
 from urdfcal.session.model import Session
 from urdfcal.session.pattern import FramePattern
 from urdfcal.session.target import Target
@@ -26,9 +30,9 @@ if TYPE_CHECKING:
 
     from urdfcal.arrays import Bools, Floats
     from urdfcal.cameras.rig import Rig
+    from urdfcal.importing.decimals import Decimal
     from urdfcal.robot.mechanism import Mechanism
     from urdfcal.robot.urdf.urdf import Urdf
-    from urdfcal.session.knowledge import Led
 
 UNITS = {"rad": 1.0, "deg": np.pi / 180.0, "m": 1.0, "mm": 1e-3, "px": 1.0, "": 1.0}
 """What a column's numbers are multiplied by."""
@@ -83,7 +87,8 @@ def columns_session(
     urdf: Urdf,
     urdf_reference: str,
     rig: Rig,
-    led: Led,
+    leds: tuple[Led, ...] = (),
+    decimal: Decimal | None = None,
 ) -> tuple[Session, tuple[str, ...]]:
     """Make a session of a table, one row a pose.
 
@@ -92,20 +97,21 @@ def columns_session(
     was measured.
 
     Args:
-        path: comma-separated values, or separated by semicolons (with decimal commas) or tabs.
+        path: comma-separated values, or separated by semicolons or tabs.
         said: the column of each quantity, by its name: pose, joints and what is measured. What is not said has the
             column of its own name.
         chain: the robot's.
         urdf: its description.
         urdf_reference: what session.yaml calls that.
         rig: the cameras that saw the LED, if any did.
-        led: what was seen or measured.
+        leds: the one that was seen or measured, if anything is said of it.
+        decimal: what stands before decimals; None where the numbers are to tell.
 
     Returns:
         The session, and which columns were read as what.
 
     Raises:
-        SessionError: a column is missing, a number or a unit is none, with file, line and column.
+        SessionError: a column is missing, a number or a unit is none or may be two, with file, line and column.
     """
     measured = [*_PLACE, *(name for turn in _TURNS for name in turn), *(f"{c}.{k}" for c in rig.names for k in "uv")]
     known = ["pose", *chain.actuated, *measured]
@@ -114,7 +120,7 @@ def columns_session(
             raise SessionError(
                 f"there is nothing called {name!r}", where="--column", remedy=suggest(name, known, "names")
             )
-    table = Table.parse(_with_commas(Source.read(path)), (), (), None)
+    table = Table.parse(with_commas(Source.read(path)), (), (), None)
     columns = {name: said.get(name, Column(name)) for name in known}
     _refuse_twice({name: column for name, column in columns.items() if column.name in table.columns}, said, str(path))
     for name, column in columns.items():
@@ -123,7 +129,9 @@ def columns_session(
             if name not in said:
                 remedy = f"Say which it is: --column '{name}=COLUMN'. {remedy}"
             raise SessionError(f"there is no column {column.name!r} for {name}", where=f"{path}:1", remedy=remedy)
-    reader = _Reader(table, {name: column for name, column in columns.items() if column.name in table.columns})
+    here = {name: column for name, column in columns.items() if column.name in table.columns}
+    numbers = [column.name for name, column in here.items() if name != "pose"]
+    reader = _Reader(with_points(table, numbers, decimal), here)
     poses = reader.labels()
     prismatic = {joint.name for joint in chain.joints if joint.type == "prismatic"}
     kinds = [_LENGTHS if name in prismatic else _ANGLES for name in chain.actuated]
@@ -133,12 +141,15 @@ def columns_session(
         remedy = f"Name columns with --column, of: {listed(measured)}; cameras need --cameras FILE."
         raise SessionError("no column holds what was measured", where=f"{path}:1", remedy=remedy)
     probe = any(isinstance(each, Poses) for each in found)
+    if probe and leds:
+        what = f"it has poses of a probe on {chain.tip_link!r}, and nothing of the LED {leds[0].name!r}"
+        raise SessionError(what, where=f"{path}:1", remedy="Leave --led out, or the columns of the orientation.")
     session = Session(
         chain=chain,
         urdf=urdf,
         urdf_reference=urdf_reference,
         rig=rig,
-        leds=() if probe else (led,),
+        leds=() if probe else leds or (Led("led"),),
         targets=(Target("probe", FramePattern(), chain.tip_link),) if probe else (),
         poses=poses,
         q=chain.joint_values(readings),
@@ -276,10 +287,18 @@ class _Reader:
         return np.array([matrix_to_quaternion(of) for of in R])
 
 
-def _with_commas(source: Source) -> Source:
-    """The same file with its columns separated by commas: semicolons and tabs, and then decimal commas, replaced."""
+def with_commas(source: Source) -> Source:
+    """The same file with its columns separated by commas, and cells with commas of their own in quotes."""
     header = source.text.split("\n", 1)[0]
     separator = next((mark for mark in (";", "\t") if mark in header), None)
     if separator is None or "," in header:
         return source
-    return Source(source.path, source.text.replace(",", ".").replace(separator, ",").encode())
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    for number, line in enumerate(source.text.split("\n"), 1):
+        # Each line for itself: an open quote does not swallow the next one.
+        try:
+            writer.writerow(next(csv.reader([line], delimiter=separator, skipinitialspace=True), []))
+        except csv.Error as error:
+            raise SessionError(f"this is no table: {error}", where=f"{source.path}:{number}") from error
+    return Source(source.path, text.getvalue().encode())
