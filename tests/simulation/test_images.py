@@ -144,7 +144,7 @@ def test_a_light_arm_is_in_the_images_and_no_part_of_it_is_taken_for_an_led(tmp_
         assert light.max() < 255.0 or dark.max() == 255.0
     truth, seen = truth_of(tmp_path / "light"), detect(tmp_path / "light")
     found, names = seen.detections, seen.positions
-    assert len(found) > 0.15 * len(truth)  # most are missed, and said to be
+    assert len(found) > 0.6 * len(truth)  # what is before its edges is missed
     for pose, camera, led, uv, sigma in zip(found.pose, found.camera, found.led, found.uv, found.sigma, strict=True):
         at = truth[names.poses[pose], names.rig.names[camera], names.led_names[led]]
         assert np.linalg.norm(uv - at) < max(0.15, 5.0 * sigma)

@@ -207,13 +207,11 @@ def find_candidates(image: NDArray[np.float32], still: Background | None = None)
     """
     small = halved(image)
     if still is not None:
-        small = (small - still.small) * still.damping
+        small = small - still.small
     places, large, hot, excess = _peaks(image, small, still)
     if len(hot):
         # An LED may stand beside a hot pixel, and then is no peak of its own.
         u, v = (hot // _STEP).T
-        if still is not None:
-            excess = excess * still.damping[v, u]
         np.subtract.at(small, (v, u), excess / _STEP**2)
         places, large, _, _ = _peaks(image, small, still)
     # Of the rims of one lamp, one is enough.
@@ -245,22 +243,37 @@ def _peaks(
     # What remains of an image when everything narrower than the kernel is cut off, taken away.
     side = _WIDEST // _STEP
     relief = cv2.morphologyEx(small, cv2.MORPH_TOPHAT, np.ones((side, side), np.uint8))
+    # Damped last: the noise of lamps would cut a bright arm into pieces.
+    judged = relief if still is None else relief * still.damping
     # Of the background, whatever stands out of it; rounding leaves flat images without any spread at all.
-    low, ordinary = np.percentile(relief[::5, ::5], [15.87, 50.0])
-    high = relief > float(ordinary) + _THRESHOLD * max(float(ordinary - low), 0.02)
-    v, u = np.nonzero(high & (relief >= cv2.dilate(relief, np.ones((5, 5), np.uint8))))
-    order = np.argsort(-relief[v, u], kind="stable")[:_MOST_PEAKS]
+    low, ordinary = np.percentile(judged[::5, ::5], [15.87, 50.0])
+    high = judged > float(ordinary) + _THRESHOLD * max(float(ordinary - low), 0.02)
+    v, u = np.nonzero(high & (judged >= cv2.dilate(judged, np.ones((5, 5), np.uint8))))
+    order = np.argsort(-judged[v, u], kind="stable")[:_MOST_PEAKS]
     u, v = u[order], v[order]
     places = np.stack([u, v], axis=1)
     # Pixels around each peak that are above half its height.
     around = small[_squares(places, np.arange(-_WIDEST // _STEP, _WIDEST // _STEP + 1), small.shape)]
     half = small[v, u] - 0.5 * relief[v, u]
-    large = (around > half[:, None, None]).sum(axis=(1, 2)) > _LARGEST_AREA
+    high = around > half[:, None, None]
+    large = high.sum(axis=(1, 2)) > _LARGEST_AREA
+    if still is not None:
+        _keep_apart(large, high)
     places = places * _STEP
     single, hot, excess = _single(image, places, still)
     single &= ~large
     hot, each = np.unique(hot[single], axis=0, return_index=True)
     return places[~single], large[~single], hot, excess[single][each]
+
+
+def _keep_apart(large: Bools, high: Bools) -> None:
+    """Call those (n,) not large whose high pixels (n, r, r) do not hang together, as of an LED beside a bright arm."""
+    import cv2
+
+    middle = high.shape[1] // 2
+    for i in np.flatnonzero(large):
+        _, label = cv2.connectedComponents(high[i].astype(np.uint8), connectivity=4)
+        large[i] = np.count_nonzero(label == label[middle, middle]) > _LARGEST_AREA
 
 
 def _apart(places: Ints, most: int, distance: int = _APART) -> Ints:
