@@ -26,7 +26,7 @@ def measured_at(simulated: Simulated, q: Floats, seed: int) -> Session:
     truth, session = simulated.truth, simulated.session
     joint_rng, noise_rng = np.random.default_rng((seed, 11)).spawn(2)
     own = {one.name: getattr(session, one.name) for one in fields(Setup)}
-    planned = Positions(**own, poses=tuple(f"more {k}" for k in range(len(q))), q=q)
+    planned = Positions(**own, poses=tuple(f"more {seed}.{k}" for k in range(len(q))), q=q)
     views = np.tile(np.arange(len(truth.cameras)), (len(q), 1))
     noise = truth.pixel, session.noise.of(Detections)
     true = true_joint_values(planned, truth.joint_errors)

@@ -128,6 +128,17 @@ def test_the_arm_keeps_clear_of_cameras_and_itself() -> None:
     assert np.sum([alone.is_free(q_k) for q_k in q]) > clear.sum()
 
 
+def test_the_arm_keeps_clear_of_the_table_though_many_poses_reach_below_it() -> None:
+    rig = read_rig(find_rig("so101"))
+    assert rig.urdf is not None
+    checker = CollisionChecker(rig.chain, rig.urdf, *nominal_scene(rig).points_on_joints(), 0.05)
+    q = rig.chain.random_values(300, np.random.default_rng(0))
+    height = tip_poses(rig.chain, q)[:, 2, 3]
+    low = q[(height > -0.03) & (height < 0.02)]
+    assert len(low) > 5
+    assert not any(checker.is_free(q_k) for q_k in low)
+
+
 def test_what_stands_around_is_kept_clear_of_and_hides_leds(few: Simulated) -> None:
     assert few.session.urdf is not None
     chain, nominal, urdf = few.session.chain, nominal_scene(read_rig(find_rig("ur5"))), few.session.urdf
