@@ -10,7 +10,7 @@ import numpy as np
 from urdfcal.arrays import rms
 from urdfcal.estimation.evaluation import compare
 from urdfcal.estimation.measurements import Detections
-from urdfcal.session.model import Positions, Setup
+from urdfcal.session.model import MIN_POSES, Positions, Setup
 from urdfcal.simulation.joint_errors import true_joint_values
 from urdfcal.simulation.scene import noisy_values, simulate_detections
 
@@ -19,6 +19,12 @@ if TYPE_CHECKING:
     from urdfcal.result.calibration import Calibration
     from urdfcal.session.model import Session
     from urdfcal.simulation.simulate import Simulated
+
+
+def measured_too(session: Session, simulated: Simulated, q: Floats, seed: int) -> Session:
+    """A session, and its true arm measured in more poses ``q`` (N, n), as few as there are."""
+    count, enough = len(q), np.arange(max(len(q), MIN_POSES)) % len(q)
+    return both(session, measured_at(simulated, q[enough], seed), count)
 
 
 def measured_at(simulated: Simulated, q: Floats, seed: int) -> Session:
@@ -34,15 +40,18 @@ def measured_at(simulated: Simulated, q: Floats, seed: int) -> Session:
     return planned.measured((detections,), q=noisy_values(session, planned.q, joint_rng))
 
 
-def both(a: Session, b: Session) -> Session:
-    """The poses of two sessions of one setup, one after the other."""
+def both(a: Session, b: Session, count: int | None = None) -> Session:
+    """The poses of two sessions of one setup, one after the other; of the second its first ``count``."""
     first, second = (of.find(Detections) for of in (a, b))
+    count = len(b.poses) if count is None else count
+    second = second.rows(second.pose < count)
     columns = {key: np.concatenate([column, second.index[key]]) for key, column in first.index.items()}
     columns["pose"] = np.concatenate([first.pose, second.pose + len(a.poses)])
     uv, sigma = (np.concatenate([getattr(of, name) for of in (first, second)]) for name in ("uv", "sigma"))
     detections = Detections(**columns, uv=uv, sigma=sigma)
-    q = np.concatenate([a.q, b.q])
-    return replace(a, poses=(*a.poses, *b.poses), q=q, previous=None, part=np.zeros(len(q)), measurements=(detections,))
+    q = np.concatenate([a.q, b.q[:count]])
+    poses = (*a.poses, *b.poses[:count])
+    return replace(a, poses=poses, q=q, previous=None, part=np.zeros(len(q)), measurements=(detections,))
 
 
 def true_error(simulated: Simulated, calibration: Calibration, count: int = 500) -> float:

@@ -13,7 +13,7 @@ import argparse
 import numpy as np
 from joblib import Parallel, delayed
 
-from tests.measuring import both, measured_at, true_error
+from tests.measuring import measured_too, true_error
 from urdfcal.arrays import one_blas_thread
 from urdfcal.errors import UrdfcalError
 from urdfcal.io.folder import read_rig
@@ -44,7 +44,7 @@ def stopped(name: str, seed: int, start: int) -> tuple[float, int, int, float] |
                 return until, len(session.poses), round_, error
             if plan.likely[-1] > until:
                 return f"{name} {seed}: {1e3 * until:.3g} mm is not reached"
-            session = both(session, measured_at(simulated, plan.q[plan.rank >= 0], 100 * seed + round_))
+            session = measured_too(session, simulated, plan.q[plan.rank >= 0], 100 * seed + round_)
     return f"{name} {seed}: goes on after {ROUNDS} rounds"
 
 

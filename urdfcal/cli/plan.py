@@ -66,11 +66,15 @@ class Length(click.ParamType[float]):
     "--format", "also", multiple=True, type=click.Choice(["urscript", "ros", "lerobot"]),
     help="Write what drives an arm through them, too, beside the table.",
 )  # fmt: skip
+@click.option(
+    "--save", type=PATH, metavar="FILE",
+    help="Write a recording, too: the arm in each pose, what it brings, the tip's error before and after.",
+)  # fmt: skip
 @seed_option
 @json_option
 def command(
     start: str, output: Path, poses: int | None, until: float | None, workspace: str | None, candidates: int,
-    scene: Path | None, no_check: bool, also: tuple[str, ...], seed: int, as_json: bool,
+    scene: Path | None, no_check: bool, also: tuple[str, ...], save: Path | None, seed: int, as_json: bool,
 ) -> int:  # fmt: skip
     """Plan the poses to measure next, those that make the tip most accurate.
 
@@ -107,7 +111,12 @@ def command(
         files |= {output.with_suffix(WRITERS[of][0]): WRITERS[of][1](found) for of in FORMATS if of in also}
     for path, text in files.items():
         write_text(path, text)
-    for warning in found.warnings:
+    warnings = found.warnings
+    if save is not None and files:
+        from urdfcal.output.plan_recording import write_plan
+
+        warnings, files = (*warnings, *write_plan(save, found)), {**files, save: ""}
+    for warning in warnings:
         say(f"- {warning}", err=True)
     if as_json:
         click.echo(json.dumps(_as_dict(found), indent=2))

@@ -21,7 +21,7 @@ from urdfcal.output.stream import Layer, placed
 from urdfcal.robot.urdf.urdf import Urdf, find_urdf
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from rerun import AsComponents
@@ -53,25 +53,35 @@ def log_arms(layer: Layer, session: Session, scene: CalibrationScene) -> tuple[s
         Warnings about shapes that cannot be shown.
     """
     bodies, warnings = visible_links(session.urdf, session.chain) if session.urdf else ((), ())
+    sticks = bool(warnings) or not bodies
     arms = (("calibrated", scene.frames, None, CALIBRATED), ("nominal", scene.ghost, GHOST, NOMINAL))
     for name, frames, tint, line in arms:
         arm = layer.at(name)
-        for body in bodies:
-            link = arm.at(body.link)
-            link.placed(frames[:, body.frame] @ body.T_frame_link, moves=body.frame > 0)
-            for k, shape in enumerate(body.shapes):
-                scale = shape.size if shape.mesh else (1.0, 1.0, 1.0)
-                link.at(f"shape {k}").fixed(placed(shape.T_link_shape, scale), _visual(shape, tint))
-        if warnings or not bodies:
-            sticks = []  # a line from the base link over the joints to each tip
-            for tip in session.chain.tips:
-                joints = frames[:, [0, *(joint + 1 for joint in session.chain.path(tip.joint))]]
-                sticks.append(np.concatenate([joints, link_frames(frames, tip)[:, None]], axis=1)[..., :3, 3])
-            strips = [stick[k].astype(np.float32) for k in range(layer.poses) for stick in sticks]
-            pose = np.repeat(np.arange(layer.poses), len(sticks))
-            radius = 0.006 * session.chain.reach
-            arm.at("stick figure").each(rr.LineStrips3D, {"strips": strips}, pose, colors=line, radii=radius)
+        log_links(arm, bodies, frames, tint)
+        if sticks:
+            log_sticks(arm, session.chain, frames, line)
     return warnings
+
+
+def log_links(arm: Layer, bodies: Sequence[VisibleLink], frames: Floats, tint: Tint | None = None) -> None:
+    """Log the shapes of an arm's links at its joints' frames (N, n + 1, 4, 4) in the base link's. [m]."""
+    for body in bodies:
+        link = arm.at(body.link)
+        link.placed(frames[:, body.frame] @ body.T_frame_link, moves=body.frame > 0)
+        for k, shape in enumerate(body.shapes):
+            scale = shape.size if shape.mesh else (1.0, 1.0, 1.0)
+            link.at(f"shape {k}").fixed(placed(shape.T_link_shape, scale), _visual(shape, tint))
+
+
+def log_sticks(arm: Layer, chain: Mechanism, frames: Floats, color: Tint) -> None:
+    """Log lines from the base link over the joints' frames (N, n + 1, 4, 4) to each tip. [m]."""
+    sticks = []
+    for tip in chain.tips:
+        joints = frames[:, [0, *(joint + 1 for joint in chain.path(tip.joint))]]
+        sticks.append(np.concatenate([joints, link_frames(frames, tip)[:, None]], axis=1)[..., :3, 3])
+    strips = [stick[k].astype(np.float32) for k in range(arm.poses) for stick in sticks]
+    pose = np.repeat(np.arange(arm.poses), len(sticks))
+    arm.at("stick figure").each(rr.LineStrips3D, {"strips": strips}, pose, colors=color, radii=0.006 * chain.reach)
 
 
 def log_dh(layer: Layer, table: DHTable, scene: CalibrationScene) -> None:

@@ -58,7 +58,7 @@ def log_overview(stream: RecordingStream, overview: Overview, entity_path: str) 
     _log_residuals(base, scene)
     _log_convergence(base, calibration, scene)
     for chart in all_charts(overview):
-        _log_chart(base.at("charts"), chart)
+        log_chart(base.at("charts"), chart)
     _log_texts(base, overview)
     return warnings
 
@@ -99,6 +99,26 @@ def _log_camera(base: Layer, index: int, camera: Camera, link: str | None, scene
     views = scene.views[index]
     distance = float(np.median(np.linalg.norm(scene.leds.measured - views[scene.leds.pose, :3, 3], axis=1)))
     body = base.at("cameras", camera.name)
+    log_frustum(body, camera, views, distance, link)
+    if scene.pixels is not None:
+        seen = np.flatnonzero(scene.pixels.camera == index)
+        _log_image(body.at("image"), scene, scene.pixels, camera, seen)
+        seen = seen[np.isfinite(scene.rays[seen]).all(axis=(1, 2))]
+        rays = base.at("rays", camera.name)
+        strips = scene.rays[seen].astype(np.float32)
+        rays.each(rr.LineStrips3D, {"strips": strips}, scene.pixels.pose[seen], colors=palette.FAINT, radii=_THIN)
+
+
+def log_frustum(body: Layer, camera: Camera, views: Floats, distance: float, link: str | None) -> None:
+    """Log a camera, its name and what it can see.
+
+    Args:
+        body: where.
+        camera: its lens.
+        views: (N, 4, 4) where it is at each pose. [m]
+        distance: about as far it looks. [m]
+        link: that carries it; None for a standing one.
+    """
     body.placed(views, moves=link is not None or np.ptp(views[:, :3], axis=0).max() > 0.0)
     body.fixed(rr.TransformAxes3D(axis_length=0.05 * distance))
     label = camera.name if link is None else f"{camera.name}, on {link}"
@@ -112,13 +132,6 @@ def _log_camera(base: Layer, index: int, camera: Camera, link: str | None, scene
             line_width=_THIN,
         )
     )
-    if scene.pixels is not None:
-        seen = np.flatnonzero(scene.pixels.camera == index)
-        _log_image(body.at("image"), scene, scene.pixels, camera, seen)
-        seen = seen[np.isfinite(scene.rays[seen]).all(axis=(1, 2))]
-        rays = base.at("rays", camera.name)
-        strips = scene.rays[seen].astype(np.float32)
-        rays.each(rr.LineStrips3D, {"strips": strips}, scene.pixels.pose[seen], colors=palette.FAINT, radii=_THIN)
     width, height = camera.resolution
     border = [[0, 0], [width, 0], [width, height], [0, height], [0, 0]]
     body.at("image", "border").fixed(rr.LineStrips2D([border], colors=palette.FAINT, radii=_THIN))
@@ -263,7 +276,7 @@ def chart_view(chart: Chart, root: str) -> rrb.View:
     )
 
 
-def _log_chart(parent: Layer, chart: Chart) -> None:
+def log_chart(parent: Layer, chart: Chart) -> None:
     """Draw a chart at a child of ``parent``."""
     layer, (beside, height) = parent.at(chart.name), _room(chart)
     x, y = chart.ticks(_WIDTH, height)

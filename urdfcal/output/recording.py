@@ -309,7 +309,15 @@ def viewpoint(scene: CalibrationScene) -> tuple[Floats, Floats]:
     """
     arm = scene.frames[..., :3, 3].reshape(-1, 3)
     cameras = scene.views[..., :3, 3].reshape(-1, 3)
-    points = np.concatenate([arm, scene.leds.measured[~scene.leds.outlier]])
+    return eye_on(arm, cameras, np.concatenate([arm, scene.leds.measured[~scene.leds.outlier]]))
+
+
+def eye_on(arm: Floats, cameras: Floats, points: Floats) -> tuple[Floats, Floats]:
+    """Find a place from which points fill the view, with cameras to one side of an arm, (N, 3) each. [m].
+
+    Returns:
+        The eye and the point it looks at, (3,) each. [m]
+    """
     target = (points.min(axis=0) + points.max(axis=0)) / 2
     towards = cameras.mean(axis=0) - arm.mean(axis=0) if len(cameras) else np.zeros(3)
     across = np.array([towards[1], -towards[0], 0.0])

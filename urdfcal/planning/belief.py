@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from urdfcal.arrays import covariance_of
 from urdfcal.errors import SessionError
 from urdfcal.estimation.blocks.arm import no_offsets
 from urdfcal.estimation.identifiability import identify
@@ -143,6 +144,11 @@ class Belief:
         A = tip_sensitivity(self.problem, self.state, self.parameters, workspace)
         R = np.linalg.qr(A.reshape(-1, self.parameters.count), mode="r") / np.sqrt(len(workspace))
         return Candidates(self.told_by(q, progress), np.ascontiguousarray(R.T))
+
+    def tip_errors(self, information: Floats, workspace: Floats) -> Floats:
+        """Return the tip's expected error (M,) at each of joint values (M, n), at an information (P, P). [m]."""
+        A = tip_sensitivity(self.problem, self.state, self.parameters, workspace)
+        return np.asarray(np.sqrt(np.einsum("mij,jk,mik->m", A, covariance_of(information), A)))
 
     def told_by(self, q: Floats, progress: Callable[[float], object] | None = None) -> Floats:
         """Return whitened Jacobians (N, r, P) of what poses (N, n) would show. [rad or m]."""

@@ -46,26 +46,50 @@ _NO_WAY = "no free way was found from the last measured pose: bring the arm to t
 
 
 @dataclass(frozen=True, eq=False)
+class Outlook:
+    """The tip's expected error where it is to be accurate.
+
+    Attributes:
+        q: (M, n) joint values that stand for the workspace. [rad or m]
+        before: (M,) as it is. [m]
+        after: (M,) once the planned poses are measured. [m]
+    """
+
+    q: Floats
+    before: Floats
+    after: Floats
+
+
+@dataclass(frozen=True, eq=False)
 class Plan:
     """Poses to measure.
 
     Attributes:
-        chain: the arm.
+        setup: the arm, its LEDs and its cameras.
+        scene: where all that is thought to be.
         q: (K, n) joint values in the order of the moves. [rad or m]
         rank: (K,) which of the N poses each is, from 0, those that bring most first; -1 of others.
         check: (K,) which are random poses to check the calibration by; at the others of rank -1 the arm only passes.
         errors: (N + 1,) the tip's expected rms error over the workspace: as it is, and after each pose. [m]
         likely: (N + 1,) what it is at most in nine of ten arms. [m]
+        outlook: the same at each place of the workspace.
         warnings: what could not be checked.
     """
 
-    chain: Mechanism
+    setup: Setup
+    scene: Scene
     q: Floats
     rank: Ints
     check: Bools
     errors: Floats
     likely: Floats
+    outlook: Outlook
     warnings: tuple[str, ...]
+
+    @property
+    def chain(self) -> Mechanism:
+        """The arm."""
+        return self.setup.chain
 
     @property
     def count(self) -> int:
@@ -191,7 +215,11 @@ class Planner:
             raise SessionError(what, where="plan", remedy=remedy)
         spare = way.pose >= len(chosen)
         rank = frozen(np.where(spare, -1, way.pose), np.intp)
-        return Plan(at.belief.setup.chain, way.q, rank, frozen(spare, bool), errors, likely, warnings)
+        then = at.belief.information + chosen.tell.information(range(len(chosen)))
+        before, after = (at.belief.tip_errors(of, at.workspace) for of in (at.belief.information, then))
+        outlook = Outlook(frozen(at.workspace), frozen(before), frozen(after))
+        setup, scene = at.belief.setup, at.belief.scene
+        return Plan(setup, scene, way.q, rank, frozen(spare, bool), errors, likely, outlook, warnings)
 
     def _prepare(self, session: Session | None) -> Prospect:
         if self._prepared is None:

@@ -70,6 +70,7 @@ class Prospect:
         belief: what is known of the arm, of what the candidates identify.
         q: (M, n) candidates, in view of every camera. [rad or m]
         candidates: what they would tell.
+        workspace: (N, n) where the tip is to be accurate. [rad or m]
         reach: says which of them the arm can take.
         moves: says where the arm can move.
         warnings: what could not be checked.
@@ -78,6 +79,7 @@ class Prospect:
     belief: Belief
     q: Floats
     candidates: Candidates
+    workspace: Floats
     reach: Reach
     moves: Moves
     warnings: tuple[str, ...]
@@ -116,7 +118,8 @@ class Prospect:
             raise unfree(free, len(q), margin)
         belief = belief.identified_by(q[evenly(np.arange(len(q)), _TO_IDENTIFY)])
         moves = Moves(None if checker is None else checker.is_free, None if bare is None else bare.is_free)
-        return cls(belief, frozen(q), belief.candidates(q, workspace, progress), reach, moves, warnings)
+        told = belief.candidates(q, workspace, progress)
+        return cls(belief, frozen(q), told, workspace, reach, moves, warnings)
 
     @cached_property
     def vias(self) -> Floats:

@@ -62,8 +62,11 @@ class Scene:
 
     def camera_centres(self, q: Floats) -> Floats:
         """Return the cameras' centres (N, C, 3) in the base link's frame at joint values ``q`` (N, n). [m]."""
-        T_base_frame = self._frames(q)[self.attachments.camera]
-        return np.asarray(np.swapaxes((T_base_frame @ inverse(self.T_cam_frame)[:, None])[..., :3, 3], 0, 1))
+        return np.swapaxes(self.camera_poses(q)[..., :3, 3], 0, 1)
+
+    def camera_poses(self, q: Floats) -> Floats:
+        """Return T_base_cam (C, N, 4, 4) at joint values ``q`` (N, n). [m]."""
+        return np.asarray(self._frames(q)[self.attachments.camera] @ inverse(self.T_cam_frame)[:, None])
 
     def points_on_joints(self) -> tuple[list[tuple[int, Floats]], list[tuple[int, Floats]]]:
         """Return for LEDs and for camera centres the joint that carries each, and its position (3,) there. [m]."""
