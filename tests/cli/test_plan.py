@@ -34,9 +34,10 @@ def chain() -> Mechanism:
 
 def test_a_plan_is_read_as_joints_and_drives_arms(capsys: pytest.CaptureFixture[str]) -> None:
     formats = [word for name in ("urscript", "ros", "lerobot") for word in ("--format", name)]
-    assert run([*RIG, "--poses", "5", *formats]) == 0
+    assert run([*RIG, "--poses", "5", *formats, "--save", "plan.rrd"]) == 0
     said = capsys.readouterr()
-    assert "plan.csv, plan.script, plan.yaml, plan.json: 5 poses" in said.out
+    assert "plan.csv, plan.script, plan.yaml, plan.json, plan.rrd: 5 poses" in said.out
+    assert Path("plan.rrd").stat().st_size > 0
     table = read_joints(Path("plan.csv"), chain(), chain().names)
     program = Path("plan.script").read_text()
     assert program.count("movej(") == len(table.poses)
@@ -79,6 +80,8 @@ def test_until_asks_for_as_few_as_needed_and_says_when_that_is_out_of_reach(caps
     assert run([*RIG, "--until", "1m"]) == 0
     assert "nothing more to measure" in capsys.readouterr().out
     assert not Path("plan.csv").exists()
+    assert run([*RIG, "--until", "1m", "--save", "plan.rrd"]) == 0
+    assert not Path("plan.rrd").exists()
 
 
 def test_a_session_is_gone_on_from_and_a_box_is_where_it_counts(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,0 +1,62 @@
+"""The recording of a plan shows the arm in every pose, what each brings, and the tip's error before and after."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from tests.recorded import Recorded
+from urdfcal.io.folder import read_rig
+from urdfcal.io.shipped_rigs import find_rig
+from urdfcal.output.plan_recording import write_plan
+from urdfcal.planning.planner import Plan, Planner
+from urdfcal.robot.kinematics import tip_poses
+from urdfcal.session.obstacle import Obstacle
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+@pytest.fixture(scope="module")
+def plan() -> Plan:
+    crate = Obstacle("crate", np.array([0.2, 0.2, 0.2]), np.array([1.5, 0.0, 0.1]))
+    return Planner(read_rig(find_rig("elbow3r")), candidates=200, scene=(crate,)).plan(4, check=True)
+
+
+@pytest.fixture(scope="module")
+def recorded(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> Recorded:
+    path: Path = tmp_path_factory.mktemp("plan") / "plan.rrd"
+    assert write_plan(path, plan) == ()
+    return Recorded(path)
+
+
+def test_the_arm_the_boxes_and_the_rays_are_there_in_every_pose(plan: Plan, recorded: Recorded) -> None:
+    assert {"/base/boxes/crate", "/base/charts/course/poses", "/base/charts/shares/after"} <= recorded.entities
+    assert any(name.startswith("/base/arm/") for name in recorded.entities)
+    tips = tip_poses(plan.chain, plan.q, plan.scene.placements)[:, :3, 3]
+    (way,) = recorded.static("/base/tips/way", "LineStrips3D:strips")
+    np.testing.assert_allclose(way, tips, atol=1e-6)
+    rays = recorded.rows("/base/rays/cam0", "LineStrips3D:strips")
+    assert [len(rays[k]) for k in range(len(plan.q))] == (len(rays[0]) * plan.measured).tolist()
+    leds = plan.scene.led_positions(plan.q)
+    first = int(np.flatnonzero(plan.measured)[0])
+    np.testing.assert_allclose(rays[first][0][1], leds[first, 0], atol=1e-6)
+
+
+def test_each_pose_says_what_it_brings(plan: Plan, recorded: Recorded) -> None:
+    said = recorded.rows("/base/texts/about", "TextDocument:text")
+    for k, rank in enumerate(plan.rank.tolist()):
+        (text,) = said[k]
+        if rank >= 0:
+            before, after = 1e3 * plan.errors[rank : rank + 2]
+            assert f"goes from {before:.3g} to {after:.3g} mm" in text
+        else:
+            assert ("check the calibration" if plan.check[k] else "nothing is measured") in text
+
+
+def test_the_tips_error_is_that_of_the_plan(plan: Plan) -> None:
+    for error, expected in ((plan.outlook.before, plan.errors[0]), (plan.outlook.after, plan.errors[-1])):
+        assert np.sqrt(np.mean(error**2)) == pytest.approx(expected)
+    assert np.all(plan.outlook.after < plan.outlook.before)
