@@ -17,18 +17,23 @@ from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.pipeline import calibrate
 from urdfcal.planning.belief import Belief
 from urdfcal.planning.planner import Planner, base_margin
+from urdfcal.planning.prospect import Prospect
 from urdfcal.robot.dh import DHTable
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.robot.mechanism import BASE
-from urdfcal.session.knowledge import Estimate
+from urdfcal.session.knowledge import Estimate, LedDistance
 from urdfcal.session.obstacle import Obstacle
-from urdfcal.simulation.planning import MARGIN, CollisionChecker, load_collision_checker
+from urdfcal.simulation.planning import MARGIN, CollisionChecker, in_view, load_collision_checker
 from urdfcal.simulation.simulate import nominal_scene
+from urdfcal.study.monte_carlo import Variation, varied_rig
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from urdfcal.session.rig_description import RigDescription
     from urdfcal.simulation.simulate import Simulated
+
+DECIDE = "tolerances decide"
 
 
 @pytest.fixture(scope="module")
@@ -165,6 +170,30 @@ def test_what_stands_around_is_kept_clear_of_and_hides_leds(few: Simulated) -> N
 def test_a_box_in_the_arms_way_wherever_it_goes_is_refused(few: Simulated) -> None:
     with pytest.raises(SessionError, match="collides with box floor in every pose"):
         Planner(few.session, scene=(Obstacle("floor", (2, 2, 0.4), (0, 0, 0)),)).plan(3)
+
+
+def test_what_no_poses_tell_is_said_and_what_would() -> None:
+    rig, _ = varied_rig(read_rig(find_rig("ur5")), Variation("cameras", 1))  # which tells no lengths
+
+    def prospect(rig: RigDescription) -> Prospect:
+        q, _, _ = in_view(nominal_scene(rig), 40, np.random.default_rng(0), MARGIN)
+        workspace = rig.chain.random_values(50, np.random.default_rng(1))
+        return Prospect.of(Belief.of_rig(rig, q), workspace, 120, margin=MARGIN, seed=0)
+
+    one = prospect(rig)
+    floor = one.floor(one.belief)
+    assert floor > 3e-4
+    assert one.limits(2.0 * floor) == ()
+    assert one.limits(1.1 * floor) == (
+        f"{1e3 * floor:.2g} mm of the tip's expected error no poses take away: {DECIDE}",
+    )
+    (led,) = rig.leds
+    rig = replace(rig, leds=(led, replace(led, name="other", position=np.add(led.position, [0.0, 0.1, 0.0]))))
+    two = prospect(rig)
+    (said,) = two.limits(two.floor(two.belief))
+    known = prospect(replace(rig, led_distances=(LedDistance((led.name, "other"), 0.1, 1e-4),)))
+    left = f"would leave {1e3 * known.floor(known.belief):.2g}"
+    assert said.endswith(f"{DECIDE}; the distance of led and other, by calliper and named in led_distances, {left}")
 
 
 def test_what_cannot_be_planned_is_refused(few: Simulated) -> None:

@@ -185,7 +185,8 @@ def _print(plan: Plan, paths: list[str], until: float | None) -> None:
         say(f"and {len(checks)} random ones to check by: calibrate with --exclude-poses")
         click.echo(f"  {','.join(checks)}")
     if until is not None and plan.likely[-1] > until:
-        say(f"{1e3 * until:.3g} mm is not reached: a better camera, a nearer one or more LEDs would help more")
+        why = "no poses would" if plan.floor > until else "a better camera, a nearer one or more LEDs would help more"
+        say(f"{1e3 * until:.3g} mm is not reached: {why}")
 
 
 def _checks(plan: Plan) -> list[str]:

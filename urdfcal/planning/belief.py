@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,6 +11,8 @@ import numpy as np
 from urdfcal.arrays import covariance_of
 from urdfcal.errors import SessionError
 from urdfcal.estimation.blocks.arm import no_offsets
+from urdfcal.estimation.blocks.known_distances import KnownDistances
+from urdfcal.estimation.blocks.leds import LEDS
 from urdfcal.estimation.identifiability import identify
 from urdfcal.estimation.linearize import Tangent
 from urdfcal.estimation.measurements import Detections
@@ -125,6 +128,29 @@ class Belief:
             F = self.factors(problem, observed).reshape(-1, self.parameters.count)
             information = information + F.T @ F
         return replace(self, problem=problem, information=information, q=session.q[-1])
+
+    def with_distance(self, sigma: float) -> tuple[tuple[str, str], Belief] | None:
+        """Take the distance of two LEDs as measured, of those on one link the farthest apart.
+
+        Args:
+            sigma: how well. [m]
+
+        Returns:
+            The two, and what is known then; None where no link has two.
+        """
+        places, frames, names = self.state[LEDS], self.setup.attachments.led, [led.name for led in self.setup.leds]
+        pairs = [(a, b) for a, b in combinations(range(len(names)), 2) if frames[a] == frames[b]]
+        if not pairs:
+            return None
+        apart = [float(np.linalg.norm(places[a] - places[b])) for a, b in pairs]
+        a, b = pairs[int(np.argmax(apart))]
+        (of, active), known = (
+            self.parameters.active_columns(LEDS),
+            KnownDistances(LEDS, ((a, b, max(apart), sigma),), len(names)),
+        )
+        J = np.zeros((1, self.parameters.count))
+        J[:, of] = known.residuals(self.state)[1][:, active]
+        return (names[a], names[b]), replace(self, information=self.information + J.T @ J)
 
     def identified_by(self, q: Floats) -> Belief:
         """Fix at its nominal value what not even poses ``q`` (N, n) would identify, as an estimate does. [rad or m]."""

@@ -72,8 +72,9 @@ class Plan:
         check: (K,) which are random poses to check the calibration by; at the others of rank -1 the arm only passes.
         errors: (N + 1,) the tip's expected rms error over the workspace: as it is, and after each pose. [m]
         likely: (N + 1,) what it is at most in nine of ten arms. [m]
-        outlook: the same at each place of the workspace.
-        warnings: what could not be checked.
+        floor: what no poses would take away of the expected error. [m]
+        outlook: the expected error at each place of the workspace.
+        warnings: what could not be checked, and what no poses tell.
     """
 
     setup: Setup
@@ -83,6 +84,7 @@ class Plan:
     check: Bools
     errors: Floats
     likely: Floats
+    floor: float
     outlook: Outlook
     warnings: tuple[str, ...]
 
@@ -218,8 +220,10 @@ class Planner:
         then = at.belief.information + chosen.tell.information(range(len(chosen)))
         before, after = (at.belief.tip_errors(of, at.workspace) for of in (at.belief.information, then))
         outlook = Outlook(frozen(at.workspace), frozen(before), frozen(after))
-        setup, scene = at.belief.setup, at.belief.scene
-        return Plan(setup, scene, way.q, rank, frozen(spare, bool), errors, likely, outlook, warnings)
+        setup, scene, warnings = at.belief.setup, at.belief.scene, (*warnings, *at.limits(errors[-1]))
+        return Plan(
+            setup, scene, way.q, rank, frozen(spare, bool), errors, likely, at.floor(at.belief), outlook, warnings
+        )
 
     def _prepare(self, session: Session | None) -> Prospect:
         if self._prepared is None:

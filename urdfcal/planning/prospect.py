@@ -33,6 +33,12 @@ _TO_IDENTIFY = 100
 _SAME = 0.05
 # Poses that a way may lead over: 300 of a ur5 connect what straight moves from pose to pose leave apart, in a second.
 _VIAS = 300
+# Each candidate so often: of what poses tell nothing is left to know.
+_MANY = 1e4
+# An error is worth a word if it is more than this share of another.
+_MOST = 0.7
+# How well a calliper tells the distance of two LEDs. [m]
+_CALIPER = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,6 +132,24 @@ class Prospect:
         """(N, n) candidates that the arm can pass through. [rad or m]."""
         clear = islice((q for q in self.q if self.moves.clear(q)), _VIAS)
         return np.array(list(clear)).reshape(-1, self.q.shape[1])
+
+    def floor(self, belief: Belief) -> float:
+        """Return the tip's expected rms error at a belief that no poses would take away. [m]."""
+        return self.candidates.error(belief.information + _MANY * self.candidates.information(range(len(self.q))))
+
+    def limits(self, error: float) -> tuple[str, ...]:
+        """Say what no poses tell, where that is most of an expected error, and what would. [m]."""
+        floor = self.floor(self.belief)
+        if floor < _MOST * error:
+            return ()
+        said = f"{1e3 * floor:.2g} mm of the tip's expected error no poses take away: tolerances decide"
+        known = self.belief.with_distance(_CALIPER)
+        if known is not None and (left := self.floor(known[1])) < _MOST * floor:
+            a, b = known[0]
+            said += (
+                f"; the distance of {a} and {b}, by calliper and named in led_distances, would leave {1e3 * left:.2g}"
+            )
+        return (said,)
 
     @property
     def nothing(self) -> Choice:
