@@ -82,7 +82,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def staged(folder: Path, replaced: Iterable[str] = ()) -> Iterator[Path]:
+def staged(folder: Path, replaced: Iterable[str] = (), joined: str | None = None) -> Iterator[Path]:
     """Yield an empty folder; when the block succeeds, its files are those of ``folder``, which is made if need be.
 
     A process that is killed leaves the old files or, at the very end, the new ones, which :func:`settle` finishes
@@ -91,6 +91,7 @@ def staged(folder: Path, replaced: Iterable[str] = ()) -> Iterator[Path]:
     Args:
         folder: where the files go.
         replaced: names of files that go when the new ones come, beside those of the same names.
+        joined: name of a folder in it whose new files join those that are there.
 
     Raises:
         OutputError: ``folder`` is a file, or it or its parent cannot be written, or is full.
@@ -105,10 +106,14 @@ def staged(folder: Path, replaced: Iterable[str] = ()) -> Iterator[Path]:
             if beside != folder and not folder.exists():
                 stage.rename(folder)
                 return
-            names = [path.name for path in stage.iterdir()]
+            names = [path.name for path in stage.iterdir() if path.name != joined]
             for name in names:
                 if (folder / name).is_dir():
                     raise IsADirectoryError(errno.EISDIR, f"{name} is a folder")
+            if joined is not None and (stage / joined).is_dir():
+                names += [f"{joined}/{path.name}" for path in (stage / joined).iterdir()]
+                if (folder / joined).exists() and not (folder / joined).is_dir():
+                    raise NotADirectoryError(errno.ENOTDIR, f"{joined} is a file")
             (stage / _GONE).write_text(json.dumps(sorted({*names, *replaced})), encoding="utf-8")
             whole = folder / f".{_OURS}.{secrets.token_hex(4)}{_WHOLE}"
             with alone_in(folder):
@@ -143,7 +148,13 @@ def _put(whole: Path, folder: Path) -> None:
             (folder / name).unlink(missing_ok=True)
         gone.unlink()
     for path in list(whole.iterdir()):
-        path.replace(folder / path.name)
+        new = folder / path.name
+        if path.is_dir() and new.is_dir():
+            for file in list(path.iterdir()):
+                file.replace(new / file.name)
+            path.rmdir()
+        else:
+            path.replace(new)
     whole.rmdir()
 
 

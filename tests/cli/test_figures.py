@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from urdfcal.cli import run
+from urdfcal.errors import OutputError
 from urdfcal.output.chart import Chart, Mark, Scale
 from urdfcal.output.figure_files import converted
+from urdfcal.output.figures import FIGURES
 from urdfcal.output.palette import CALIBRATED
 from urdfcal.output.svg import Figure, figure_svg
 
@@ -66,6 +68,7 @@ def test_calibrate_writes_them_and_replaces_those_of_an_earlier_run(
     (out / "figures" / "mine.txt").write_text("mine")
     assert run(["calibrate", session, "-o", str(out), "--figures", "svg"]) == 0
     names = {path.name for path in (out / "figures").iterdir()}
+    assert {name.partition(".")[0] for name in names} <= {*FIGURES, "mine"}
     assert {"fields.svg", "workspace.svg", "corrections.svg", "causes.svg", "mine.txt"} <= names
     assert not any(name.endswith(".png") for name in names)
     assert "earlier result" not in capsys.readouterr().out
@@ -74,6 +77,32 @@ def test_calibrate_writes_them_and_replaces_those_of_an_earlier_run(
     said = capsys.readouterr().out
     assert "of an earlier result, to be exported anew: dh.csv, dh_frames.csv" in said
     assert "figures is of an earlier result" in said
+
+
+def test_a_figure_that_cannot_be_drawn_leaves_the_earlier_result_whole(
+    calibrated: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session, out = str(calibrated("elbow3r") / "session"), tmp_path / "out"
+    assert run(["calibrate", session, "-o", str(out), "--figures", "svg"]) == 0
+    before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+
+    def fail(svg: str, kind: str) -> bytes:
+        raise OutputError("cannot write here: no room", where=kind)
+
+    monkeypatch.setattr("urdfcal.output.figure_files.converted", fail)
+    assert run(["calibrate", session, "-o", str(out), "--figures", "png", "--seed", "1"]) == 2
+    assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
+
+
+def test_a_file_in_the_place_of_the_figures_is_told_and_nothing_is_written(
+    calibrated: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    session, out = str(calibrated("elbow3r") / "session"), tmp_path / "out"
+    out.mkdir()
+    (out / "figures").write_text("mine")
+    assert run(["calibrate", session, "-o", str(out), "--figures", "svg"]) == 2
+    assert "figures is a file" in capsys.readouterr().err
+    assert [path.name for path in out.iterdir()] == ["figures"]
 
 
 def test_without_matplotlib_it_is_refused_before_anything_is_done(

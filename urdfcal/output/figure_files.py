@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
 from urdfcal import files
-from urdfcal.output.figures import figures
+from urdfcal.output.figures import FIGURES, figures
 from urdfcal.output.svg import figure_svg
 
 if TYPE_CHECKING:
@@ -27,27 +27,32 @@ _INK = {"size": 11 * _POINT, "color": "#222222"}
 _ANCHORS = {"start": "left", "middle": "center", "end": "right"}
 
 
-def write_figures(folder: Path, overview: Overview, kind: str) -> tuple[Path, ...]:
-    """Write each of the report's figures into a folder of their own, ``figures``; what an earlier run wrote there goes.
+def earlier_figures(folder: Path) -> tuple[str, ...]:
+    """Names of the figures that an earlier run has written into a folder of results, and of nobody's own files."""
+    return tuple(
+        f"{FOLDER}/{path.name}"
+        for path in (folder / FOLDER).glob("*")
+        if path.stem in FIGURES and path.suffix[1:] in KINDS
+    )
+
+
+def write_figures(folder: Path, overview: Overview, kind: str) -> None:
+    """Write each of the report's figures into a new folder of their own, ``figures``.
 
     Args:
         folder: of the results.
         overview: what to show.
         kind: one of ``KINDS``; all but svg need matplotlib.
 
-    Returns:
-        The files.
-
     Raises:
         OutputError: they cannot be written.
     """
-    own, drawn = folder / FOLDER, {name: figure_svg(figure) for name, figure in figures(overview).items()}
-    earlier = [path.name for path in own.glob("*") if path.stem in drawn and path.suffix[1:] in KINDS]
-    with files.staged(own, earlier) as stage:
-        for name, text in drawn.items():
-            data = text.encode() if kind == "svg" else converted(text, kind)
-            files.write_bytes(stage / f"{name}.{kind}", data)
-    return tuple(own / f"{name}.{kind}" for name in drawn)
+    own = folder / FOLDER
+    with files.told(own):
+        own.mkdir()
+    for name, figure in figures(overview).items():
+        text = figure_svg(figure)
+        files.write_bytes(own / f"{name}.{kind}", text.encode() if kind == "svg" else converted(text, kind))
 
 
 def converted(svg: str, kind: str) -> bytes:

@@ -26,6 +26,11 @@ if TYPE_CHECKING:
     from urdfcal.output.scene import CalibrationScene, ResidualTable
     from urdfcal.result.fitted import FittedCalibration
 
+FIGURES = (
+    "residuals", "workspace", "joints", "convergence", "causes", "joint_models", "corrections", "fields", "enlarged",
+    "magnitudes",
+)  # fmt: skip
+"""Names of all figures that a report may have."""
 # Of a map of the workspace, and of one of an image, along the longer side.
 _CELLS, _IMAGE_CELLS = 24, 10
 # A portrait image as wide as half the page would fill it.

@@ -14,7 +14,7 @@ from urdfcal.errors import OutputError
 from urdfcal.output import charts
 from urdfcal.output.entities import chart_view, log_overview
 from urdfcal.output.exports.names import exported
-from urdfcal.output.figure_files import FOLDER, write_figures
+from urdfcal.output.figure_files import FOLDER, earlier_figures, write_figures
 from urdfcal.output.findings import HEADLINE, Overview, headline
 from urdfcal.output.palette import BACKGROUND, VERDICT_COLORS
 from urdfcal.output.report import write_report
@@ -54,7 +54,7 @@ def write_results(
         calibration: the result.
         folder: where to; made if need be. Results of an earlier run are replaced, and a report on a refused one goes.
         overview: what report and recording show; without it neither is written, and those of an earlier run go.
-        figures: svg, pdf or png to have the report's figures as files.
+        figures: svg, pdf or png to have the report's figures as files, too, in the folder ``figures``.
 
     Returns:
         The files written, and notes such as meshes that the recording could not find, or exports of an earlier result.
@@ -64,17 +64,18 @@ def write_results(
     """
     urdf = calibration.calibrated_urdf()
     notes: tuple[str, ...] = ()
-    with files.staged(folder, _earlier(folder)) as stage:
+    drawn = overview is not None and figures is not None
+    with files.staged(folder, [*_earlier(folder), *(earlier_figures(folder) if drawn else ())], FOLDER) as stage:
         files.write_bytes(stage / calibration.urdf_name, urdf)
         calibration.save(stage / FILE_NAME)
         if overview is not None:
             write_report(stage / REPORT, overview)
             notes = write_recording(stage / RECORDING, overview)
         names = sorted(path.name for path in stage.iterdir())
+        if overview is not None and figures is not None:
+            write_figures(stage, overview, figures)
     _forget_refused(folder)
-    if overview is not None and figures is not None:
-        write_figures(folder, overview, figures)
-    elif (folder / FOLDER).is_dir():
+    if not drawn and (folder / FOLDER).is_dir():
         notes = (*notes, f"{folder / FOLDER} is of an earlier result: --figures draws them anew")
     if stale := exported(folder, calibration.urdf_name):
         notes = (*notes, f"of an earlier result, to be exported anew: {', '.join(stale)}")
