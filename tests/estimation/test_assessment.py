@@ -16,6 +16,7 @@ from urdfcal.estimation.diagnosis.doctor import Finding
 from urdfcal.estimation.diagnosis.trials import Suspicion
 from urdfcal.estimation.measurements import Detections
 from urdfcal.estimation.scale import LengthScale
+from urdfcal.estimation.uncertainty import SizeError
 from urdfcal.pipeline import calibrate
 from urdfcal.session.knowledge import Estimate
 
@@ -273,6 +274,21 @@ def test_all_lengths_too_long_by_one_factor(good: FittedCalibration, sigmas: flo
         assert "0.1 % is 0.6 mm at the tip" in reason
     assert len(found.reasons) == (level != "good")
     assert len(found.failures) == (level == "bad")
+
+
+@pytest.mark.parametrize(("times", "said"), [(1.9, False), (2.1, True)])
+def test_a_size_of_the_arm_that_held_out_poses_do_not_show(good: FittedCalibration, times: float, said: bool) -> None:
+    shown = max(good.comparison.chosen.rms("distance"), good.evidence.regions.rms)
+    hidden = SizeError(1.5e-3, times * shown, 5e-5)
+    found = again(good, tip=replace(good.evidence.tip, rms=1.01 * hidden.rms, size=hidden))
+    assert found.level == ("doubtful" if said else "good")
+    for reason in found.warnings:
+        assert reason.startswith("all lengths together are known to 0.15 % only")
+        assert "or a known distance" in reason
+    declared = replace(good.evidence.scale, declared=2e-3)
+    assert again(good, tip=replace(good.evidence.tip, rms=hidden.rms, size=hidden), scale=declared).level == "good"
+    mixed = replace(good.evidence.tip, rms=2.0 * hidden.rms, size=hidden)  # most of it is something else
+    assert again(good, tip=mixed).level == "good"
 
 
 @pytest.mark.parametrize(("share", "fall", "said"), [(0.1, 99.0, True), (0.65, 99.0, True), (1.4, 99.0, False),

@@ -12,7 +12,7 @@ from urdfcal.estimation.model_spec import ModelSpec
 from urdfcal.estimation.parameters import choose_parameters
 from urdfcal.estimation.problem import Problem
 from urdfcal.estimation.start import first_state
-from urdfcal.estimation.uncertainty import tip_covariance, tip_error, tip_rms_with
+from urdfcal.estimation.uncertainty import aligned_motion, size_error, tip_covariance, tip_error, tip_rms_with
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.dh import DHTable
 from urdfcal.robot.kinematics import tip_poses
@@ -72,6 +72,26 @@ def test_the_covariance_is_the_scatter_of_aligned_tips(arm: tuple[Problem, Simpl
     predicted = tip_covariance(problem, covariance_of(fit, sigmas), q)
     size = np.trace(predicted, axis1=1, axis2=2)[:, None, None]
     np.testing.assert_allclose(measured / size, predicted / size, atol=0.1)
+
+
+def test_an_arm_that_grows_as_a_whole_is_wrong_in_its_size_alone(arm: tuple[Problem, SimpleNamespace]) -> None:
+    problem, fit = arm
+    table = problem.arm
+    lengths = {
+        f"{label}.{column}": value
+        for label, row in zip(table.labels, table.nominal, strict=True)
+        for column, value in zip(table.columns, row, strict=True)
+        if column in ("d", "a")
+    }
+    names = [name for name, on in zip(fit.parameters.names, fit.parameters.active, strict=True) if on]
+    growth = np.array([1e-3 * lengths.get(name, 0.0) for name in names])
+    grown = SimpleNamespace(**{**vars(fit), "covariance": np.outer(growth, growth)})
+    size = size_error(problem, grown)
+    rms = float(np.sqrt(np.mean(np.sum((aligned_motion(problem, grown) @ growth) ** 2, axis=1))))
+    assert size.sigma == pytest.approx(1e-3, rel=0.02)
+    assert size.rms == pytest.approx(rms, rel=0.02)
+    assert size.rms_without < 0.1 * rms
+    assert size_error(problem, covariance_of(fit, {"elbow_joint.theta": 1e-3})).sigma < 0.1 * size.sigma
 
 
 def test_more_of_the_same_narrows_what_is_measured_and_not_what_is_known(simulated: Callable) -> None:

@@ -31,10 +31,10 @@ def test_lists_read_like_sentences():
     assert [listed(["a", "b", "c"][:k]) for k in (1, 2, 3)] == ["a", "a and b", "a, b and c"]
 
 
-def said_of(more, poses=30, cameras=("left",), left_out=None):
+def said_of(more, poses=30, cameras=("left",), left_out=None, size=None, **scale):
     """What is said of the tip, of a result with some of its keys."""
-    scale = {"tip_mm_per_permille": 0.5, "factor_sigma": None, "declared_sigma": None}
-    tip = {"rms_mm": 0.21, "interval_mm": [0.1, 0.3], "more": more}
+    scale = {"tip_mm_per_permille": 0.5, "factor_sigma": None, "declared_sigma": None, **scale}
+    tip = {"rms_mm": 0.21, "interval_mm": [0.1, 0.3], "more": more, "size": size}
     fit = {"poses": poses, "reduced_chi2": 4.0}
     document = {"tip": tip, "regions": {"rms_mm": 0.2}, "scale": scale, "fit": fit, "cameras": dict.fromkeys(cameras)}
     document["validation"] = {} if left_out is None else {"left_out": left_out}
@@ -54,3 +54,27 @@ def test_what_more_poses_would_bring_is_said_or_that_the_model_is_the_limit():
     assert len(said_of(None)) == 3  # results of earlier versions
     found = {"poses": 4, "rms_mm": 0.33, "max_mm": 0.51}
     assert said_of(None, left_out=found)[-1] == "0.33 mm rms, at most 0.51, in the 4 poses left out"
+
+
+def test_where_the_size_of_the_arm_is_the_limit_a_known_length_is_asked_for_and_no_poses():
+    size = {"sigma": 1.54e-3, "rms_mm": 0.2, "rms_without_mm": 0.05, "is_limit": True}
+    said = said_of({"poses": 60, "rms_mm": 0.2097}, poses=60, size=size)
+    assert said[-3] == (
+        "0.2 mm of it is one factor of all lengths, known to 0.15 %: a better known length would bring 0.21 -> 0.05 mm"
+    )
+    assert said[-1] == "as many poses again like these would bring next to nothing"
+    assert len(said_of(None, size={**size, "is_limit": False})) == 3
+
+
+@pytest.mark.parametrize(
+    ("scale", "sentence"),
+    [
+        ({}, "if the scale is right: 0.1 % of it is 0.5 mm at the tip"),
+        ({"factor": -1e-3, "factor_sigma": 2e-3}, "; the nominal arm's lengths differ by -0.1 ± 0.2 %"),
+        ({"factor": 1e-4, "factor_sigma": 2e-3, "declared_sigma": 5e-3}, "; it comes out off by +0.01 ± 0.2 %"),
+        ({"unit": "distances"}, "if the known distances are right: 0.1 % of them is 0.5 mm at the tip"),
+        ({"tip_mm_per_permille": 0.0}, "lengths are those of the nominal arm within its tolerances"),
+    ],
+)
+def test_what_the_error_is_conditional_on_is_said(scale, sentence):
+    assert sentence in said_of(None, **scale)[2]

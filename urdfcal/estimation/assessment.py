@@ -12,6 +12,7 @@ from urdfcal.estimation.blocks.arm import ARM, ArmBlock
 from urdfcal.estimation.blocks.cameras import camera_poses, camera_values, has_cameras
 from urdfcal.estimation.blocks.leds import LEDS, led_sigma
 from urdfcal.estimation.blocks.targets import TargetBlock
+from urdfcal.estimation.scale_doubts import doubtful, impossible, unknown_size
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from urdfcal.estimation.model_selection import Comparison
     from urdfcal.estimation.noise import FoundNoise
     from urdfcal.estimation.problem import Problem
-    from urdfcal.estimation.scale import LengthScale
     from urdfcal.estimation.solver import Solution
     from urdfcal.estimation.state import Key
     from urdfcal.session.knowledge import Tolerances
@@ -46,13 +46,6 @@ _FAR = 5.0
 _UNUSUAL = 8.0
 IMPLAUSIBLE = 20.0
 """No arm is made this many tolerances off its nominal geometry."""
-# A scale that far from none is a mistake; between the two it is one or a strange arm. Standard deviations of the common
-# factor under the tolerances: on common arms three are 0.35 to 0.7 %, 2 to 4 mm at the tip.
-_DOUBTFUL_SCALE, _IMPOSSIBLE_SCALE = 3.0, 5.0
-_LENGTHS = {
-    "instrument": "the stereo baseline, or the size of the board that it was calibrated with",
-    "distances": "the distances that are given as known",
-}
 # Noise declared this many times off what is found for certain distorts weights and intervals beyond rounding.
 _NOISE_OFF = 1.5
 # An LED that was measured with a ruler comes out within this many of its standard deviations, all three coordinates
@@ -126,7 +119,7 @@ def assess(session: Session, problem: Problem, comparison: Comparison, evidence:
         *_unsettled(fit),
         *_unproven(session, comparison),
         *_refuted_lenses(comparison),
-        *(() if misfit else _scale(evidence.scale, _IMPOSSIBLE_SCALE, np.inf)),
+        *(() if misfit else impossible(evidence.scale)),
     )
     if evidence.suspicion is not None:  # whatever else is wrong follows from it
         failures = (str(evidence.suspicion), *failures[:1])
@@ -138,7 +131,8 @@ def assess(session: Session, problem: Problem, comparison: Comparison, evidence:
     warnings = (
         *session.warnings,
         *(_found(finding) for finding in findings),
-        *(() if misfit else _scale(evidence.scale, _DOUBTFUL_SCALE, _IMPOSSIBLE_SCALE)),
+        *(() if misfit else doubtful(evidence.scale)),
+        *unknown_size(evidence.tip, evidence.scale, max(comparison.chosen.rms("distance"), evidence.regions.rms)),
         *_bends(evidence),
         *(noise if noise or misfit or findings else _noise(fit.reduced_chi2)),
         *([evidence.undone] if evidence.undone else []),
@@ -220,16 +214,6 @@ def _misfit(chi2: float, moved: Sequence[Correction]) -> Iterator[str]:
 def _found(finding: Finding) -> str:
     also = f"; {' and '.join(finding.alike)} would look the same" if finding.alike else ""
     return f"{finding.sentence} ({finding.share:.0%} of the squared residuals{also})"
-
-
-def _scale(scale: LengthScale, least: float, most: float) -> Iterator[str]:
-    """All lengths come out longer or shorter by one factor, beyond what the tolerances allow."""
-    if least < scale.sigmas <= most:
-        yield (
-            f"all lengths come out {1e2 * abs(scale.factor):.2g} +- {1e2 * scale.sigma:.1g} % too "
-            f"{'long' if scale.factor > 0.0 else 'short'} for the arm's tolerances: check {_LENGTHS[scale.unit]}; "
-            f"0.1 % is {1e3 * scale.tip_per_permille:.2g} mm at the tip"
-        )
 
 
 def _declared_noise(noise: Sequence[FoundNoise]) -> Iterator[str]:

@@ -19,7 +19,7 @@ from urdfcal.estimation.left_out import find_left_out
 from urdfcal.estimation.noise import find_noise
 from urdfcal.estimation.regions import joint_regions, tip_regions
 from urdfcal.estimation.scale import find_scale
-from urdfcal.estimation.uncertainty import rigid_loss, tip_error, tip_rms_with
+from urdfcal.estimation.uncertainty import SizeError, rigid_loss, size_error, tip_error, tip_rms_with
 from urdfcal.estimation.validation import hold_out, region_interval, rms_samples
 
 if TYPE_CHECKING:
@@ -69,12 +69,19 @@ class TipError:
         interval: 95 %, of the estimate's covariance where the model holds; else up to what left-out regions show. [m]
         more: a number of further poses like those measured.
         rms_with_more: what they would bring; None where the residuals exceed the noise, and the model is the limit. [m]
+        size: the part of the expected error that is one factor of all lengths.
     """
 
     rms: float
     interval: tuple[float, float]
     more: int
     rms_with_more: float | None
+    size: SizeError
+
+    @property
+    def limited_by_size(self) -> bool:
+        """Whether more than half of the expected squared error is one factor of all lengths."""
+        return 2.0 * self.size.rms**2 > self.rms**2
 
 
 @dataclass(frozen=True)
@@ -173,16 +180,17 @@ def gather(
 
 def _tip(problem: Problem, fit: Solution, regions: Regions, *, holds: bool) -> TipError:
     expected, (low, high) = tip_error(problem, fit)
+    size = size_error(problem, fit)
     poses = len(problem.poses)
     more = _MORE if poses < _MANY else poses
     # Of an effect that is named but lost in the noise more poses tell more, too.
     with_more = None if fit.misfit else tip_rms_with(problem, fit, 1.0 + more / poses)
     if holds:
-        return TipError(expected, (low, high), more, with_more)
+        return TipError(expected, (low, high), more, with_more, size)
     worse = max(expected, regions.rms)
     if with_more is not None:  # what left-out regions show beyond what is expected stays
         with_more = float(np.sqrt(worse**2 - expected**2 + with_more**2))
-    return TipError(worse, (low, max(high, regions.interval[1])), more, with_more)
+    return TipError(worse, (low, max(high, regions.interval[1])), more, with_more, size)
 
 
 def _regions(problem: Problem, comparison: Comparison) -> tuple[Regions, Floats]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,6 +28,21 @@ if TYPE_CHECKING:
 _WORKSPACE = 300
 # Draws of an estimate: percentiles to a few per cent.
 _DRAWS = 2000
+
+
+@dataclass(frozen=True)
+class SizeError:
+    """The part of the tip's expected error that is one factor of all the arm's lengths.
+
+    Attributes:
+        sigma: standard deviation of that factor. [1]
+        rms: what it does to the tip over the workspace, the bases aligned. [m]
+        rms_without: the tip's expected error if the factor were known. [m]
+    """
+
+    sigma: float
+    rms: float
+    rms_without: float
 
 
 def tip_covariance(problem: Problem, fit: Solution, q: Floats, seed: int = 0) -> Floats:
@@ -90,6 +105,32 @@ def tip_error(problem: Problem, fit: Solution, seed: int = 0) -> tuple[float, tu
         strengths = np.maximum(np.linalg.eigvalsh(factor.T @ gram @ factor), 0.0)
         ends.append(float(np.percentile(np.sqrt(normal @ strengths), percentile)))
     return float(np.sqrt(np.sum(strengths))), (ends[0], ends[1])
+
+
+def size_error(problem: Problem, fit: Solution, seed: int = 0) -> SizeError:
+    """Compute how much of the tip's expected error is a common factor of all lengths, and what is left without.
+
+    An arm that is too long by one factor moves its tip away from the workspace's middle by that share of the distance:
+    the factor is the tip's displacement projected on that field. It is uncorrelated with what a rigid alignment takes.
+
+    Args:
+        problem: the arm and its joint models.
+        fit: the estimate.
+        seed: of the configurations.
+    """
+    A = aligned_motion(problem, fit, seed)
+    workspace = problem.arm.chain.random_values(_WORKSPACE, np.random.default_rng(seed))
+    field = tip_poses(problem.arm.chain, workspace, problem.arm.placements(problem.offsets(fit.state)))[:, :3, 3]
+    field = field - field.mean(axis=0)
+    squares = float(np.sum(field**2))
+    factor = np.einsum("nik,ni->k", A, field) / squares
+    with_factor = fit.covariance @ factor
+    variance = float(max(factor @ with_factor, 0.0))
+    known = fit.covariance - (np.outer(with_factor, with_factor) / variance if variance > 0.0 else 0.0)
+    left = float(np.einsum("nij,jk,nik->", A, known, A, optimize=True))
+    return SizeError(
+        variance**0.5, (variance * squares / _WORKSPACE) ** 0.5, float(np.sqrt(max(left, 0.0) / _WORKSPACE))
+    )
 
 
 def tip_rms_with(problem: Problem, fit: Solution, factor: float, seed: int = 0) -> float:

@@ -129,6 +129,7 @@ def claims(document: ResultData) -> tuple[str, ...]:
     return (
         f"that is against what was measured, its noise included; {regions_mm}",
         f"tip {tip['rms_mm']:.2g} mm rms (95 %: {interval}) expected over the workspace, without that noise",
+        *_size(document),
         _condition(document["scale"]),
         *_in_left_out(document),
         *_more_poses(document),
@@ -148,28 +149,44 @@ def _condition(scale: ResultData) -> str:
     permille = scale["tip_mm_per_permille"]
     if not permille:
         return "lengths are those of the nominal arm within its tolerances: nothing measured has one"
-    factor = ""
+    declared, factor = scale["declared_sigma"], ""
     if scale["factor_sigma"] is not None:
-        factor = f"; all lengths come out {1e2 * scale['factor']:+.2g} ± {1e2 * scale['factor_sigma']:.1g} %"
+        whose = "the nominal arm's lengths differ by" if declared is None else "it comes out off by"
+        factor = f"; {whose} {1e2 * scale['factor']:+.2g} ± {1e2 * scale['factor_sigma']:.1g} %"
     tip = f"0.1 % of it is {permille:.2g} mm at the tip{factor}"
-    if (declared := scale["declared_sigma"]) is not None:
+    if declared is not None:
         return f"the scale is known to {1e2 * declared:.2g} %, which is in the interval: {tip}"
     if scale.get("unit") == "distances":
         return f"if the known distances are right: 0.1 % of them is {permille:.2g} mm at the tip{factor}"
     return f"if the scale is right: {tip}"
 
 
+def _size(document: ResultData) -> tuple[str, ...]:
+    """How much of the tip's error is one factor of all lengths, where that is most of it."""
+    tip = document["tip"]
+    size = tip.get("size")
+    if size is None or not size["is_limit"]:
+        return ()
+    known = f"{size['rms_mm']:.2g} mm of it is one factor of all lengths, known to {1e2 * size['sigma']:.2g} %"
+    return (f"{known}: a better known length would bring {tip['rms_mm']:.2g} -> {size['rms_without_mm']:.2g} mm",)
+
+
 def _more_poses(document: ResultData) -> tuple[str, ...]:
     """What further poses would bring; nothing in files that do not say it."""
-    more = document["tip"].get("more")
+    tip = document["tip"]
+    more = tip.get("more")
     if more is None:
         return ()
     if more["rms_mm"] is None:
         noise = document["fit"]["reduced_chi2"] ** 0.5
         return (f"the model is the limit, not the poses: the residuals are {noise:.2g} times the declared noise",)
-    count = "as many poses again" if more["poses"] == document["fit"]["poses"] else f"{more['poses']} more poses"
+    again = more["poses"] == document["fit"]["poses"]
+    count = "as many poses again" if again else f"{more['poses']} more poses"
+    before, after = f"{tip['rms_mm']:.2g}", f"{more['rms_mm']:.2g}"
+    if before == after:
+        return (f"{count} like these would bring next to nothing",)
     plan = "; urdfcal plan finds better ones" if document["cameras"] else ""
-    return (f"{count} like these would bring {document['tip']['rms_mm']:.2g} -> {more['rms_mm']:.2g} mm{plan}",)
+    return (f"{count} like these would bring {before} -> {after} mm{plan}",)
 
 
 def look_up(document: ResultData, key: str | Sequence[str]) -> Any:

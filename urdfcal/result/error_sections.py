@@ -10,12 +10,18 @@ if TYPE_CHECKING:
 
 
 def tip_section(tip: TipError) -> dict[str, Any]:
-    """Return what error of the tip is expected, and what more poses would bring. [mm]."""
+    """Return what error of the tip is expected, what more poses would bring, and what of it is the arm's size. [mm]."""
     with_more = None if tip.rms_with_more is None else 1e3 * tip.rms_with_more
     return {
         "rms_mm": 1e3 * tip.rms,
         "interval_mm": [1e3 * end for end in tip.interval],
         "more": {"poses": tip.more, "rms_mm": with_more},
+        "size": {
+            "sigma": tip.size.sigma,
+            "rms_mm": 1e3 * tip.size.rms,
+            "rms_without_mm": 1e3 * tip.size.rms_without,
+            "is_limit": tip.limited_by_size,
+        },
     }
 
 

@@ -80,12 +80,22 @@ class MorePosesEntry(Section):
     rms_mm: float | None
 
 
+class SizeEntry(Section):
+    """The part of the tip's expected error that is one factor of all lengths, and what is left without. [1, mm]."""
+
+    sigma: float
+    rms_mm: float
+    rms_without_mm: float
+    is_limit: bool
+
+
 class TipSection(Section):
     """The error of the calibrated tip that is to be expected over the workspace, the bases aligned. [mm]."""
 
     rms_mm: float
     interval_mm: Interval
     more: MorePosesEntry | None = None
+    size: SizeEntry | None = None
 
 
 class RegionsSection(Section):
