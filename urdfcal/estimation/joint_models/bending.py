@@ -33,8 +33,9 @@ class Bending(UnderTorque):
     length counts as if it did it at its end; a compliance about the joint's own axis is the joint's. It needs the
     masses of the links and gravity's direction: moments across a joint are not measured.
 
-    Crossed roller bearings of gear heads turn by 1e-6 to 2e-5 rad/(N m) (Harmonic Drive CSF-2UH 14 to 40: moment
-    stiffness 4e4 to 9e5 N m/rad); an aluminium tube of 100 mm, 4 mm thick and 0.6 m long, by L / (E I) = 6e-6.
+    A gear head's crossed roller bearing has a moment stiffness of the order of 1e5 N m/rad, thus 1e-5 rad/(N m)
+    (Harmonic Drive, CSF and CSG catalogue, Specifications for Cross Roller Bearing); an aluminium tube of 100 mm, 4 mm
+    thick and 0.6 m long has L / (E I) = 6e-6.
     """
 
     name: ClassVar[str] = BENDING
