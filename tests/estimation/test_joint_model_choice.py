@@ -8,21 +8,25 @@ import numpy as np
 import pytest
 
 from tests.worlds import backlash, gain, harmonic, sagging, seen
+from urdfcal.estimation import joint_model_search
 from urdfcal.estimation.alignment import kabsch
 from urdfcal.estimation.evaluation import explain
-from urdfcal.estimation.joint_model_choice import Alternatives, _transfers
+from urdfcal.estimation.joint_model_choice import Alternatives
+from urdfcal.estimation.joint_model_search import _as_good, _transfers, better_terms
 from urdfcal.estimation.joint_models import JOINT_MODELS, Readings
 from urdfcal.estimation.joint_models.compliance import Compliance
 from urdfcal.estimation.joint_models.leaning_compliance import LeaningCompliance
 from urdfcal.estimation.joint_models.linear import LinearJointModel
 from urdfcal.estimation.uncertainty import tip_error
 from urdfcal.estimation.validation import hold_out, random_folds
-from urdfcal.io.folder import read_session
+from urdfcal.io.folder import read_rig, read_session
+from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.gravity import masses_of
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.session.knowledge import Estimate
 from urdfcal.session.trajectory import AT_REST
+from urdfcal.simulation.simulate import simulate
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -237,3 +241,31 @@ def test_a_joint_that_hardly_tells_does_not_turn_gravity_around() -> None:
     assert uncertain < 0.1
     # Up or down is not known where joints contradict each other.
     assert LeaningCompliance.direction(np.array([0.0, 0.0, -1e-5, 0.0, 0.0, 1e-5]), np.full(6, 1e-6))[1] == np.pi
+
+
+def test_an_arm_that_is_not_rigid_has_every_model_weighed(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = read_rig(find_rig("so101"))
+    errors = dict.fromkeys(("lag", "eccentricity", "backlash", "compliance", "gravity_backlash"), "default")
+    session = simulate(replace(rig, errors=errors), poses=40, seed=0).session
+    rigid = calibrated(session, **OFF)
+    told = Alternatives.of(replace(session, joint_models={}), rigid.problem, rigid.fit, (), 0)
+    terms = better_terms(told)
+    monkeypatch.setattr(joint_model_search, "_weighed", lambda _, chosen: chosen)
+    strict = better_terms(told)
+    assert {term.model for term in strict} < {term.model for term in terms}
+    assert told.log_evidence(terms) - len(terms) > told.log_evidence(strict) - len(strict)
+    assert all(np.mean(a) < 1.1 * np.mean(b) for a, b in zip(told.errors(terms), told.errors(strict), strict=True))
+    # What is switched on stays, whatever the evidence says.
+    on = replace(session, joint_models={"gain": True})
+    forced = calibrated(on, **{**OFF, "gain": True})
+    monkeypatch.undo()
+    again = better_terms(Alternatives.of(on, forced.problem, forced.fit, (), 0))
+    assert len(again) > 1
+    assert "gain" in {term.model for term in again}
+
+
+@pytest.mark.parametrize(("worse", "kept"), [(1.04, True), (1.06, False)])
+def test_what_is_weighed_must_not_spoil_a_region(worse: float, kept: bool) -> None:
+    before = [np.array([5.0, 5.0]), np.array([1.0, 3.0]), np.array([2.0, 2.0])]
+    after = [np.array([1.0, 1.0]), np.array([1.0, 1.0]), worse * before[2]]
+    assert _as_good(before, after) is kept

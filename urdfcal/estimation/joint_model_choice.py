@@ -1,4 +1,4 @@
-"""Choose joint models by what they explain, and by what they predict where nothing was measured (METHOD 13).
+"""What joint models explain, and what they predict where nothing was measured (METHOD 13).
 
 All of it on the derivatives at an estimate: a model that is not in it has a column for each of its parameters, and what
 an estimate with it would be follows from linear algebra. Only what is chosen is estimated anew.
@@ -32,12 +32,8 @@ if TYPE_CHECKING:
 
 # More poses say the same, only surer, and cost a pass over all.
 _MOST_POSES = 1000
-# What the logarithm of the evidence must gain: odds of twenty.
-_EVIDENCE = 3.0
-# Priors' standard deviations are tried as they are, and wider: joints of cheap arms are worse than those of good ones.
-_SCALES = (1.0, 5.0, 25.0)
-# ... for that, the logarithm of the evidence must gain a little.
-_RESCALED = 1.0
+SCALES = (1.0, 5.0, 25.0)
+"""Factors on priors' standard deviations: as they are, and wider, since joints of cheap arms are worse."""
 # Share of the largest feature below which there is none.
 _NOTHING = 1e-9
 _RIDGE = 1e-12
@@ -66,7 +62,7 @@ class JointModelTrial:
 
 
 @dataclass(frozen=True, eq=False)
-class _Unit:
+class Unit:
     """A joint model of one joint, or of all together, that can be chosen.
 
     Attributes:
@@ -97,7 +93,7 @@ class Alternatives:
         share: of the poses that are independent of each other.
     """
 
-    units: tuple[_Unit, ...]
+    units: tuple[Unit, ...]
     owner: tuple[tuple[str, str], ...]
     sigma: Floats
     divisions: tuple[_Division, ...]
@@ -167,48 +163,9 @@ class Alternatives:
         """The terms that are part of the estimate."""
         return tuple(unit.term for unit in self.units if unit.on)
 
-    def better(self) -> tuple[Term, ...]:
-        """Return terms that the measurements speak for more than for those of the estimate, or the same.
-
-        Step by step a term is added, its priors are widened, or it is taken out: whatever the evidence gains most by.
-        """
-        chosen = self.included
-        for _ in range(2 * len(self.units)):
-            step = self._step(chosen)
-            if step is None:
-                break
-            chosen = step
-        return chosen
-
-    def _step(self, chosen: tuple[Term, ...]) -> tuple[Term, ...] | None:
-        now, before = self._score(chosen), self.errors(chosen)
-        options: list[tuple[float, tuple[Term, ...]]] = []
-        for unit in self.units:
-            mine = [term for term in chosen if self._covers(unit.term, term)]
-            if not mine and any(self._covers(term, unit.term) for term in chosen):
-                continue
-            others, on = (
-                tuple(term for term in chosen if term not in mine),
-                [t.joints for t in mine] == [unit.term.joints],
-            )
-            least = _RESCALED if on else _EVIDENCE
-            if on and not unit.forced:
-                options.append((self._score(others) - now, others))
-            for scale in _SCALES:
-                term = replace(unit.term, scale=scale)
-                gain = -np.inf if term in chosen else self._score((*others, term)) - now
-                if gain > least and (on or gain > unit.certain or _transfers(before, self.errors((*others, term)))):
-                    options.append((gain, (*others, term)))
-        gain, better = max(options, key=lambda option: option[0], default=(0.0, chosen))
-        return better if gain > 0.0 else None
-
     def alike(self, model: str) -> list[Term]:
         """List the units of a model, all joints together the last."""
         return [unit.term for unit in self.units if unit.term.model == model]
-
-    @staticmethod
-    def _covers(a: Term, b: Term) -> bool:
-        return a.model == b.model and set(b.joints) <= set(a.joints)
 
     def trials(self) -> tuple[JointModelTrial, ...]:
         """Return what each joint model brings, or would bring."""
@@ -247,10 +204,10 @@ class Alternatives:
         G, g = G[np.ix_(on, on)] * np.outer(sigma[on], sigma[on]) + np.eye(int(on.sum())), g[on] * sigma[on]
         return float(0.5 * g @ np.linalg.solve(G, g) - 0.5 * np.linalg.slogdet(G)[1])
 
-    def _score(self, chosen: Sequence[Term]) -> float:
+    def score(self, chosen: Sequence[Term]) -> float:
         """The evidence, less the logarithm of how many terms there are to choose from: one of n joints, or all."""
         choices = [
-            len(_SCALES) * (len(of) if len(term.joints) < len(of[-1].joints) else min(len(of), 2))
+            len(SCALES) * (len(of) if len(term.joints) < len(of[-1].joints) else min(len(of), 2))
             for term in chosen
             for of in [self.alike(term.model)]
         ]
@@ -318,16 +275,6 @@ def _solve(H: Floats, g: Floats) -> Floats:
     return result
 
 
-def _transfers(before: Sequence[Floats], after: Sequence[Floats]) -> bool:
-    """Return whether left-out regions of both kinds are predicted better (one-standard-error rule, Breiman 1984).
-
-    Clusters of joint space alone let through harmonics of a UR10's first joint that spoil another region: 0.50 to 0.56
-    mm.
-    """
-    pairs = list(zip(before[1:], after[1:], strict=True))
-    return all(np.mean(new) + np.std(new, ddof=1) / np.sqrt(len(new)) < np.mean(old) for old, new in pairs)
-
-
 def _without(terms: Sequence[Term], model: str, joint: str) -> list[Term]:
     """Take a joint out of a model's terms."""
     return [replace(t, joints=tuple(j for j in t.joints if (t.model, j) != (model, joint))) for t in terms]
@@ -343,7 +290,7 @@ def _with_all(fit: Solution, models: Sequence[LinearJointModel], columns: Ints) 
     for model in models:
         off = np.setdiff1d(np.arange(len(model)), columns - first)
         blocks.append(
-            replace(model, sigma=_SCALES[1] * model.sigma, fixed=dict.fromkeys(off.tolist(), "not looked for"))
+            replace(model, sigma=SCALES[1] * model.sigma, fixed=dict.fromkeys(off.tolist(), "not looked for"))
         )
         first += len(model)
     return replace(fit, parameters=fit.parameters.including(blocks))
@@ -351,7 +298,7 @@ def _with_all(fit: Solution, models: Sequence[LinearJointModel], columns: Ints) 
 
 def _units(
     session: Session, problem: Problem, models: Sequence[LinearJointModel], terms: Sequence[Term]
-) -> tuple[tuple[_Unit, ...], Ints]:
+) -> tuple[tuple[Unit, ...], Ints]:
     """List what can be chosen, and which of all models' parameters take part."""
     kept: list[Bools] = []
     groups: list[tuple[LinearJointModel, tuple[str, ...], bool]] = []
@@ -373,7 +320,7 @@ def _units(
         mine = np.concatenate([m.of_joints(group if m is model else ()) for m in models])[columns]
         scale = next((t.scale for t in terms if (t.model, t.joints) == (model.name, group)), None)
         term = Term(model.name, group, scale or 1.0)
-        units.append(_Unit(term, mine, force, force or scale is not None, model.certain))
+        units.append(Unit(term, mine, force, force or scale is not None, model.certain))
     return tuple(units), columns
 
 

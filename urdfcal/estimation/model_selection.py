@@ -11,6 +11,7 @@ from urdfcal.arrays import rms
 from urdfcal.errors import CalibrationError
 from urdfcal.estimation.identifiability import identify
 from urdfcal.estimation.joint_model_choice import Alternatives, without
+from urdfcal.estimation.joint_model_search import better_terms
 from urdfcal.estimation.model_spec import allowed, candidates, nominal
 from urdfcal.estimation.parameters import choose_parameters
 from urdfcal.estimation.regions import joint_regions
@@ -189,7 +190,7 @@ def _estimate(
         if seed is None or spec.geometry == "none":
             break
         alternatives = Alternatives.of(session, problem, fit, spec.terms, seed)
-        terms = alternatives.better() if last else spec.terms
+        terms = better_terms(alternatives) if last else spec.terms
         if set(terms) == set(spec.terms):
             trials = alternatives.trials()
             break
