@@ -265,10 +265,16 @@ def test_what_is_said_of_numbers_or_of_an_led_must_be_so(folder: Path, capsys: p
             ["data.csv", "-o", "s", "--urdf", "arm.urdf", "--column=a=b", "--column=a=c"],
             "two columns have the same name",
         ),
-        (["data.csv", "-o", "s", "--urdf", "arm.urdf", "--stills"], "--stills goes with a recording: this is a table"),
+        (
+            ["data.csv", "-o", "s", "--urdf", "arm.urdf", "--stills"],
+            "--stills goes with a recording or a LeRobot data set: this is a table",
+        ),
         (["data.csv", "--list"], "--list goes with a recording"),
         (["a.samples", "-o", "s", "--decimal", "comma"], "--decimal goes with a table: this is hand-eye samples"),
-        (["some.bag", "-o", "s", "--column", "a=b"], "--column goes with a table: this is a recording"),
+        (
+            ["some.bag", "-o", "s", "--column", "a=b"],
+            "--column goes with a table or a LeRobot data set: this is a recording",
+        ),
         (["data.csv", "-o", "s", "--urdf", "arm.urdf", *LINKS, "--columns", "no.yaml"], "no.yaml: cannot be read"),
         (["nowhere.csv", "-o", "s", "--urdf", "arm.urdf", *LINKS], "nowhere.csv: cannot be read"),
     ],

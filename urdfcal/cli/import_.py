@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import click
 from click.core import ParameterSource
@@ -13,14 +13,19 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from urdfcal.cameras.rig import Rig
+    from urdfcal.importing.data_set import State
     from urdfcal.importing.decimals import Decimal
     from urdfcal.importing.handeye import Eye
     from urdfcal.robot.chain import Chain
     from urdfcal.robot.urdf.urdf import Urdf
     from urdfcal.rosbag.clock import Timeline
-    from urdfcal.rosbag.importing import ImportSummary
+    from urdfcal.rosbag.importing import ImportSummary, KnownRobot
     from urdfcal.rosbag.topics import ChosenTopics
     from urdfcal.session.knowledge import Led
+
+# What --urdf, --tip and --base say.
+_Robot: TypeAlias = "tuple[str | None, str | None, str | None]"
+_Said = TypeVar("_Said")
 
 
 def _led(value: str) -> tuple[str, list[float] | None]:
@@ -47,7 +52,7 @@ def _camera(value: str) -> tuple[str, tuple[str, str | None]]:
 
 
 def _column(value: str) -> tuple[str, str]:
-    """Parse NAME=COLUMN[:UNIT]."""
+    """Parse NAME=COLUMN[:UNIT], or NAME=LINK."""
     name, _, column = value.partition("=")
     if not name or not column:
         raise click.BadParameter(f"'{value}' is not NAME=COLUMN")
@@ -57,9 +62,10 @@ def _column(value: str) -> tuple[str, str]:
 _ENDINGS = {"hand-eye samples": (".samples", ".yaml", ".yml"), "a table": (".csv", ".tsv", ".txt")}
 _ROBOT = {"urdf", "tip", "base", "led", "described"}
 _OPTIONS = {
-    "a recording": _ROBOT | {"joints", "named", "targets", "stills", "listing"},
+    "a recording": _ROBOT | {"joints", "topics", "targets", "stills", "listing"},
     "a table": _ROBOT | {"columns", "columns_file", "decimal"},
     "hand-eye samples": {"eye"},
+    "a LeRobot data set": _ROBOT | {"topics", "targets", "stills", "columns", "state", "motors", "mounts"},
 }
 
 
@@ -82,8 +88,8 @@ def _check_options(source: str) -> None:
 @base_option
 @click.option("--joints", metavar="TOPIC", help="Of the joint states.  [default: the only one]")
 @click.option(
-    "--camera", "named", type=_camera, multiple=True, metavar="NAME=TOPIC[,INFO]",
-    help="A camera: its images, and its camera_info if that is not beside them.  [default: all]",
+    "--camera", "topics", type=_camera, multiple=True, metavar="NAME=TOPIC[,INFO]",
+    help="A camera: its images, or a data set's video, and its camera_info if that is not beside them.  [default: all]",
 )  # fmt: skip
 @click.option(
     "--led", type=_led, metavar="NAME[=X,Y,Z]",
@@ -94,7 +100,7 @@ def _check_options(source: str) -> None:
     help="A camera file instead of camera_info, with the cameras' names.",
 )  # fmt: skip
 @click.option("--targets", type=PATH, metavar="FILE", help="Boards and tags: YAML, targets: as in session.yaml.")
-@click.option("--stills", is_flag=True, help="A bag of an arm that stopped to be seen: make poses of its stops.")
+@click.option("--stills", is_flag=True, help="The arm stopped to be seen: make poses of its stops.")
 @click.option("--list", "listing", is_flag=True, help="Print a bag's topics and write nothing.")
 @click.option(
     "--column", "columns", type=_column, multiple=True, metavar="NAME=COLUMN[:UNIT]",
@@ -107,6 +113,15 @@ def _check_options(source: str) -> None:
     "--decimal", type=click.Choice(["point", "comma"]),
     help="A table: what stands before decimals.  [default: as its numbers show]",
 )  # fmt: skip
+@click.option(
+    "--state", type=click.Choice(["degrees", "normalized", "radians"]),
+    help="A LeRobot data set: what its joint states are in; normalized, from -100 to 100.",
+)  # fmt: skip
+@click.option(
+    "--mount", "mounts", type=_column, multiple=True, metavar="NAME=LINK",
+    help="A LeRobot data set: the link that a camera is on.  [default: it stands]",
+)  # fmt: skip
+@click.option("--motors", type=PATH, metavar="FILE", help="LeRobot's calibration JSON, for normalized states.")
 @click.option("--eye", type=click.Choice(["hand", "base"]), help="Hand-eye samples: what carries the camera.")
 def command(
     path: Path,
@@ -115,7 +130,7 @@ def command(
     tip: str | None,
     base: str | None,
     joints: str | None,
-    named: tuple[tuple[str, tuple[str, str | None]], ...],
+    topics: tuple[tuple[str, tuple[str, str | None]], ...],
     led: tuple[str, list[float] | None] | None,
     described: Path | None,
     targets: Path | None,
@@ -124,6 +139,9 @@ def command(
     columns: tuple[tuple[str, str], ...],
     columns_file: Path | None,
     decimal: Decimal | None,
+    state: State | None,
+    mounts: tuple[tuple[str, str], ...],
+    motors: Path | None,
     eye: Eye | None,
 ) -> None:
     """Make a session of SOURCE, what another program has written.
@@ -135,8 +153,13 @@ def command(
     A table (.csv, .tsv, .txt), one row a pose: joint readings, and points or poses of a tracker or detections.
 
     Hand-eye samples (.samples of easy_handeye2, .yaml of MoveIt): poses of a hand, and of a target that a camera sees.
+
+    A data set of LeRobot (its folder, with meta/info.json): joint states, and the videos of the cameras of --cameras.
     """
+    from urdfcal.importing.lerobot import is_data_set
+
     source = next((kind for kind, endings in _ENDINGS.items() if path.suffix in endings), "a recording")
+    source = "a LeRobot data set" if is_data_set(path) else source
     _check_options(source)
     if listing:
         _list(path)
@@ -148,43 +171,103 @@ def command(
         return
     from urdfcal.cameras.io.formats import read_cameras
     from urdfcal.cameras.rig import Rig
-    from urdfcal.names import check_names
+    from urdfcal.io.target_keys import read_targets
     from urdfcal.session.knowledge import Led
 
-    leds = () if led is None else (Led(*led),)  # type: ignore[arg-type]  # a list serves as an array
-    check_names("LEDs", [each.name for each in leds])
     rig = Rig() if described is None else read_cameras([described])
+    leds = () if led is None else (Led(*led),)  # type: ignore[arg-type]  # a list serves as an array
+    named, cameras, on = _unique("columns", columns), _unique("cameras", topics), _unique("mounts", mounts)
     if source == "a table":
-        if urdf is None:
-            raise click.UsageError("--urdf is needed: a table says nothing of the robot")
-        if len(dict(columns)) < len(columns):
-            raise click.UsageError("two columns have the same name: " + ", ".join(name for name, _ in columns))
-        _import_table(path, session, (urdf, tip, base), rig, leds, dict(columns), columns_file, decimal)
+        _import_table(path, session, (urdf, tip, base), rig, leds, named, columns_file, decimal)
         return
-    if len(dict(named)) < len(named):
-        raise click.UsageError(f"two cameras have the same name: {', '.join(name for name, _ in named)}")
-    from urdfcal.io.target_keys import read_targets
+    shown = () if targets is None else read_targets(targets)
+    things = {"leds": leds if leds or shown else (Led("led"),), "targets": shown, "rig": rig}
+    if source == "a recording":
+        _import_bag(path, session, (urdf, tip, base), things, joints, cameras, stills=stills)
+        return
+    if state is None or described is None:
+        raise click.UsageError("a data set needs --state, what its joint states are in, and --cameras FILE")
+    if motors is not None and state != "normalized":
+        raise click.UsageError("--motors goes with --state normalized: degrees and radians are angles already")
+    numbers = state, motors
+    _import_data_set(path, session, (urdf, tip, base), things, named, cameras, on, numbers, stills=stills)
+
+
+def _unique(what: str, pairs: tuple[tuple[str, _Said], ...]) -> dict[str, _Said]:
+    if len(dict(pairs)) < len(pairs):
+        raise click.UsageError(f"two {what} have the same name: {', '.join(name for name, _ in pairs)}")
+    return dict(pairs)
+
+
+def _known(robot: _Robot, urdf: Urdf, things: dict[str, Any]) -> KnownRobot:
+    from urdfcal.rosbag.importing import KnownRobot
+
+    reference, tip, base = robot
+    chain = _chain(urdf, tip, base)
+    return KnownRobot(chain=chain, urdf=urdf, urdf_reference=reference or f"{urdf.name}.urdf", **things)
+
+
+def _read_urdf(reference: str | None, source: str) -> Urdf:
+    from urdfcal.robot.urdf.urdf import Urdf
+
+    if reference is None:
+        raise click.UsageError(f"--urdf is needed: {source} says nothing of the robot")
+    return Urdf.read(reference)
+
+
+def _import_bag(
+    path: Path,
+    folder: Path,
+    robot: _Robot,
+    things: dict[str, Any],
+    joints: str | None,
+    cameras: dict[str, tuple[str, str | None]],
+    *,
+    stills: bool,
+) -> None:
     from urdfcal.robot.urdf.urdf import Urdf
     from urdfcal.rosbag.bag import open_bag
-    from urdfcal.rosbag.importing import KnownRobot, import_bag, read_description
+    from urdfcal.rosbag.importing import import_bag, read_description
     from urdfcal.rosbag.topics import choose_topics
 
     with open_bag(path) as bag:
-        robot = read_description(bag) if urdf is None else Urdf.read(urdf)
-        known = KnownRobot(
-            chain=_chain(robot, tip, base),
-            leds=leds if leds or targets else (Led("led"),),
-            targets=() if targets is None else read_targets(targets),
-            rig=rig,
-            urdf=robot,
-            urdf_reference=urdf or f"{robot.name}.urdf",
-        )
-        topics = choose_topics(bag.topics, joints, dict(named), infos=described is None)
+        known = _known(robot, read_description(bag) if robot[0] is None else Urdf.read(robot[0]), things)
+        topics = choose_topics(bag.topics, joints, cameras, infos=not known.rig.cameras)
         count = sum(topic.count for topic in bag.topics if topic.name in topics.names)
         with progress_bar("reading", count) as advance:
-            summary = import_bag(bag, topics, known, session, advance, stills=stills)
+            summary = import_bag(bag, topics, known, folder, advance, stills=stills)
     _print(topics, summary)
-    click.echo(str(session))
+    click.echo(str(folder))
+
+
+def _import_data_set(
+    path: Path,
+    folder: Path,
+    robot: _Robot,
+    things: dict[str, Any],
+    named: dict[str, str],
+    cameras: dict[str, tuple[str, str | None]],
+    mounts: dict[str, str],
+    numbers: tuple[State, Path | None],
+    *,
+    stills: bool,
+) -> None:
+    from urdfcal.importing.data_set import import_data_set, read_joints
+    from urdfcal.importing.lerobot import read_data_set
+    from urdfcal.session.attachments import CameraMount
+    from urdfcal.session.model import Setup
+
+    known = _known(robot, _read_urdf(robot[0], "a data set"), things)
+    known = known.carrying([*mounts.values(), *(target.link for target in known.targets if target.link)])
+    data = read_data_set(path, {name: cameras.get(name, (name, None))[0] for name in known.rig.names})
+    readings = read_joints(data, known.chain.actuated, named, *numbers)
+    setup = Setup(**vars(known), mounts=tuple(CameraMount(*pair) for pair in mounts.items()))
+    with progress_bar("writing images", None) as advance:
+        notes = import_data_set(data, setup, known.urdf, readings, folder, advance, stills=stills)
+    say(f"{path}: {len(readings.time)} frames of {len(data.episodes)} episodes")
+    for note in notes:
+        say(f"- {note}")
+    click.echo(str(folder))
 
 
 def _chain(robot: Urdf, tip: str | None, base: str | None) -> Chain:
@@ -200,7 +283,7 @@ def _chain(robot: Urdf, tip: str | None, base: str | None) -> Chain:
 def _import_table(
     path: Path,
     folder: Path,
-    robot: tuple[str, str | None, str | None],
+    robot: _Robot,
     rig: Rig,
     leds: tuple[Led, ...],
     columns: dict[str, str],
@@ -209,13 +292,12 @@ def _import_table(
 ) -> None:
     from urdfcal.importing.columns import Column, columns_session, read_columns
     from urdfcal.io.writing import write_session
-    from urdfcal.robot.urdf.urdf import Urdf
 
     reference, tip, base = robot
+    urdf = _read_urdf(reference, "a table")
     said = {} if columns_file is None else read_columns(columns_file)
     said |= {name: Column.parse(text) for name, text in columns.items()}
-    urdf = Urdf.read(reference)
-    session, notes = columns_session(path, said, _chain(urdf, tip, base), urdf, reference, rig, leds, decimal)
+    session, notes = columns_session(path, said, _chain(urdf, tip, base), urdf, reference or "", rig, leds, decimal)
     write_session(folder, session)
     counts = ", ".join(f"{len(table)} {table.kind}" for table in session.measurements)
     say(f"{path}: {len(session.poses)} poses, {counts}")

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import yaml
 
 from urdfcal.errors import OutputError
+from urdfcal.io.motors import RANGE, STEPS, read_motors
 from urdfcal.output.exports.tables import POSE, zero_offsets
 from urdfcal.rotations import matrix_to_rpy
 
@@ -20,9 +21,6 @@ if TYPE_CHECKING:
     from urdfcal.robot.urdf.urdf import Urdf
 
 FRANKA, LEROBOT = "franka_kinematics.yaml", "lerobot_calibration.json"
-# Steps of a turn of Feetech's STS3215, less one, as lerobot.motors.motors_bus takes it for degrees.
-_STEPS = 4095
-_RANGE = ("range_min", "range_max")
 
 
 def franka_kinematics(calibration: Calibration, urdf: Urdf) -> dict[str, str]:
@@ -72,41 +70,26 @@ def lerobot_calibration(calibration: Calibration, given: Path) -> dict[str, str]
         The file, by name.
 
     Raises:
-        OutputError: it is no such file, lacks a joint, a range leaves the encoder's turn, or whole placements were
-            estimated.
+        SessionError: it is no such file.
+        OutputError: it lacks a joint, a range leaves the encoder's turn, or whole placements were estimated.
     """
-    motors = _motors(given)
+    motors = read_motors(given)
     for name, offset in zip(calibration.chain.actuated, zero_offsets(calibration).tolist(), strict=True):
         motor = motors.get(name)
         if motor is None:
             remedy = f"Its motors are {', '.join(motors)}; the URDF's joints must have their names."
             raise OutputError(f"there is no motor {name!r}", where=str(given), remedy=remedy)
         # Readings grow as the middle of the range falls; each end moves by whole steps.
-        both = round(2.0 * offset * _STEPS / (2.0 * np.pi))
+        both = round(2.0 * offset * STEPS / (2.0 * np.pi))
         low = both // 2
         ends = motor["range_min"] - low, motor["range_max"] - (both - low)
-        if min(ends) < 0 or max(ends) > _STEPS:
+        if min(ends) < 0 or max(ends) > STEPS:
             what = (
-                f"an offset of {1e3 * offset:.0f} mrad moves its range to {ends[0]} to {ends[1]}, beyond 0 to {_STEPS}"
+                f"an offset of {1e3 * offset:.0f} mrad moves its range to {ends[0]} to {ends[1]}, beyond 0 to {STEPS}"
             )
             raise OutputError(what, where=f"{given}, motor {name!r}", remedy="Home it with LeRobot nearer to its zero.")
-        motor.update(zip(_RANGE, ends, strict=True))
+        motor.update(zip(RANGE, ends, strict=True))
     return {LEROBOT: json.dumps(motors, indent=4) + "\n"}
-
-
-def _motors(path: Path) -> dict[str, dict[str, Any]]:
-    try:
-        motors = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise OutputError(f"cannot be read: {error}", where=str(path), remedy="Name LeRobot's calibration.") from error
-    whole = isinstance(motors, dict) and all(
-        isinstance(motor, dict) and all(type(motor.get(key)) is int for key in _RANGE) for motor in motors.values()
-    )
-    if not whole:
-        what = "no motor calibration of LeRobot: each motor has range_min and range_max, whole numbers"
-        raise OutputError(what, where=str(path), remedy="It is in ~/.cache/huggingface/lerobot/calibration.")
-    result: dict[str, dict[str, Any]] = motors
-    return result
 
 
 def _pose(T: Floats) -> dict[str, float]:
