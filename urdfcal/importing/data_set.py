@@ -35,7 +35,7 @@ _GRIPPER, _END = "gripper", 100.0
 
 
 @dataclass(frozen=True, eq=False)
-class Readings:
+class DataSetReadings:
     """What the arm's joints read in K frames of a data set.
 
     Attributes:
@@ -55,7 +55,7 @@ class Readings:
 
 def read_joints(
     of: DataSet, joints: tuple[str, ...], named: Mapping[str, str], state: State, motors: Path | None
-) -> Readings:
+) -> DataSetReadings:
     """Read what the joints of an arm were.
 
     Args:
@@ -95,14 +95,14 @@ def read_joints(
         )
     kept = np.flatnonzero(known)
     times = np.concatenate(time)[kept]
-    return Readings(times, raw[kept] * scale, number[kept].tolist(), row[kept].tolist(), tuple(warnings))
+    return DataSetReadings(times, raw[kept] * scale, number[kept].tolist(), row[kept].tolist(), tuple(warnings))
 
 
 def import_data_set(
     of: DataSet,
     setup: Setup,
     urdf: Urdf,
-    readings: Readings,
+    readings: DataSetReadings,
     folder: Path,
     progress: Callable[[int], object] | None = None,
     *,
@@ -179,7 +179,7 @@ def _within(raw: Floats) -> Bools:
 def _write_images(
     of: DataSet,
     setup: Setup,
-    readings: Readings,
+    readings: DataSetReadings,
     labels: Mapping[int, str],
     folder: Path,
     progress: Callable[[int], object] | None,
@@ -194,7 +194,7 @@ def _write_images(
                     progress(1)
 
 
-def _write_moving(setup: Setup, urdf: Urdf, readings: Readings, labels: Mapping[int, str], folder: Path) -> None:
+def _write_moving(setup: Setup, urdf: Urdf, readings: DataSetReadings, labels: Mapping[int, str], folder: Path) -> None:
     content = write_setup(folder, setup, urdf)
     time = readings.time.tolist()
     write_table(folder / "joints.csv", ["time", *setup.chain.actuated], [time, *readings.values.T.tolist()])

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 import yaml
-from pydantic import AfterValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from urdfcal.arrays import inverse
 from urdfcal.errors import SessionError
 from urdfcal.estimation.measurements import Poses
-from urdfcal.io.keys import Keys
+from urdfcal.io.keys import OpenKeys
 from urdfcal.io.yaml_document import Document
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.urdf.urdf import Urdf
@@ -50,13 +50,7 @@ def _rigid(values: list[float]) -> list[float]:
 _Matrix = Annotated[list[float], AfterValidator(_rigid)]
 
 
-class _Open(Keys):
-    """A mapping that may say more than is read."""
-
-    model_config = ConfigDict(extra="ignore")
-
-
-class _Vector(_Open):
+class _Vector(OpenKeys):
     x: float
     y: float
     z: float
@@ -72,7 +66,7 @@ class _Quaternion(_Vector):
         return self
 
 
-class _Transform(_Open):
+class _Transform(OpenKeys):
     """A geometry_msgs/Transform."""
 
     translation: _Vector
@@ -87,28 +81,28 @@ class _Transform(_Open):
         return T
 
 
-class _EasySample(_Open):
+class _EasySample(OpenKeys):
     """Of easy_handeye2: of a camera at the base, ``robot`` is where the base is in the hand."""
 
     robot: _Transform
     tracking: _Transform
 
 
-class _MoveitSample(_Open):
+class _MoveitSample(OpenKeys):
     """Of MoveIt: the hand in the base, and the target in the camera, matrices row by row."""
 
     effector_wrt_world: _Matrix
     object_wrt_sensor: _Matrix
 
 
-class _Parameters(_Open):
+class _Parameters(OpenKeys):
     calibration_type: str = ""
     robot_base_frame: str = ""
     robot_effector_frame: str = ""
     tracking_marker_frame: str = ""
 
 
-class _EasyFile(_Open):
+class _EasyFile(OpenKeys):
     parameters: _Parameters = Field(default=_Parameters())
 
 

@@ -9,12 +9,11 @@ from pathlib import Path  # noqa: TC003  # a field's type
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydantic import ConfigDict
 
 from urdfcal.errors import SessionError
 from urdfcal.files import Source
 from urdfcal.images.files import Video
-from urdfcal.io.keys import Keys
+from urdfcal.io.keys import OpenKeys
 from urdfcal.io.yaml_document import Document
 from urdfcal.names import suggest
 
@@ -74,7 +73,7 @@ def read_data_set(path: Path, cameras: Mapping[str, str]) -> DataSet:
     Raises:
         SessionError: it is of another format, a file or a feature is missing, or its numbers are none.
     """
-    layout = _layout(path)
+    layout = _format(path)
     keys = {name: layout.video_key(word) for name, word in cameras.items()}
     motors, episodes = layout.motors(), []
     for entry in layout.entries:
@@ -91,18 +90,12 @@ def read_data_set(path: Path, cameras: Mapping[str, str]) -> DataSet:
     return DataSet(path, motors, tuple(episodes))
 
 
-class _Open(Keys):
-    """A mapping that may say more than is read."""
-
-    model_config = ConfigDict(extra="ignore")
-
-
-class _Feature(_Open):
+class _Feature(OpenKeys):
     dtype: str
     names: Any = None
 
 
-class _InfoFile(_Open):
+class _InfoFile(OpenKeys):
     codebase_version: str
     fps: float
     features: dict[str, _Feature]
@@ -112,7 +105,7 @@ class _InfoFile(_Open):
 
 
 @dataclass(frozen=True, eq=False)
-class _Layout:
+class _Format2:
     """Formats 2.0 and 2.1: a file of rows and a video a camera for each episode."""
 
     path: Path
@@ -166,7 +159,7 @@ class _Layout:
         return file
 
 
-class _Layout3(_Layout):
+class _Format3(_Format2):
     """Format 3.0: files of rows, and videos, that hold several episodes, one after the other."""
 
     def data(self, entry: Mapping[str, Any]) -> Path:
@@ -184,11 +177,11 @@ class _Layout3(_Layout):
         return {name: int(entry[f"{what}/{name}"]) for name in ("chunk_index", "file_index")}
 
 
-def _layout(path: Path) -> _Layout:
+def _format(path: Path) -> _Format2:
     document = Document.read(path / INFO)
     info = document.validate(_InfoFile)
     if info.codebase_version in ("v2.0", "v2.1"):
-        return _Layout(path, info, list(_lines(path / "meta/episodes.jsonl")))
+        return _Format2(path, info, list(_lines(path / "meta/episodes.jsonl")))
     if info.codebase_version != "v3.0":
         what = f"it is of format {info.codebase_version}, not 2.0, 2.1 or 3.0"
         remedy = "LeRobot's own scripts convert data sets, in lerobot/datasets."
@@ -203,7 +196,7 @@ def _layout(path: Path) -> _Layout:
         entries += [dict(zip(columns, row, strict=True)) for row in zip(*rows.values(), strict=True)]
     if not entries:
         raise SessionError("there is no episode", where=str(path / "meta/episodes"))
-    return _Layout3(path, info, entries)
+    return _Format3(path, info, entries)
 
 
 def _lines(path: Path) -> Iterator[dict[str, Any]]:

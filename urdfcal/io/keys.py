@@ -32,6 +32,12 @@ class Keys(BaseModel):
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
 
 
+class OpenKeys(Keys):
+    """A mapping in another program's file, which may say more than is read."""
+
+    model_config = ConfigDict(extra="ignore")
+
+
 class PlaceKeys(Keys):
     """Where something is on its link (m, rad), and how surely."""
 
