@@ -65,7 +65,7 @@ np.save(sys.argv[2], np.array(found))
 def bound(calibration, simulated, noise: float) -> float:
     """The tip's Cramer-Rao bound with a noise of the points that were detected. [mm]"""
     session = calibration.session
-    session = replace(session, measurements=(session.find(Detections).with_sigma(noise),))
+    session = replace(session, measurements=(session.find(Detections).with_noise({"pixel": noise}),))
     truth = true_state_of(replace(simulated, session=session))
     problem = Problem.of(session, calibration.geometry)
     camera = "free" if session.mounts else "fixed"

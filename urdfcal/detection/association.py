@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Collection, Mapping, Sequence
 
     from urdfcal.arrays import Floats
     from urdfcal.cameras.rig import Rig
@@ -47,18 +47,21 @@ Rejections = dict[tuple[int, int], str]
 """Reasons by (camera, row) why a light is not the LED."""
 
 
-def associate(rig: Rig, groups: Sequence[Sequence[LightCandidate]]) -> tuple[Rejections, list[str]]:
+def associate(
+    rig: Rig, groups: Sequence[Sequence[LightCandidate]], moved: Collection[int] = ()
+) -> tuple[Rejections, list[str]]:
     """Choose at most one light for each camera.
 
     Args:
         rig: the cameras.
         groups: for every LED at every pose, the lights that may be it, of all cameras.
+        moved: indices of cameras that were moved, whose rays decide nothing.
 
     Returns:
         The lights that are not taken, and warnings.
     """
     verdict: Rejections = {}
-    placed = {i for i, T in enumerate(rig.T_cam_world) if T is not None}
+    placed = {i for i, T in enumerate(rig.T_cam_world) if T is not None} - set(moved)
     seen: list[Sequence[LightCandidate]] = [[c for c in group if c.camera in placed] for group in groups]
     several = [group for group in seen if len({c.camera for c in group}) > 1]
     sets = [_combinations(group) for group in several]

@@ -13,9 +13,9 @@ import numpy as np
 
 from urdfcal.detection.association import LightCandidate, associate
 from urdfcal.detection.debug_images import draw_points, draw_spots
+from urdfcal.detection.held import Shown
 from urdfcal.detection.image_index import ImageIndex, read_index
 from urdfcal.detection.led_frames import frames_in_base, led_frames
-from urdfcal.detection.prediction import FEWEST, Lights, predict
 from urdfcal.detection.spots.detector import fall_off, find_spots
 from urdfcal.detection.targets.search import find_targets
 from urdfcal.errors import OutputError, SessionError
@@ -24,18 +24,16 @@ from urdfcal.files import staged
 from urdfcal.images.files import Video, in_parallel, workers, write_image
 from urdfcal.io.folder import IMAGES, detections_path, read_positions
 from urdfcal.io.writing import write_measurements, write_table
+from urdfcal.session.moves import BASE_LINK, moves_before
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
-    from urdfcal.arrays import Floats
     from urdfcal.cameras.camera import Camera
-    from urdfcal.cameras.rig import Rig
     from urdfcal.detection.image_index import Shot
-    from urdfcal.detection.led_frames import LedFrames
     from urdfcal.detection.spots.detector import Spots
     from urdfcal.detection.targets.search import TargetSightings
-    from urdfcal.images.files import Colour, ImageSequence, SequenceImage
+    from urdfcal.images.files import Colour, SequenceImage
     from urdfcal.session.model import Positions
 
 REJECTED = "detections_rejected.csv"
@@ -45,8 +43,6 @@ REJECTED = "detections_rejected.csv"
 _COMPRESSED = 0.06
 # A number of a reason, no name's part.
 _NUMBER = re.compile(r"(?<![\w.:'])(\d+(?:\.\d+)?)(?![\w:'])")
-# A reflection now and then outshines an LED whose link is right; of one on another link, next to none agree.
-_ASTRAY = 0.1
 # Spots that may be moved by this much in a way that does not average out are worth a word. [px]
 _BLURRED = 0.03
 # What calibration is told of the best detections: dust and uneven pixels are not in an image's own noise. [px]
@@ -177,29 +173,28 @@ def detect_in(
     if not rig.cameras:
         raise SessionError("no cameras are named", remedy="Images need a camera file.")
     T_base_frame = frames_in_base(positions)
-    held = []
-    for c, shots in enumerate(index.shots):
+    shown = []
+    for c, (camera, shots, images) in enumerate(zip(rig.cameras, index.shots, index.images, strict=True)):
         pose, led = np.array(shots, dtype=np.intp).reshape(-1, 2).T
-        held.append(led_frames(positions, T_base_frame, c, pose, led))
+        stretch = moves_before(positions, BASE_LINK, camera.name, *(each.name for each in positions.leds))[pose]
+        shown.append(Shown(camera, images, led_frames(positions, T_base_frame, c, pose, led), stretch, colour))
 
-    def look(task: tuple[Camera, LedFrames, ImageSequence]) -> Spots:
-        camera, frames, images = task
+    def look(of: Shown) -> Spots:
         threads = max(1, workers() // len(index.shots))
-        return find_spots(images, camera.resolution, colour, frames.places, progress, threads)
+        return find_spots(of.images, of.camera.resolution, colour, of.frames.places, progress, threads)
 
     # A thread a camera: a video is decoded from its beginning to its end by one.
-    tasks = zip(rig.cameras, held, index.images, strict=True)
-    found = list(in_parallel(look, tasks, min(workers(), len(index.shots))))
+    found = list(in_parallel(look, shown, min(workers(), len(index.shots))))
     spots, warnings = [], []
-    for camera, frames, seen in zip(rig.cameras, held, found, strict=True):
+    for camera, of, seen in zip(rig.cameras, shown, found, strict=True):
         if len(seen.still):
             listing = ", ".join(f"({u}, {v})" for u, v in seen.still)
             warnings.append(f"camera {camera.name!r}: small lights stand still and were left out: {listing}")
-        judged, said = _held(camera, frames, seen)
+        judged, said = of.held(seen)
         spots.append(judged)
         warnings += said
         warnings += _blurred(camera, judged)
-    spots, more = _agreeing(rig, index, spots)
+    spots, more = _agreeing(positions, index, spots)
     targets = find_targets(positions, index, progress)
     warnings += [*more, *targets.warnings]
     return Detected(positions, index, tuple(spots), targets, (*positions.warnings, *index.warnings, *warnings))
@@ -301,46 +296,6 @@ def _rejected_rows(detected: Detected) -> Iterator[tuple[str, ...]]:
         yield (pose, camera, led, *(number.replace("nan", "") for number in numbers), reason)
 
 
-def _flux(spots: Spots) -> Floats:
-    """(n,) brightness of spots: the volume under them."""
-    return np.asarray(2.0 * np.pi * spots.fits.peak * (spots.fits.width**2 + 1.0 / 12.0))
-
-
-def _held(camera: Camera, frames: LedFrames, seen: Spots) -> tuple[Spots, list[str]]:
-    """Reject what is not where the arm holds the LED, and say where the arm cannot tell."""
-    if not len(frames.led):
-        return seen, []
-    names = [led.name for led in frames.leds]
-    warnings = [
-        f"camera {camera.name!r}: the arm does not tell where LED {names[i]!r} is: it stands in the world"
-        for i in np.unique(frames.led[~frames.known])
-    ]
-    told = frames.known[seen.image]
-    if not frames.known.any():
-        return seen, warnings
-    lights = Lights(seen.image, seen.fits.uv, _flux(seen))
-    prediction = predict(camera, frames.leds, frames.T_mount_link, frames.led, lights[seen.good & told])
-    if prediction is None:
-        warnings.append(
-            f"camera {camera.name!r}: the arm did not help to tell the LED from other lights: "
-            "too few images show it, or they disagree with the arm"
-        )
-        return seen, warnings
-    misses, near = prediction.misses(lights), prediction.near(lights)
-    for i in np.unique(frames.led[frames.known]):
-        of = seen.good & (frames.led[seen.image] == i)
-        lit, agreeing = (np.unique(seen.image[rows]).size for rows in (of, of & near))
-        if lit >= FEWEST and agreeing < _ASTRAY * lit:
-            link = f"link {frames.leds[i].link!r}" if frames.leds[i].link else "the tip link"
-            warnings.append(
-                f"camera {camera.name!r}: {agreeing} of {lit} images show a light where the arm holds LED "
-                f"{names[i]!r}: is it on {link}, and are the images named after the LED that is lit?"
-            )
-    far = np.array([f"{miss:.0f} px from where the arm holds the LED" for miss in misses], dtype=object)
-    far[np.isinf(misses)] = "the arm holds the LED out of this camera's sight"
-    return seen.rejected(told & ~near, far), warnings
-
-
 def _blurred(camera: Camera, seen: Spots) -> list[str]:
     """Say where spots are so large that they cannot be measured to what their light would allow."""
     fits = seen.fits[seen.good]
@@ -356,16 +311,24 @@ def _blurred(camera: Camera, seen: Spots) -> list[str]:
     return [said]
 
 
-def _agreeing(rig: Rig, index: ImageIndex, spots: list[Spots]) -> tuple[list[Spots], list[str]]:
+def _agreeing(positions: Positions, index: ImageIndex, spots: list[Spots]) -> tuple[list[Spots], list[str]]:
     """Reject what the other cameras' rays do not meet, and all but one light an image."""
     groups: defaultdict[tuple[int, int], list[LightCandidate]] = defaultdict(list)
     for camera, (shots, seen) in enumerate(zip(index.shots, spots, strict=True)):
-        flux = _flux(seen)
+        flux = seen.fits.flux
         for i in np.flatnonzero(seen.good):
             shot = shots[seen.image[i]]
             groups[shot.pose, shot.led].append(LightCandidate(camera, int(i), seen.fits.uv[i], float(flux[i])))
-    verdict, warnings = associate(rig, list(groups.values()))
+    # Which cameras are no longer where the camera file says, in each pose.
+    moved = [moves_before(positions, name) > 0 for name in positions.rig.names]
+    alike: defaultdict[tuple[int, ...], list[list[LightCandidate]]] = defaultdict(list)
+    for (pose, _), group in groups.items():
+        alike[tuple(c for c, of in enumerate(moved) if of[pose])].append(group)
     reasons = [np.full(len(seen), "", dtype=object) for seen in spots]
-    for (camera, row), reason in verdict.items():
-        reasons[camera][row] = reason
+    warnings: list[str] = []
+    for elsewhere, together in alike.items():
+        verdict, said = associate(positions.rig, together, elsewhere)
+        warnings += said
+        for (camera, row), reason in verdict.items():
+            reasons[camera][row] = reason
     return [seen.rejected(of != "", of) for seen, of in zip(spots, reasons, strict=True)], warnings

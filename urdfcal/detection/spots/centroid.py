@@ -34,6 +34,8 @@ _LIKE_A_SPOT, _UNUSUAL = 0.5, 5.0
 # A pixel whose neighbours have less than this share of its light, and which is this many deviations bright, shines
 # by itself: of a spot 0.4 px wide they have 13 % at least, and 25 % of one 0.5 px wide.
 _SHARED, _BRIGHT = 0.12, 12.0
+# From the middle of a crop. [px]
+_DISTANCE = np.hypot(np.arange(-HALF, HALF + 1), np.arange(-HALF, HALF + 1)[:, None])
 # Fits at a time: 64 of the largest windows and their derivatives are 11 MB.
 _BATCH = 64
 
@@ -83,6 +85,11 @@ class Fits(Rows):
     saturated: Ints
     found: Bools
 
+    @property
+    def flux(self) -> Floats:
+        """(n,) brightness: the volume under the spot."""
+        return np.asarray(2.0 * np.pi * self.peak * (self.width**2 + 1.0 / 12.0))
+
     @classmethod
     def unknown(cls, places: Ints) -> Fits:
         """Lights at pixels ``places`` (n, 2) that were not measured."""
@@ -91,16 +98,22 @@ class Fits(Rows):
         return cls(places.astype(np.float64), **nothing)
 
 
-def fit_spots(crops: Crops) -> Fits:
+def fit_spots(crops: Crops, width: float | None = None) -> Fits:
     """Fit a spot to each crop.
 
     How noise grows with light is not known of a camera: it is taken from what the first fits leave over in the
     spots' cores, of all crops together, which should therefore come from one camera.
+
+    Args:
+        crops: each with a spot within three pixels of its middle.
+        width: of the spots, where it is known: what is farther away than its wings is then not looked at. [px]
     """
     if not len(crops):
         return Fits.unknown(crops.centre)
     crops = replace(crops, usable=crops.usable & ~_lonely(crops))
-    first = _start(crops)
+    if width is not None:
+        crops = replace(crops, usable=crops.usable & (_WIDTHS * width + _MARGIN >= _DISTANCE))
+    first = _start(crops) if width is None else _start_with(crops, width)
     half = _HALVES[np.searchsorted(_HALVES[:-1], np.ceil(_WIDTHS * _widths(first).max(axis=1) + _MARGIN))]
     alike = [np.flatnonzero(half == h) for h in _HALVES]
     groups = [rows[i : i + _BATCH] for rows in alike for i in range(0, len(rows), _BATCH)]
@@ -256,6 +269,21 @@ def _start(crops: Crops) -> Floats:
     sigma = np.sqrt(np.clip(area / (2.0 * np.pi * np.log(2.0)) - 2.0 / 3.0, 0.5, 60.0))
     spots[:, PEAK] = height * (1.0 + 2.0 / (3.0 * sigma**2)) * np.where(clipped, 1.5, 1.0)
     spots[:, L11] = spots[:, L22] = np.where(clipped, 1.3, 1.0) / np.sqrt(sigma**2 + gaussian.PIXEL_VARIANCE)
+    spots[:, LEVEL] = level
+    return spots
+
+
+def _start_with(crops: Crops, width: float) -> Floats:
+    """Spots (n, 9) of a width to start from, at the brightest place near the middle."""
+    spots = np.zeros((len(crops), gaussian.COUNT))
+    values = np.where(crops.usable, crops.values, np.nan)
+    level = np.nanmedian(values, axis=(1, 2))
+    smooth = _smoothed(np.where(crops.usable, values, level[:, None, None])) - level[:, None, None]
+    middle = smooth[:, HALF - 3 : HALF + 4, HALF - 3 : HALF + 4].reshape(len(crops), 49)
+    top = middle.argmax(axis=1)
+    spots[:, U], spots[:, V] = top % 7 - 3, top // 7 - 3
+    spots[:, PEAK] = np.maximum(middle.max(axis=1), 1e-3) * (1.0 + 2.0 / (3.0 * width**2))
+    spots[:, L11] = spots[:, L22] = 1.0 / np.sqrt(width**2 + gaussian.PIXEL_VARIANCE)
     spots[:, LEVEL] = level
     return spots
 

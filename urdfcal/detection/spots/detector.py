@@ -178,14 +178,14 @@ def _measured(looks: Sequence[Preprocessed], first: int, resolution: tuple[int, 
     spots = Spots.of(np.repeat(numbers, [len(seen.crops) for seen in looks]), fit_spots(crops))
     if colour != "any":
         spots = spots.rejected(np.concatenate([seen.purity for seen in looks]) < _PURITY, f"not {colour}")
-    parts = [_once(_judged(spots, resolution))]
+    parts = [once(judged(spots, resolution))]
     for number, seen in zip(numbers, looks, strict=True):
         parts += [Spots.of(number, Fits.unknown(places), reason) for reason, places in seen.others.items()]
     joined = Rows.join(parts)
     return joined[np.argsort(joined.image, kind="stable")]
 
 
-def _judged(spots: Spots, resolution: tuple[int, int]) -> Spots:
+def judged(spots: Spots, resolution: tuple[int, int]) -> Spots:
     """Reject what does not look like an LED, each with the first reason that holds."""
     fits = spots.fits
     # In widths as they appear, the pixel's own included.
@@ -201,7 +201,7 @@ def _judged(spots: Spots, resolution: tuple[int, int]) -> Spots:
     return spots.rejected(~fits.found | ~np.isfinite(fits.sigma), "no spot")
 
 
-def _once(spots: Spots) -> Spots:
+def once(spots: Spots) -> Spots:
     """Without fits that met in the same place as one before them in the same image."""
     kept = np.ones(len(spots.fits), dtype=bool)
     for image in np.unique(spots.image):

@@ -5,7 +5,7 @@ What may be an LED is small, and brighter than everything around it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -82,6 +82,29 @@ class Background:
     noise: float
     lights: Ints
 
+    def part(self, rows: slice, columns: slice) -> Background:
+        """Return that of a part of the images, which begins at even rows and columns."""
+        half = slice(rows.start // _STEP, rows.stop // _STEP), slice(columns.start // _STEP, columns.stop // _STEP)
+        whole = {name: getattr(self, name)[rows, columns] for name in ("values", "image", "blind")}
+        return replace(self, **whole, small=self.small[half], damping=self.damping[half])
+
+
+@dataclass(frozen=True, eq=False)
+class Exposed:
+    """An image that was read.
+
+    Attributes:
+        image: (h, w) or (h, w, 3) counts.
+        full: of the same shape, which of them may be clipped.
+    """
+
+    image: Image
+    full: Bools
+
+    def part(self, rows: slice, columns: slice) -> Exposed:
+        """Return a part of it."""
+        return Exposed(self.image[rows, columns], self.full[rows, columns])
+
 
 @dataclass(frozen=True, eq=False)
 class Preprocessed:
@@ -110,12 +133,29 @@ def preprocess(
     Raises:
         CameraError: it cannot be read, or has another size than ``resolution`` (width, height).
     """
-    lit = shown.lit(resolution)
-    image, full = reduced(lit, factor), clipped(lit, factor)
+    return separated(*read_exposures(shown, resolution, factor), colour, background)
+
+
+def read_exposures(
+    shown: SequenceImage, resolution: tuple[int, int], factor: int = 1
+) -> tuple[Exposed, Exposed | None]:
+    """Read an image, and the dark one that is to be subtracted, and reduce their resolution by a factor.
+
+    Raises:
+        CameraError: one cannot be read, or has another size than ``resolution`` (width, height).
+    """
+    lit, dark = shown.lit(resolution), shown.unlit(resolution)
+    exposed = Exposed(reduced(lit, factor), clipped(lit, factor))
+    return exposed, None if dark is None else Exposed(reduced(dark, factor), clipped(dark, factor))
+
+
+def separated(exposed: Exposed, unlit: Exposed | None, colour: Colour, background: Background | None) -> Preprocessed:
+    """Free one image of what stands still, and cut out its lights."""
+    image, full = exposed.image, exposed.full
     values = channel(image, colour)
     search = _searched(image, values, colour)
-    if (dark := shown.unlit(resolution)) is not None:
-        dark, dark_full = reduced(dark, factor), clipped(dark, factor)
+    if unlit is not None:
+        dark, dark_full = unlit.image, unlit.full
         without = channel(dark, colour)
         search, values = search - _searched(dark, without, colour), values - without
         background = None
@@ -125,7 +165,7 @@ def preprocess(
     # The rim is repeated where a crop reaches out of the image.
     v, u = places[:, 1, None, None] + reach[:, None], places[:, 0, None, None] + reach
     usable, cut = (index[0] == v) & (index[1] == u), values[index]
-    if dark is not None:
+    if unlit is not None:
         usable &= ~_of_colour(dark_full, colour)[index]
     elif background is not None:
         usable &= ~background.blind[index]
@@ -195,11 +235,20 @@ def read_background(
         # Median, because the arm may have hidden a lamp.
         shot = (1.48 * float(np.median(np.abs(change[bright]) / np.sqrt(light[bright])))) ** 2
         damping = 1.0 / np.sqrt(1.0 + np.float32(shot / noise**2) * light)
-    return Background(values, image, halved(image), halved(damping), blind, noise, find_candidates(image)[0])
+    return Background(
+        values, image, halved(image), halved(damping), blind, noise, find_candidates(image, apart=False)[0]
+    )
 
 
-def find_candidates(image: NDArray[np.float32], still: Background | None = None) -> tuple[Ints, dict[str, Ints]]:
+def find_candidates(
+    image: NDArray[np.float32], still: Background | None = None, *, apart: bool = True
+) -> tuple[Ints, dict[str, Ints]]:
     """Find small lights in an image (h, w) of counts, other than those that stand ``still``.
+
+    Args:
+        image: to be searched.
+        still: what stands still in it.
+        apart: whether a small light may be beside something large, such as a bright arm.
 
     Returns:
         Their places, pixels (n, 2) u, v, to within about two, the most prominent first; and the pixels (m, 2) of what
@@ -208,12 +257,12 @@ def find_candidates(image: NDArray[np.float32], still: Background | None = None)
     small = halved(image)
     if still is not None:
         small = small - still.small
-    places, large, hot, excess = _peaks(image, small, still)
+    places, large, hot, excess = _peaks(image, small, still, apart)
     if len(hot):
         # An LED may stand beside a hot pixel, and then is no peak of its own.
         u, v = (hot // _STEP).T
         np.subtract.at(small, (v, u), excess / _STEP**2)
-        places, large, _, _ = _peaks(image, small, still)
+        places, large, _, _ = _peaks(image, small, still, apart)
     # Of the rims of one lamp, one is enough.
     others = {HOT: _apart(hot, _MOST_OTHERS), LARGE: _apart(places[large], _MOST_OTHERS, 10 * _APART)}
     return _apart(places[~large], _MOST), others
@@ -229,7 +278,7 @@ def halved(image: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _peaks(
-    image: NDArray[np.float32], small: NDArray[np.float32], still: Background | None
+    image: NDArray[np.float32], small: NDArray[np.float32], still: Background | None, apart: bool
 ) -> tuple[Ints, Bools, Ints, Floats]:
     """Places that stand out, highest first.
 
@@ -257,7 +306,7 @@ def _peaks(
     half = small[v, u] - 0.5 * relief[v, u]
     high = around > half[:, None, None]
     large = high.sum(axis=(1, 2)) > _LARGEST_AREA
-    if still is not None:
+    if apart:
         _keep_apart(large, high)
     places = places * _STEP
     single, hot, excess = _single(image, places, still)
