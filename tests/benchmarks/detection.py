@@ -1,12 +1,14 @@
 """How well LEDs are found in images: accuracy against the Cramer-Rao bound, wrong and missed detections, speed.
 
-    python tests/benchmarks/detection.py [accuracy] [bias] [detections] [speed] [whole] [--count 400] [--poses 250]
+    python tests/benchmarks/detection.py [accuracy] [bias] [detections] [light] [dim] [speed] [whole] [--count 400] [--poses 250]
 
 - accuracy: rms error of rendered spots over width, peak, depth of the pixels and saturation, with the bound (all of
   peak, width, background and its slope unknown), and what share of them was not found at all;
 - bias: mean error over the pixel grid, 9 x 9 places;
 - detections: a simulated UR5 before two cameras, with lamps, reflections, hot pixels, streaks and a hidden LED; a
   detection is wrong if it is off by more than 0.5 px and 6 sigma, or the LED was not to be seen;
+- light: the same with an arm of 0.6 of white;
+- dim: without any of that, an LED of 30, 60 and 120 electrons at its peak, 3 to 12 counts;
 - speed: 200 images, against a loop that reads each with OpenCV, thresholds it and labels connected components; by the
   clock, and in the processor's time, which other programs disturb less;
 - whole: tip error of a calibration from images, against one from ideal centroids with the same sigmas.
@@ -95,11 +97,11 @@ def bias(count: int) -> None:
             print(f"{sigma:5.1f}  {saturated or '':>9}  {np.abs(error.mean(axis=1)).max():.4f}  {spread:.4f}")
 
 
-def detections(folder: Path, poses: int, rigs: list[str]) -> None:
+def detections(folder: Path, poses: int, rigs: list[str], exposure: Exposure) -> None:
     for rig in rigs:
-        session = folder / rig
+        session = folder / f"{rig} {exposure.peak:g} {exposure.arm:g}"
         simulated = simulate(read_rig(find_rig(rig)), poses=poses, seed=1)
-        write_simulated_images(session, simulated, Exposure(distractors=True))
+        write_simulated_images(session, simulated, exposure)
         detected = detect(session)
         with (session / TRUTH).open() as file:
             truth = {
@@ -186,7 +188,7 @@ def speed(folder: Path, distractors: bool) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("what", nargs="*", default=["accuracy", "bias", "detections", "speed", "whole"])
+    parser.add_argument("what", nargs="*", default=["accuracy", "bias", "detections", "light", "dim", "speed", "whole"])
     parser.add_argument("--count", type=int, default=400)
     parser.add_argument("--poses", type=int, default=250)
     parser.add_argument("--seeds", type=int, default=10)
@@ -200,7 +202,12 @@ def main() -> None:
             elif what == "bias":
                 bias(arguments.count)
             elif what == "detections":
-                detections(Path(folder), arguments.poses, arguments.rigs)
+                detections(Path(folder), arguments.poses, arguments.rigs, Exposure(distractors=True))
+            elif what == "light":
+                detections(Path(folder), arguments.poses, arguments.rigs, Exposure(arm=0.6, distractors=True))
+            elif what == "dim":
+                for peak in (30.0, 60.0, 120.0):
+                    detections(Path(folder), arguments.poses, arguments.rigs, Exposure(peak=peak))
             elif what == "whole":
                 whole(Path(folder), 50, arguments.seeds)
             elif what == "speed":
