@@ -1,6 +1,7 @@
 """How well LEDs are found in images: accuracy against the Cramer-Rao bound, wrong and missed detections, speed.
 
-    python tests/benchmarks/detection.py [accuracy] [bias] [detections] [light] [dim] [speed] [whole] [--count 400] [--poses 250]
+    python tests/benchmarks/detection.py [accuracy] [bias] [detections] [light] [dim] [speed] [whole]
+        [--count 400] [--poses 250]
 
 - accuracy: rms error of rendered spots over width, peak, depth of the pixels and saturation, with the bound (all of
   peak, width, background and its slope unknown), and what share of them was not found at all;
