@@ -1,19 +1,25 @@
 from __future__ import annotations
 
+import csv
 import json
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
+from tests.recorded import Recorded
 from urdfcal.arrays import inverse
 from urdfcal.cli import run
 from urdfcal.errors import SessionError
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
-from urdfcal.study.monte_carlo import Run, Variation, run_one, settings_of, varied_rig
+from urdfcal.study.charts import study_charts
+from urdfcal.study.monte_carlo import Outcome, Run, Variation, present, run_one, settings_of, varied_rig
+from urdfcal.study.results import as_csv, rows
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from urdfcal.study.monte_carlo import Varied
 
 UR5 = find_rig("ur5")
@@ -71,11 +77,43 @@ def test_one_thing_is_varied_at_a_time() -> None:
     assert names == ["as it is", "poses 10", "poses 20", "leds 3"]
 
 
-def test_the_command_prints_what_more_noise_costs(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["study", "elbow3r", "--pixel", "0.5", "--seeds", "2", "--processes", "1", "--json"]) == 0
+def test_the_command_prints_and_writes_what_more_noise_costs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    more = ["--pixel", "0.5", "--seeds", "2", "--processes", "1", "--json", "-o", str(tmp_path / "out")]
+    assert run(["study", "elbow3r", *more]) == 0
     before, after = json.loads(capsys.readouterr().out)
     assert (before["setting"], after["setting"]) == ("as it is", "pixel 0.5")
+    assert before["poses"] == 50
+    with (tmp_path / "out" / "study.csv").open() as file:
+        as_it_is, noisier = csv.DictReader(file)
+    assert (as_it_is["varied"], noisier["varied"], float(noisier["value"])) == ("", "pixel", 0.5)
+    assert [float(row["error"]) for row in (as_it_is, noisier)] == [before["error"], after["error"]]
+    assert {row["poses"] for row in (as_it_is, noisier)} == {"50"}
+    page = (tmp_path / "out" / "study.html").read_text()
+    assert f'<td class="n">{1e3 * after["error"]:.3g}</td>' in page
+    assert page.count("<svg") == 1
+    recorded = Recorded(tmp_path / "out" / "study.rrd")
+    assert "/base/charts/study\\ pixel/rms" in recorded.entities
+    (table,) = recorded.static("/base/texts/table", "TextDocument:text")
+    assert f"| pixel 0.5 | 50 | {1e3 * after['error']:.3g} |" in table
     assert after["error"] > before["error"]
     assert after["expected"] > 2.0 * before["expected"]
     assert run(["study", "elbow3r", "--pixel", "a"]) == 2
     assert "numbers with commas between" in capsys.readouterr().err
+    assert run(["study", "elbow3r", "--scheduler", "tcp://nowhere:1"]) == 2
+    assert "--scheduler goes with --engine dask" in capsys.readouterr().err
+
+
+def test_where_no_arm_can_be_simulated_the_reason_is_written() -> None:
+    failed = Outcome(Variation("leds", 3), 50, *[float("nan")] * 4, (), ("no pose shows them",))
+    assert as_csv([failed]).splitlines()[1] == "leds,3,50,0,,,,,no pose shows them"
+    assert rows([failed]) == [("leds 3", "50", "", "", "", "", "0")]
+    assert study_charts(read_rig(UR5), [failed]) == ()
+
+
+@pytest.mark.parametrize(
+    ("varied", "value"), [("poses", 50), ("pixel", 0.1), ("baseline", 1), ("cameras", 2), ("leds", 1), ("arm", 1)]
+)
+def test_the_rig_as_it_is_is_one_of_a_charts_values(varied: Varied, value: float) -> None:
+    assert present(read_rig(UR5), varied) == value

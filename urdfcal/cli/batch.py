@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from urdfcal.cli.console import PATH, json_option, progress_bar, say, seed_option, sheet, terminal
+from urdfcal.cli.engines import engine_options
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -30,15 +31,7 @@ if TYPE_CHECKING:
 @click.option("--no-priors", is_flag=True, help="As of `urdfcal calibrate`.")
 @click.option("--starts", type=click.IntRange(min=0), default=0, metavar="N", help="As of `urdfcal calibrate`.")
 @seed_option
-@click.option(
-    "--processes", type=click.IntRange(min=1), show_default=False, metavar="N",
-    help="Processes on this machine.  [default: one for each core]",
-)  # fmt: skip
-@click.option(
-    "--engine", type=click.Choice(["processes", "dask", "ray"]), default="processes",
-    help="What runs them; a cluster's workers must see the same folders.",
-)  # fmt: skip
-@click.option("--scheduler", metavar="ADDRESS", help="Of Dask, tcp://host:8786.  [default: a local cluster]")
+@engine_options
 @json_option
 def command(
     sessions: tuple[Path, ...], output: Path, no_report: bool, no_priors: bool, scheduler: str | None, engine: str,
@@ -52,8 +45,6 @@ def command(
     """
     from urdfcal.study.batch import TABLE, batch
 
-    if scheduler is not None and engine != "dask":
-        raise click.UsageError("--scheduler goes with --engine dask")
     with progress_bar("calibrating", len(sessions)) as advance:
         table = batch(
             sessions, output, report=not no_report, priors=not no_priors, scheduler=scheduler, engine=engine,  # type: ignore[arg-type]

@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from urdfcal.cli.console import json_option, progress_bar, say, seed_option, sheet, terminal
+from urdfcal.cli.console import PATH, json_option, progress_bar, say, seed_option, sheet, terminal
+from urdfcal.cli.engines import engine_options
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from urdfcal.study.engine import Engine
 
 
 class Numbers(click.ParamType[tuple[float, ...]]):
@@ -29,6 +35,7 @@ _NUMBERS = Numbers()
 
 @click.command("study")
 @click.argument("rig", metavar="RIG")
+@click.option("-o", "--output", type=PATH, help="Folder for table (study.csv), page (study.html) and recording.")
 @click.option("--poses", type=_NUMBERS, help="Numbers of poses.")
 @click.option("--pixel", type=_NUMBERS, help="Noise of the detections, px.")
 @click.option("--baseline", type=_NUMBERS, help="Factors on how far cameras stand from the first one.")
@@ -38,33 +45,38 @@ _NUMBERS = Numbers()
 @click.option("--arm", type=_NUMBERS, help="Factors on how far arms are off their drawing.")
 @click.option("--seeds", type=click.IntRange(min=1), default=20, help="Arms to simulate for each setting.")
 @seed_option
-@click.option(
-    "--processes", type=click.IntRange(min=1), show_default=False, metavar="N",
-    help="Processes on this machine.  [default: one for each core]",
-)  # fmt: skip
+@engine_options
 @json_option
-def command(rig: str, seeds: int, seed: int, processes: int | None, as_json: bool, **varied: Any) -> None:
+def command(
+    rig: str, output: Path | None, seeds: int, seed: int, processes: int | None, engine: Engine, scheduler: str | None,
+    as_json: bool, **varied: Any,
+) -> None:  # fmt: skip
     """Simulate what RIG (a shipped rig's name or a folder) would bring, and with other poses, cameras or LEDs.
 
-    One thing is varied at a time, the others as they are; the same arms are simulated for all. What is
-    expected follows from the measurements' noise and the tolerances alone (the bound of Cramer and Rao, with priors).
+    One thing is varied at a time, the others as they are; the same arms are simulated for all, in 50 poses each where
+    nothing else is said. What is expected follows from the measurements' noise and the tolerances alone (the bound of
+    Cramer and Rao, with priors).
     """
+    from urdfcal.io.folder import read_rig
     from urdfcal.io.shipped_rigs import find_rig
     from urdfcal.study.monte_carlo import settings_of, study
+    from urdfcal.study.results import HEADS, failures, rows, write_study
 
-    settings = settings_of({name: values for name, values in varied.items() if values})  # type: ignore[misc]
+    where, settings = find_rig(rig), settings_of({name: values for name, values in varied.items() if values})  # type: ignore[misc]
     with progress_bar("simulating", seeds * len(settings)) as advance:
-        table = study(find_rig(rig), settings, seeds=seeds, seed=seed, processes=processes, progress=advance)
+        table = study(
+            where, settings, seeds=seeds, seed=seed, engine=engine, processes=processes, scheduler=scheduler,
+            progress=advance,
+        )  # fmt: skip
+    paths = () if output is None else write_study(output, read_rig(where), table, seed)
     if as_json:
         click.echo(json.dumps([{**asdict(one), "setting": str(one.setting)} for one in table], indent=2))
         return
-    rows = sheet("", ["setting", "tip (mm rms)", "1 in 10 above", "expected", "nominal", "arms"])
-    for one in table:
-        figures = (one.error, one.worst, one.expected, one.nominal)
-        rows.add_row(
-            str(one.setting), *(f"{1e3 * figure:.3g}" if one.count else "" for figure in figures), str(one.count)
-        )
-    terminal().print(rows)
-    for one in table:
-        for why in one.failed:
-            say(f"- {one.setting}: {why}", err=True)
+    shown = sheet("", list(HEADS))
+    for row in rows(table):
+        shown.add_row(*row)
+    terminal().print(shown)
+    for path in paths:
+        click.echo(path)
+    for why in failures(table):
+        say(f"- {why}", err=True)

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from datetime import datetime, timezone
-from functools import cache
-from importlib import resources
 from pathlib import PurePath
 from typing import TYPE_CHECKING
 
@@ -25,6 +23,7 @@ from urdfcal.output.findings import (
     listed,
     look_up,
 )
+from urdfcal.output.page import template
 from urdfcal.output.palette import SIGMA_LEGEND
 from urdfcal.output.portrait import portrait
 from urdfcal.output.svg import figure_html
@@ -35,12 +34,10 @@ from urdfcal.session.exclusion import summary
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from jinja2 import Template
-
     from urdfcal.output.findings import Overview, ResultData
     from urdfcal.result.fitted import FittedCalibration
 
-_TEMPLATE = "report.html.jinja"
+_TEMPLATE = "output/report.html.jinja"
 _OUTLIERS_SHOWN = 25
 _MINUS = "\N{MINUS SIGN}"
 # In no text.
@@ -49,17 +46,6 @@ _NOWHERE = "\0"
 _CORRELATED, _PAIRS = 0.9, 12
 # An LED's place that is known worse is told by predictions alone. [m]
 _HARDLY_KNOWN = 0.005
-
-
-@cache
-def _page() -> Template:
-    """The page's template; compiling it takes longer than filling it in."""
-    import jinja2
-
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    return environment.from_string(resources.files(__package__).joinpath(_TEMPLATE).read_text(encoding="utf-8"))
 
 
 def write_report(path: Path, overview: Overview, *, refused: bool = False) -> None:
@@ -102,7 +88,9 @@ def write_report(path: Path, overview: Overview, *, refused: bool = False) -> No
     rows: dict[str, list[int]] = {}  # joint by joint, which entries of the DH list are its parameters
     for i, entry in enumerate(document["dh"]):
         rows.setdefault(entry["joint"], []).append(i)
-    page = _page().render(
+    page = template(
+        _TEMPLATE
+    ).render(
         document,
         n=number,
         meaning=HEADLINE,

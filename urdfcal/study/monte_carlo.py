@@ -11,6 +11,7 @@ from urdfcal.arrays import inverse, rms
 from urdfcal.cameras.rig import Rig
 from urdfcal.errors import SessionError, UrdfcalError
 from urdfcal.estimation.evaluation import compare
+from urdfcal.estimation.measurements import Detections
 from urdfcal.io.folder import read_rig
 from urdfcal.pipeline import calibrate
 from urdfcal.planning.belief import Belief, check_plannable
@@ -32,8 +33,8 @@ Varied: TypeAlias = Literal["poses", "pixel", "baseline", "lens", "cameras", "le
 VARIED: tuple[Varied, ...] = get_args(Varied)
 """What a study can vary; baseline, lens and arm are factors on the rig's distances, focal lengths and arm errors."""
 
-# As `urdfcal simulate`, where nothing else is asked for.
-_POSES = 50
+POSES = 50
+"""As `urdfcal simulate`, where nothing else is asked for."""
 _WORKSPACE = 300
 # From the first LED to those that a study adds, on a ring about it. [m]
 _RING = 0.05
@@ -56,21 +57,23 @@ class Outcome:
 
     Attributes:
         setting: of the rig.
+        poses: how many each arm is measured in.
         error: root mean square of the true tip errors over the arms, each over the workspace, its base aligned. [m]
         worst: of one arm in ten it is worse than this. [m]
         expected: from the information of the measurements and the tolerances (Cramer and Rao); arms that are better
             than their tolerances come out better where measurements say little. [m]
         nominal: the error of the arms that are not calibrated. [m]
-        count: arms that were simulated.
+        arms: true tip errors of those that were simulated. [m]
         failed: why others could not be; empty where all could.
     """
 
     setting: Variation
+    poses: int
     error: float
     worst: float
     expected: float
     nominal: float
-    count: int
+    arms: tuple[float, ...]
     failed: tuple[str, ...]
 
 
@@ -146,6 +149,14 @@ def run_one(run: Run) -> Floats | str:
     return np.array([*errors, belief.candidates(truth.readings, q).error(belief.information)])
 
 
+def present(rig: RigDescription, varied: Varied) -> float:
+    """Return what is varied as the rig has it."""
+    if varied == "pixel":
+        return rig.noise.of(Detections)
+    counts = {"poses": POSES, "cameras": len(rig.rig.cameras), "leds": len(rig.leds)}
+    return float(counts.get(varied, 1.0))
+
+
 def varied_rig(rig: RigDescription, setting: Variation) -> tuple[RigDescription, dict[str, Any]]:
     """Return a rig with a setting, and the options of its simulation.
 
@@ -153,7 +164,7 @@ def varied_rig(rig: RigDescription, setting: Variation) -> tuple[RigDescription,
         SessionError: the rig has not what the setting varies.
     """
     value, where = setting.value, f"study {setting}"
-    options: dict[str, Any] = {"poses": _POSES}
+    options: dict[str, Any] = {"poses": POSES}
     if setting.varied in ("poses", "cameras", "leds") and (value < 1 or value != int(value)):
         raise SessionError(f"{value:g} is no number of {setting.varied}", where=where)
     if value <= 0.0:
@@ -217,7 +228,8 @@ def _outcome(setting: Variation, results: Sequence[Floats | str]) -> Outcome:
     rows = np.array([result for result in results if not isinstance(result, str)]).reshape(-1, 3)
     nominal, error, expected = (rms(column) for column in rows.T)
     worst = float(np.percentile(rows[:, 1], 90.0)) if len(rows) else float("nan")
-    return Outcome(setting, error, worst, expected, nominal, len(rows), failed)
+    poses = int(setting.value) if setting.varied == "poses" else POSES
+    return Outcome(setting, poses, error, worst, expected, nominal, tuple(rows[:, 1].tolist()), failed)
 
 
 def _killed(run: Run) -> Floats | str:
