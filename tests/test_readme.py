@@ -51,7 +51,7 @@ def test_what_people_do_and_the_library_example_work_as_written(
     for line in lines:
         assert run(line[1:]) == 0, line
     lines = [line.split("#")[0].split() for line in blocks("sh")[4].splitlines()]
-    assert [line[1] for line in lines] == ["plan", "simulate", "calibrate", "plan", "study"]
+    assert [line[1] for line in lines] == ["plan", "simulate", "detect", "calibrate", "evaluate", "plan"]
     for line in lines:
         assert run(line[1:]) == 0, line
     lines = [line.split("#")[0].split() for line in blocks("sh")[5].splitlines()]

@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 
 from urdfcal.cli import run
 from urdfcal.errors import SessionError
 from urdfcal.io import folder as folders
-from urdfcal.io.folder import read_session
+from urdfcal.io.folder import read_rig, read_session
+from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.robot.urdf.urdf import Urdf
 from urdfcal.session.trajectory import Trajectory
 from urdfcal.simulation import simulate as simulation
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from urdfcal.session.rig_description import RigDescription
 
 SHORT = ["simulate", "elbow3r", "-o", "s", "--poses", "3", "--seed", "1"]
@@ -115,3 +116,23 @@ def test_a_demo_never_writes_into_a_folder_that_is_there(
     capsys.readouterr()
     assert run(["demo", "elbow3r", "-o", "urdfcal-demo"]) == 2
     assert "urdfcal-demo: cannot make this folder: File exists. Name a new one with -o." in capsys.readouterr().err
+
+
+def test_poses_of_a_plan_are_measured_and_those_passed_through_are_not(capsys: pytest.CaptureFixture[str]) -> None:
+    joints = ["joint_1", "joint_2", "joint_3"]
+    rows = {"1": (0.1, 0.2, 0.3), "pass1": (0.0, 0.0, 0.0), "check1": (0.2, 0.3, 0.1), "2": (0.0, 0.4, 0.5)}
+    lines = [["pose", *joints], *([name, *values] for name, values in rows.items())]
+    Path("plan.csv").write_text("\n".join(",".join(map(str, line)) for line in lines) + "\n")
+    assert run(["simulate", "elbow3r", "--at", "plan.csv", "-o", "s"]) == 0
+    assert capsys.readouterr().out.startswith("s: 3 poses of elbow3r")
+    session = read_session("s")
+    assert session.poses == ("1", "check1", "2")
+    np.testing.assert_allclose(session.q, [rows[name] for name in session.poses], atol=1e-3)
+    assert run(["simulate", "panda_sockets", "--at", "plan.csv", "-o", "t"]) == 2
+    assert not Path("t").exists()
+
+
+def test_a_rig_that_touches_places_finds_its_poses_itself() -> None:
+    rig = read_rig(find_rig("panda_sockets"))
+    with pytest.raises(SessionError, match="finds its poses itself"):
+        simulation.simulate(rig, seed=0, at=(("1", "2", "3"), rig.chain.random_values(3, np.random.default_rng(0))))

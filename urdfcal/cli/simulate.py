@@ -13,6 +13,10 @@ from urdfcal.cli.console import PATH, POSITIVE, progress_bar, say, seed_option
 @click.argument("rig", metavar="RIG")
 @click.option("-o", "--output", "session", type=PATH, required=True, help="Folder to write.")
 @click.option("--poses", type=click.IntRange(min=3), default=50, help="Number of arm positions.")
+@click.option(
+    "--at", type=PATH, metavar="FILE",
+    help="Measure in these, a table as `urdfcal plan` writes; rows named pass1, ... are passed through.",
+)  # fmt: skip
 @seed_option
 @click.option(
     "--arm-seed", type=click.IntRange(min=0), show_default=False,
@@ -52,6 +56,7 @@ def simulate(
     rig: str,
     session: Path,
     poses: int,
+    at: Path | None,
     seed: int,
     arm_seed: int | None,
     pixel: float | None,
@@ -69,6 +74,7 @@ def simulate(
     """Simulate a session of RIG (a shipped rig's name or a folder), with the truth beside it."""
     from urdfcal.io.folder import read_rig
     from urdfcal.io.shipped_rigs import find_rig
+    from urdfcal.planning.files import read_plan
     from urdfcal.simulation import simulate as simulation
 
     filmed, noisy = images or video, outliers or pixel is not None
@@ -82,7 +88,15 @@ def simulate(
         if given:
             raise click.UsageError(wrong)
     description = read_rig(find_rig(rig))
-    errors: dict[str, Any] = {"arm_seed": arm_seed, "pixel": pixel, "error_scale": error_scale, "outliers": outliers}
+    planned = None if at is None else read_plan(at, description.chain)
+    poses = poses if planned is None else len(planned[0])
+    errors: dict[str, Any] = {
+        "at": planned,
+        "arm_seed": arm_seed,
+        "pixel": pixel,
+        "error_scale": error_scale,
+        "outliers": outliers,
+    }
     with progress_bar("sampling poses", poses) as advance:
         simulated = simulation.simulate(description, poses=poses, seed=seed, progress=advance, **errors)
     if trajectory:

@@ -5,14 +5,20 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
 
 import numpy as np
 
+from urdfcal.io.tables import read_joints
+
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
+    from urdfcal.arrays import Floats
     from urdfcal.planning.planner import Plan
+    from urdfcal.robot.mechanism import Mechanism
 
 ProgramFormat: TypeAlias = Literal["urscript", "ros", "lerobot"]
 FORMATS: tuple[ProgramFormat, ...] = get_args(ProgramFormat)
@@ -21,17 +27,37 @@ FORMATS: tuple[ProgramFormat, ...] = get_args(ProgramFormat)
 _SPEED, _ACCELERATION = 0.25, 0.5
 # At rest before and while something is measured: an arm of 10 kg swings for half a second. [s]
 _REST = 2.0
+# Of where the arm only passes.
+_PASS = "pass"  # noqa: S105  # no word of secrecy
 
 
 def labels(plan: Plan) -> list[str]:
     """Name poses in the order of the moves: numbers, check1 and so on; pass1 and so on where the arm only passes."""
-    width, numbers = len(str(plan.count)), dict.fromkeys(("", "check", "pass"), 0)
+    width, numbers = len(str(plan.count)), dict.fromkeys(("", "check", _PASS), 0)
     names = []
     for rank, check in zip(plan.rank.tolist(), plan.check.tolist(), strict=True):
-        kind = "" if rank >= 0 else "check" if check else "pass"
+        kind = "" if rank >= 0 else "check" if check else _PASS
         numbers[kind] += 1
         names.append(f"{numbers[kind]:0{width}d}" if rank >= 0 else f"{kind}{numbers[kind]}")
     return names
+
+
+def read_plan(path: Path, chain: Mechanism) -> tuple[tuple[str, ...], Floats]:
+    """Read a table of poses, of a plan those that are measured.
+
+    Args:
+        path: as :func:`as_csv` writes it, or any joints.csv.
+        chain: the arm.
+
+    Returns:
+        Names, and joint values (N, n). [rad or m]
+
+    Raises:
+        SessionError: it cannot be read, with the place in the file.
+    """
+    table = read_joints(path, chain, chain.names)
+    kept = [k for k, name in enumerate(table.poses) if re.fullmatch(rf"{_PASS}\d+", name) is None]
+    return tuple(table.poses[k] for k in kept), chain.joint_values(table.readings[kept])
 
 
 def as_csv(plan: Plan) -> str:

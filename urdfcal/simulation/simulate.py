@@ -27,7 +27,7 @@ from urdfcal.simulation.scene import Scene, look_at, noisy_values, simulate_dete
 from urdfcal.simulation.touching import touch_places
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
     from urdfcal.arrays import Ints
     from urdfcal.estimation.measurements import Measurement
@@ -111,6 +111,7 @@ def simulate(
     seed: int,
     arm_seed: int | None = None,
     poses: int = 50,
+    at: tuple[Sequence[str], Floats] | None = None,
     pixel: float | None = None,
     error_scale: float = 1.0,
     outliers: float = 0.0,
@@ -127,6 +128,8 @@ def simulate(
         arm_seed: of the true robot alone, instead: sessions with the same one are of the same arm, wherever it stands
             and whatever else they were drawn from.
         poses: how many to measure.
+        at: names of poses and their joint values (N, n) to measure instead, whether or not the arm collides there.
+            [rad or m]
         pixel: noise of the detections, one standard deviation, instead of the rig's; without noise (0) the
             session goes on to declare the rig's. [px]
         error_scale: factor on how far the robot's geometry is from the nominal one.
@@ -138,7 +141,11 @@ def simulate(
             are not enough poses.
         RobotError: the corrected URDF cannot be written.
     """
+    names = tuple(f"{k:0{len(str(poses))}d}" for k in range(1, poses + 1))
+    names, poses = (names, poses) if at is None else (tuple(at[0]), len(at[0]))
     _check_arguments(seed, poses, pixel, error_scale, outliers)
+    if at is not None and rig.places:
+        raise SessionError("a rig that touches places finds its poses itself", where="simulate", remedy="Leave at out.")
     if rig.places and (outliers or pixel is not None):
         remedy = "Leave outliers and pixel out; the rig's noise is that of its contacts."
         raise SessionError("there are no pixels: the rig touches places", where="simulate", remedy=remedy)
@@ -171,10 +178,10 @@ def simulate(
         spread, outlying = rig.noise.of(Contacts), np.zeros(0, dtype=np.intp)
         readings, measured = touch_places(rig, true, offsets, poses, spread, pose_rng, checker, progress)
     else:
-        readings = sample_poses(outlined, checker, poses, pose_rng, progress)
+        readings = sample_poses(outlined, checker, poses, pose_rng, progress) if at is None else at[1]
     planned = Positions(
         **{one.name: getattr(rig, one.name) for one in fields(Setup)} | {"noise": noise, "sha256": {}, "folder": None},
-        poses=tuple(f"{k:0{len(str(poses))}d}" for k in range(1, poses + 1)),
+        poses=names,
         q=readings,
         warnings=warnings,
     )
