@@ -165,6 +165,10 @@ def test_what_stands_around_is_kept_clear_of_and_hides_leds(few: Simulated) -> N
     for scene, seen in ((), True), ((screen,), False):
         checker = CollisionChecker(chain, urdf, *nominal.outlined().points_on_joints(), 0.0, scene)
         assert checker.is_seen(measured[0], centres) == seen
+    beside = Obstacle("beside", np.full(3, 0.002), np.add(screen.position, [0.0, 0.0, 0.004]))
+    for clearance, seen in (0.0, True), (0.02, False):
+        checker = CollisionChecker(chain, urdf, *nominal.outlined().points_on_joints(), clearance, [beside])
+        assert checker.is_seen(measured[0], centres) == seen
 
 
 def test_a_box_in_the_arms_way_wherever_it_goes_is_refused(few: Simulated) -> None:
