@@ -4,6 +4,7 @@
 
 Of every rig and seed an arm is simulated and measured in ``--start`` random poses. Then in ``--planned`` planned ones
 more, in as many random ones, in 1.7 and in 2 x as many; true tip errors over the joints' ranges after base alignment.
+What is expected is an rms over arms, above their median: by half where one direction decides, as a Tiago's scale.
 Asked for: the median no worse than with 1.7 x as many for each rig, and than with twice as many in the rigs' mean.
 """
 
