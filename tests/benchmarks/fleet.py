@@ -3,7 +3,8 @@
     python -m tests.benchmarks.fleet [--sessions 1000] [--poses 50] [--engines processes dask ray] [--kills 3]
 
 ur5, panda and so101 take turns; no reports. Seconds are those of the processors, which other programs disturb less, of
-all processes of a run; the efficiency of 2 processes is that of 1 by theirs, and by the clock. Asked for: at most 0.8 s
+all processes of a run, its start included (Ray's workers are no children of it: theirs are not known); the efficiency
+of 2 processes is that against 1 by these, and by the clock. Asked for: at most 0.8 s
 of one core a session, an efficiency of 0.9, the same numbers everywhere.
 """
 
