@@ -31,6 +31,33 @@ FRANKA_JOINT = """<link name="link{i}"/><joint name="joint{i}" type="fixed">
 <origin rpy="${{k.roll}} ${{k.pitch}} ${{k.yaw}}" xyz="${{k.x}} ${{k.y}} ${{k.z}}"/></joint>"""
 
 
+# As xarm_description's macros look origins up, by the joints' names: kinematics['joint1'].x and so on.
+XARM = """<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name="arm">
+<xacro:property name="kinematics_params" value="${{xacro.load_yaml('{file}')}}"/>
+<xacro:property name="kinematics" value="${{kinematics_params['kinematics']}}"/>
+<link name="link0"/>
+{joints}
+</robot>"""
+XARM_JOINT = """<link name="link{i}"/><joint name="{name}" type="fixed">
+<parent link="link{before}"/><child link="link{i}"/>
+<xacro:property name="k" value="${{kinematics['{name}']}}" lazy_eval="false"/>
+<origin xyz="${{k.x}} ${{k.y}} ${{k.z}}" rpy="${{k.roll}} ${{k.pitch}} ${{k.yaw}}"/></joint>"""
+
+
+def test_xacro_places_an_xarm_s_joints_as_calibrated(calibrated: Callable[[str], Path], tmp_path: Path) -> None:
+    result = calibrated("elbow3r") / "result"
+    assert run(["export", str(result), "--to", "ros-kinematics", "-o", str(tmp_path)]) == 0
+    corrected = Urdf.read(next(result.glob("*.urdf")))
+    names = Calibration.load(result).chain.names
+    joints = "\n".join(XARM_JOINT.format(i=i, before=i - 1, name=name) for i, name in enumerate(names, start=1))
+    (tmp_path / "arm.xacro").write_text(XARM.format(file=tmp_path / "kinematics.yaml", joints=joints))
+    (tmp_path / "arm.urdf").write_text(xacro.process_file(str(tmp_path / "arm.xacro")).toxml())
+    read = Urdf.read(tmp_path / "arm.urdf")
+    for name in names:
+        expected = corrected.joints[name].T_parent_joint
+        np.testing.assert_allclose(read.joints[name].T_parent_joint, expected, atol=1e-12)
+
+
 def test_xacro_places_a_franka_s_joints_as_calibrated(calibrated: Callable[[str], Path], tmp_path: Path) -> None:
     result = calibrated("panda_sockets") / "result"
     assert run(["export", str(result), "--to", "franka-kinematics", "-o", str(tmp_path)]) == 0

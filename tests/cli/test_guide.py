@@ -5,12 +5,17 @@ from __future__ import annotations
 import re
 import shlex
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
+import numpy as np
 import pytest
 
 import urdfcal
 from urdfcal.cli import cli, guide, run
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 PATHS = sorted((Path(urdfcal.__file__).parent / "guide").glob("*.md"))
 
@@ -73,13 +78,40 @@ def test_yaml_in_them_is_what_sessions_take(tmp_path: Path) -> None:
         Document.read(tmp_path / "session.yaml").validate(SessionFile)
 
 
-def test_the_first_arm_works_as_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_first_arm_works_as_written_and_comes_to_the_figures_that_are_explained(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.chdir(tmp_path)
     quick = [words[1:] for words in commands(guide.read("first-arm")) if words[1] in ("simulate", "calibrate")]
     assert [words[0] for words in quick[:2]] == ["simulate", "calibrate"]
     for words in quick[:2]:
         assert run(words) == 0, words
     assert (tmp_path / "result" / "report.html").is_file()
+    printed = capsys.readouterr().out
+    figures = re.findall(r"^\| `([^`]*\d[^`]*)` \|", guide.read("first-arm"), re.MULTILINE)
+    assert len(figures) == 5
+    for figure in figures:
+        words = re.escape(re.sub(r"\d+\.\d+", "#", figure)).replace("\\#", "#").replace("#", r"(\d+\.\d+)")
+        found = re.search(
+            words.replace(r"mm\ rms\ error", r"mm.*rms\ error").replace(r"rms\ expected", "rms.*expected"), printed
+        )
+        assert found, figure
+        assert [float(x) for x in found.groups()] == pytest.approx(
+            list(map(float, re.findall(r"\d+\.\d+", figure))), rel=0.1
+        )
+
+
+def test_the_program_of_my_stack_runs(
+    calibrated: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("session", "result"):
+        (tmp_path / name).symlink_to(calibrated("elbow3r") / name)
+    monkeypatch.chdir(tmp_path)
+    (program,) = re.findall(r"^```python\n(.*?)```", guide.read("my-stack"), re.DOTALL | re.MULTILINE)
+    names: dict[str, Any] = {}
+    exec(program, names)  # noqa: S102  # our own
+    assert names["commands"].shape == names["readings"].shape
+    assert np.abs(names["q"] - names["readings"]).max() < 0.1
 
 
 def test_it_is_shown_on_a_terminal_and_kept_from_a_pipe(
