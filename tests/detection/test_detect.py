@@ -291,7 +291,12 @@ def test_reasons_that_differ_in_numbers_are_one_with_their_range() -> None:
         "3 dots of 35 seen",
         "no marker of tag36h11",
     ]
-    assert count_reasons(reasons) == (
-        "2 to 3 dots of 35 seen (3), the cameras' rays miss each other by 9.5 to 12.3 px (2), no light at all (1), "
-        "no marker of tag36h11 (1)"
+    images = [f"left/{k}" for k in range(len(reasons))]
+    assert count_reasons(zip(images, reasons, strict=True)) == (
+        "2 to 3 dots of 35 seen (3: left/3, left/4, left/5); "
+        "the cameras' rays miss each other by 9.5 to 12.3 px (2: left/0, left/2); "
+        "no light at all (1: left/1); no marker of tag36h11 (1: left/6)"
+    )
+    assert count_reasons((f"left/{k}", "no light at all") for k in range(6)) == (
+        "no light at all (6: left/0, left/1, left/2, left/3 ...)"
     )

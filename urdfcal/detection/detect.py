@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections import Counter, defaultdict
+from collections import defaultdict
 from dataclasses import dataclass
 from itertools import chain, pairwise
 from pathlib import Path
@@ -37,6 +37,8 @@ if TYPE_CHECKING:
     from urdfcal.session.model import Positions
 
 REJECTED = "detections_rejected.csv"
+# Images that are named for each reason; the table has them all.
+_NAMED = 4
 
 # What MPEG-4 does to a spot 3.5 px wide in the 2 kB that OpenCV's encoder spends on a frame: 0.06 px a coordinate, of
 # which its images, smoothed as they are, show nothing. [px]
@@ -111,24 +113,26 @@ class Detected:
             yield (*of, None, reason)  # type: ignore[misc]
 
     def summary(self) -> str:
-        """How often which reason was given, most frequent first."""
-        return count_reasons(reason for *_, reason in self.rejected())
+        """How often which reason was given and in which images, most frequent first."""
+        return count_reasons((f"{camera}/{pose}", reason) for pose, camera, *_, reason in self.rejected())
 
 
-def count_reasons(reasons: Iterable[str]) -> str:
-    """How often which reason is given, most frequent first; those that differ in their numbers alone are one."""
-    counts: Counter[tuple[str, ...]] = Counter()
+def count_reasons(rejected: Iterable[tuple[str, str]]) -> str:
+    """How often which reason is given and for what, most frequent first; those that differ in numbers alone are one."""
+    where: dict[tuple[str, ...], list[str]] = defaultdict(list)
     numbers: dict[tuple[str, ...], list[list[str]]] = defaultdict(list)
-    for reason in reasons:
+    for what, reason in rejected:
         parts = _NUMBER.split(reason)
         words = tuple(parts[::2])
-        counts[words] += 1
+        where[words].append(what)
         numbers[words].append(parts[1::2])
     said = []
-    for words, count in counts.most_common():
+    for words, places in sorted(where.items(), key=lambda of: -len(of[1])):
         ranges = [*(_range(of) for of in zip(*numbers[words], strict=True)), ""]
-        said.append(f"{''.join(chain.from_iterable(zip(words, ranges, strict=True)))} ({count})")
-    return ", ".join(said)
+        named = list(dict.fromkeys(places))
+        shown = ", ".join(named[:_NAMED]) + (" ..." if len(named) > _NAMED else "")
+        said.append(f"{''.join(chain.from_iterable(zip(words, ranges, strict=True)))} ({len(places)}: {shown})")
+    return "; ".join(said)
 
 
 def _range(numbers: Sequence[str]) -> str:
