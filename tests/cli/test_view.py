@@ -90,6 +90,7 @@ def test_overlay_is_a_picture_of_every_camera(result: Path, tmp_path: Path, caps
     import cv2
 
     assert run(["view", str(result), "--overlay", "04", "--save", str(tmp_path / "o.png")]) == 0
+    assert "there is no picture of pose 04 by cam0, cam1: the arm is drawn on dark ground" in capsys.readouterr().err
     picture = cv2.imread(str(tmp_path / "o.png"))
     assert picture.shape[0] == 1024
     assert picture.shape[1] > 2 * 1280

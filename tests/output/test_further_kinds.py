@@ -90,6 +90,6 @@ def test_one_number_in_its_own_unit_reaches_document_report_and_recording(simula
     assert entry["name"] == "table.height"
     assert entry["nominal"] == 1.0
     report = next(path for path in paths if path.suffix == ".html").read_text()
-    assert "residual of heights, rms [um]" in report
+    assert "residual, heights, rms [um]" in report
     assert "table.height" in report
     assert next(path for path in paths if path.suffix == ".rrd").stat().st_size > 0

@@ -342,8 +342,10 @@ def test_photographs_and_overlay(calibration, tmp_path):
     recorded = Recorded(tmp_path / "calibration.rrd")
     blobs = recorded.rows("/base/cameras/cam0/image", "EncodedImage:blob")
     assert [k for k, row in blobs.items() if len(row)] == [2]
-    pictures = overlays(tmp_path / "calibration.rrd", session.poses[2])
+    pictures, without = overlays(tmp_path / "calibration.rrd", session.poses[2])
     assert list(pictures) == ["cam0", "cam1"]
+    assert without == ()
+    assert overlays(tmp_path / "calibration.rrd", session.poses[3])[1] == ("cam0", "cam1")
     tip = arm_in_images(calibration, calibration.estimate, session.q[2:3])[0][0, -1]
     u, v = np.round(tip).astype(int)
     assert np.abs(pictures["cam0"][v, u].astype(int) - CALIBRATED[::-1]).max() < 60

@@ -222,17 +222,33 @@ def test_shapes_have_surfaces_of_their_size(shape):
     np.testing.assert_allclose(found.mean(axis=0), 0.0, atol=0.02)
 
 
-def test_an_arm_with_meshes_has_its_picture(calibration):
+def test_an_arm_with_meshes_has_its_picture_with_rods_for_those_that_cannot_be_read(monkeypatch):
     import cv2
 
     ur5 = calibrate(simulate(read_rig(find_rig("ur5")), seed=1, poses=15).session, force=True)
-    data = np.frombuffer(base64.b64decode(portrait(Overview.of(ur5))), np.uint8)
-    picture = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+    overview = Overview.of(ur5)
+
+    def drawn() -> np.ndarray:
+        data = np.frombuffer(base64.b64decode(portrait(overview)), np.uint8)
+        return cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+
+    picture = drawn()
     assert max(picture.shape[:2]) == pytest.approx(480, abs=3)
     opaque = picture[..., 3] > 128
     assert 0.02 < opaque.mean() < 0.6
     grey = opaque & (np.ptp(picture[..., :3], axis=2) < 40)
     assert grey.mean() > 0.01, "the arm, not only the LEDs"
+
+    def ends_alone(shape):
+        unread = shape.mesh is not None and shape.mesh.stem in ("upperarm", "forearm")
+        return np.zeros((0, 3, 3)) if unread else triangles(shape)
+
+    monkeypatch.setattr("urdfcal.output.portrait.triangles", ends_alone)
+    arm = (drawn()[..., 3] > 128).astype(np.uint8)
+    _, _, stats, _ = cv2.connectedComponentsWithStats(arm)
+    before = cv2.connectedComponentsWithStats(opaque.astype(np.uint8))[2]
+    tallest, whole = (max(of[1:, cv2.CC_STAT_HEIGHT]) for of in (stats, before))
+    assert tallest > 0.8 * whole, "no hand hangs in the air"
 
 
 def test_the_page_needs_nothing_else(path, page):

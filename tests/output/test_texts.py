@@ -31,19 +31,27 @@ def test_lists_read_like_sentences():
     assert [listed(["a", "b", "c"][:k]) for k in (1, 2, 3)] == ["a", "a and b", "a, b and c"]
 
 
-def said_of(more, poses=30, cameras=("left",), left_out=None, size=None, **scale):
+def said_of(
+    more, poses=30, cameras=("left",), left_out=None, size=None, moving=False, held_out=0.2, regions=0.2, **scale
+):
     """What is said of the tip, of a result with some of its keys."""
     scale = {"tip_mm_per_permille": 0.5, "factor_sigma": None, "declared_sigma": None, **scale}
     tip = {"rms_mm": 0.21, "interval_mm": [0.1, 0.3], "more": more, "size": size}
     fit = {"poses": poses, "reduced_chi2": 4.0}
-    document = {"tip": tip, "regions": {"rms_mm": 0.2}, "scale": scale, "fit": fit, "cameras": dict.fromkeys(cameras)}
-    document["validation"] = {} if left_out is None else {"left_out": left_out}
+    document = {
+        "tip": tip,
+        "regions": {"rms_mm": regions},
+        "scale": scale,
+        "fit": fit,
+        "cameras": {name: {"time_offset": {}} if moving else {} for name in cameras},
+    }
+    document["validation"] = {"rms_mm": held_out, "left_out": left_out}
     return claims(document)
 
 
 def test_what_more_poses_would_bring_is_said_or_that_the_model_is_the_limit():
     assert said_of({"poses": 5, "rms_mm": 0.19})[-1] == (
-        "5 more poses like these would bring 0.21 -> 0.19 mm; urdfcal plan finds better ones"
+        "5 more poses like these would bring 0.21 -> 0.19 mm; urdfcal plan finds better poses"
     )
     assert said_of({"poses": 60, "rms_mm": 0.15}, poses=60, cameras=())[-1] == (
         "as many poses again like these would bring 0.21 -> 0.15 mm"
@@ -51,6 +59,7 @@ def test_what_more_poses_would_bring_is_said_or_that_the_model_is_the_limit():
     assert said_of({"poses": 5, "rms_mm": None})[-1] == (
         "the model is the limit, not the poses: the residuals are 2 times the declared noise"
     )
+    assert said_of({"poses": 60, "rms_mm": None}, moving=True)[-1].startswith("the model is the limit, not the frames")
     assert len(said_of(None)) == 3  # results of earlier versions
     found = {"poses": 4, "rms_mm": 0.33, "max_mm": 0.51}
     assert said_of(None, left_out=found)[-1] == "0.33 mm rms, at most 0.51, in the 4 poses left out"
@@ -64,6 +73,11 @@ def test_where_the_size_of_the_arm_is_the_limit_a_known_length_is_asked_for_and_
     )
     assert said[-1] == "as many poses again like these would bring next to nothing"
     assert len(said_of(None, size={**size, "is_limit": False})) == 3
+
+
+def test_a_tip_error_far_beyond_what_held_out_poses_show_is_explained():
+    assert len(said_of(None, held_out=0.05)) == 3, "regions left out do show it"
+    assert said_of(None, held_out=0.05, regions=0.06)[2].startswith("4 times what held-out poses show")
 
 
 @pytest.mark.parametrize(

@@ -173,13 +173,22 @@ def test_the_arm_in_the_pictures_is_cut_where_no_camera_sees_it(calibration, rec
 def test_overlay_and_report_are_written(calibration, overview, recorded, tmp_path):
     path = tmp_path / "calibration.rrd"
     write_recording(path, overview)
-    assert list(overlays(path, calibration.session.poses[3])) == [c.name for c in calibration.estimate.cameras]
+    assert list(overlays(path, calibration.session.poses[3])[0]) == [c.name for c in calibration.estimate.cameras]
     write_report(tmp_path / "report.html", overview)
     text = (tmp_path / "report.html").read_text()
     for label in calibration.geometry.labels:
         assert label in text
     for tip in calibration.chain.tips:
         assert tip.link in text
+    arms = {"tiago_dual": ["arm_left_tool_link", "arm_right_tool_link"]}.get(calibration.chain.name)
+    if arms is not None:  # each has its map, here and there
+        assert [workspace.link for workspace in overview.workspaces] == arms
+        for arm in arms:
+            assert f"calibrated, {arm} [mm]" in text
+        own = recorded.static(f"/base/workspace/{arms[1]}/nominal", "Points3D:positions")
+        np.testing.assert_allclose(own, overview.workspaces[1].tip, atol=1e-6)
+    else:
+        assert len(overview.workspaces) == 1
     (table,) = recorded.static("/base/texts/parameters", "TextDocument:text")
     assert table.count("±") == np.isfinite(calibration.sigmas()).sum()
 

@@ -200,8 +200,13 @@ def view(result: Path, web: bool, port: int, overlay: str | None, save: Path | N
         from urdfcal.output.images import write_overlay
 
         path = save or recording.with_name(f"overlay_{Path(overlay).name}.png")
-        write_overlay(path, recording, overlay)
+        without = write_overlay(path, recording, overlay)
         click.echo(path)
+        if without:
+            say(
+                f"- there is no picture of pose {overlay} by {', '.join(without)}: the arm is drawn on dark ground",
+                err=True,
+            )
     elif save is not None:
         files.write_bytes(save, recording.read_bytes())
         click.echo(save)

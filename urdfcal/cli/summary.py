@@ -35,7 +35,7 @@ def print_summary(overview: Overview, paths: Sequence[Path], remarks: Sequence[s
     """
     from rich.text import Text
 
-    from urdfcal.output.findings import HEADLINE, claims, headline
+    from urdfcal.output.findings import HEADLINE, claims, counted, headline, look_up, residual_rows
     from urdfcal.output.placed import placed
     from urdfcal.session.exclusion import summary
 
@@ -60,23 +60,19 @@ def print_summary(overview: Overview, paths: Sequence[Path], remarks: Sequence[s
     line(f"{headline(document)} {interval} {HEADLINE}, nominal -> calibrated", "bold")
     for claim in claims(document):
         line(claim)
-    units = [unit for unit in ("px", "mm") if f"rms_{unit}" in fit]
-    parts = [f"{fit[f'rms_nominal_{unit}']:.3f} -> {fit[f'rms_{unit}']:.3f} {unit}" for unit in units]
-    parts += [
-        f"{each['kind']} {each['rms_nominal']:.3f} -> {each['rms']:.3f} {each['unit']}"
-        for each in fit["residuals"]
-        if each["kind"] not in ("detections", "points")
+    parts = [
+        f"{look_up(document, row.nominal):.3f} -> {look_up(document, row.calibrated):.3f} {row.unit} {row.what}"
+        for row in residual_rows(document)
     ]
     chi2 = fit["reduced_chi2"]
     noise = f", {chi2**0.5:.2g} times the declared noise" if chi2 is not None else ""
-    line(f"residual {', '.join(parts)} rms{noise}")
+    line(f"residual rms {', '.join(parts)}{noise}")
     outliers = len(document["outliers"])
     excluded = summary(calibration.session.excluded.named)
     excluded = f" ({excluded})" if excluded else ""
-    line(
-        f"{fit['poses']} poses{excluded}, {fit['observations']} measured numbers, {fit['parameters']} parameters "
-        f"({calibration.comparison.chosen.spec}), {outliers} outlier{'s' if outliers != 1 else ''}"
-    )
+    counts = f"{fit['poses']} {counted(document)}{excluded}, {fit['observations']} measured numbers"
+    cut = f"{outliers} outlier{'s' if outliers != 1 else ''}"
+    line(f"{counts}, {fit['parameters']} parameters ({calibration.comparison.chosen.spec}), {cut}")
     sessions = []
     for name, session in document.get("sessions", {}).items():
         found = ", ".join(f"{each['rms']:.3f} {each['unit']}" for each in session["residuals"])

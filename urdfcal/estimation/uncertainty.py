@@ -13,7 +13,7 @@ from urdfcal.estimation.blocks.arm import ARM
 from urdfcal.estimation.joint_models import Readings
 from urdfcal.estimation.joint_models.linear import LinearJointModel
 from urdfcal.robot.flexure import spread_placements
-from urdfcal.robot.kinematics import joint_axes, tip_motion, tip_poses
+from urdfcal.robot.kinematics import joint_axes, link_motions, tip_poses
 from urdfcal.rotations import skew
 from urdfcal.session.trajectory import AT_REST
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from urdfcal.estimation.problem import Problem
     from urdfcal.estimation.solver import Solution
     from urdfcal.estimation.state import State
+    from urdfcal.robot.mechanism import Tip
 
 # Configurations that stand for the workspace when the base is aligned.
 _WORKSPACE = 300
@@ -45,7 +46,7 @@ class SizeError:
     rms_without: float
 
 
-def tip_covariance(problem: Problem, fit: Solution, q: Floats, seed: int = 0) -> Floats:
+def tip_covariance(problem: Problem, fit: Solution, q: Floats, seed: int = 0, tip: Tip | None = None) -> Floats:
     """Compute the covariance of the calibrated tip's position in the base link's frame.
 
     The covariance of the arm's offsets carried to the tip, less what a best rigid alignment over the workspace takes
@@ -56,12 +57,13 @@ def tip_covariance(problem: Problem, fit: Solution, q: Floats, seed: int = 0) ->
         fit: the estimate.
         q: (N, n) joint values. [rad or m]
         seed: of the configurations that stand for the workspace.
+        tip: another link than the first tip.
 
     Returns:
         (N, 3, 3). [m^2]
     """
-    _, alignment = _aligned(problem, fit, seed)
-    A, rigid = _motion(problem, fit.state, fit.parameters, np.asarray(q, dtype=float))
+    _, alignment = _aligned(problem, fit, seed, tip)
+    A, rigid = _motion(problem, fit.state, fit.parameters, np.asarray(q, dtype=float), tip)
     A = A - rigid @ alignment
     result: Floats = A @ fit.covariance @ np.swapaxes(A, 1, 2)
     return result
@@ -202,10 +204,10 @@ def rigid_loss(problem: Problem, state: State) -> float:
     return rms(np.linalg.norm(here @ T[:3, :3].T + T[:3, 3] - true, axis=1))
 
 
-def _aligned(problem: Problem, fit: Solution, seed: int) -> tuple[Floats, Floats]:
+def _aligned(problem: Problem, fit: Solution, seed: int, tip: Tip | None = None) -> tuple[Floats, Floats]:
     """How the tip moves over the workspace with the active parameters (N, 3, count), the base aligned (6, count)."""
     workspace = problem.arm.chain.random_values(_WORKSPACE, np.random.default_rng(seed))
-    return _less_alignment(*_motion(problem, fit.state, fit.parameters, workspace))
+    return _less_alignment(*_motion(problem, fit.state, fit.parameters, workspace, tip))
 
 
 def _less_alignment(A: Floats, rigid: Floats) -> tuple[Floats, Floats]:
@@ -214,11 +216,14 @@ def _less_alignment(A: Floats, rigid: Floats) -> tuple[Floats, Floats]:
     return A - rigid @ alignment, alignment
 
 
-def _motion(problem: Problem, state: State, parameters: Parameters, q: Floats) -> tuple[Floats, Floats]:
+def _motion(
+    problem: Problem, state: State, parameters: Parameters, q: Floats, tip: Tip | None = None
+) -> tuple[Floats, Floats]:
     """How the tip moves with the active parameters (N, 3, count), and with the base as a rigid body (N, 3, 6)."""
     arm, offsets = problem.arm, problem.offsets(state)
     chain, q = problem.mechanism, problem.told(q)
-    motion = tip_motion(chain, chain.build_model(spread_placements(chain, arm.placements(offsets))), q)
+    model = chain.build_model(spread_placements(chain, arm.placements(offsets)))
+    (motion,) = link_motions(chain, model, q, [chain.tips[0] if tip is None else chain.tip(tip.link)])
     A = np.zeros((len(q), 3, parameters.count))
     A[..., parameters.active_columns(ARM)[0]] = (motion.regressor @ problem.twists(offsets, parameters.arm_rows))[:, :3]
     J_q = (motion.regressor @ joint_axes(chain))[:, :3]

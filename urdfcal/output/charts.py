@@ -14,6 +14,8 @@ from urdfcal.output.chart import Chart, Mark, Scale, bars
 from urdfcal.output.joint_charts import contribution_chart, joint_model_charts
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from urdfcal.arrays import Floats
     from urdfcal.output.findings import Overview, Workspace
     from urdfcal.output.scene import ResidualTable
@@ -43,6 +45,14 @@ arm the predicted standard deviation. Both clouds have the colours of the bar, i
 
 Small dots: joint values outside of what was measured.
 """
+PIXELS = """\
+**Pixels.** White ring: where a light was detected. Green dot: where the calibrated arm puts it, blue: the
+nominal one. The lines are the arm itself, by its joint readings alone.
+
+Arrows: the residuals of all poses, from detected to predicted, enlarged as the title says; the white one is as long as
+the number beside it. {sigmas}. Purple: taken out of the fit. Arrows in random directions are noise; arrows that turn
+together are a wrong lens.
+"""
 CONVERGENCE = """\
 **Convergence**, iteration by iteration (0: nominal). Each joint's offsets in mm and mrad; light blue: theta, dark
 blue: d, red: a, orange: alpha, violet: beta. Hairlines: the estimate minus and plus one standard deviation.
@@ -61,7 +71,7 @@ def all_charts(overview: Overview) -> list[Chart]:
         *joint_charts(overview.calibration),
         *parameter_charts(overview.calibration),
         *convergence_charts(overview.calibration),
-        colored_workspace_chart(overview.workspace),
+        *workspace_charts(overview.workspaces),
     ]
 
 
@@ -192,7 +202,7 @@ def parameter_charts(calibration: FittedCalibration) -> list[Chart]:
                     Mark("bars", "offsets", along, across, palette.CALIBRATED),
                     Mark("lines", "intervals", ends, np.stack([y, y], axis=-1), palette.INK),
                     Mark("hairlines", "zero", [0.0, 0.0], [height.low, height.high], palette.INK),
-                    Mark("lines", "tolerances", *brackets, palette.OUTLIER),
+                    Mark("lines", "tolerances", *brackets, palette.ACCENT),
                 ],
             )
         )
@@ -257,13 +267,22 @@ def workspace_chart(workspace: Workspace) -> Chart:
     )
 
 
-def colored_workspace_chart(workspace: Workspace) -> Chart:
-    """The same beside what the colours of the recording's clouds stand for."""
-    return replace(workspace_chart(workspace), colors=error_colors(workspace))
+def workspace_charts(workspaces: Sequence[Workspace]) -> list[Chart]:
+    """The same of each arm, the first beside what the colours of the recording's clouds stand for."""
+    found = []
+    for k, of in enumerate(workspaces):
+        chart = workspace_chart(of)
+        name = f"{chart.name} {k + 1}" if k else chart.name
+        title = f"{chart.title}, {of.link}" if len(workspaces) > 1 else chart.title
+        colors = None if k else error_colors(workspaces)
+        found.append(replace(chart, name=name, title=title, colors=colors))
+    return found
 
 
-def error_colors(workspace: Workspace) -> Scale:
-    """What the colours of tip errors stand for, nominal and calibrated alike. [mm]."""
-    least, largest = (1e3 * limit for limit in workspace.range)
+def error_colors(workspaces: Sequence[Workspace]) -> Scale:
+    """What the colours of tip errors stand for, nominal and calibrated and of every arm alike. [mm]."""
+    least, largest = (
+        1e3 * end for end in (min(of.range[0] for of in workspaces), max(of.range[1] for of in workspaces))
+    )
     smallest = max(least, 1e-6)  # below a nanometre an error is none
     return Scale(smallest, max(largest, 2.0 * smallest), logarithmic=True)

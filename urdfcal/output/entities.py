@@ -11,11 +11,21 @@ import rerun.blueprint as rrb
 
 from urdfcal.arrays import evenly
 from urdfcal.output import arms, palette
-from urdfcal.output.chart import Chart, reference_length
-from urdfcal.output.charts import CONVERGENCE, PART_COLORS, RESIDUALS, WORKSPACE, all_charts, error_colors, paths
+from urdfcal.output.chart import Chart, Scale, reference_length
+from urdfcal.output.charts import (
+    CONVERGENCE,
+    PART_COLORS,
+    PIXELS,
+    RESIDUALS,
+    WORKSPACE,
+    all_charts,
+    error_colors,
+    paths,
+)
 from urdfcal.output.findings import ELLIPSOID, HEADLINE, Overview, Workspace, headline, parameter_text, pose_texts
-from urdfcal.output.images import arm_in_images, compressed, find_photographs, find_rejected, finite_pieces
-from urdfcal.output.joint_charts import JOINTS
+from urdfcal.output.images import arm_in_images, find_rejected, finite_pieces
+from urdfcal.output.joint_charts import JOINTS, MODELS, joint_model_charts
+from urdfcal.output.pictures import find_pictures
 from urdfcal.output.scene import MOST_ARROWS, image_range
 from urdfcal.output.stream import CORNER, ITERATION, Layer
 from urdfcal.rotations import matrix_to_quaternion
@@ -34,6 +44,7 @@ _WIDTH, _HEIGHT = 150.0, 105.0
 _ROW, _TALLEST = 12.0, 230.0
 # Room for tick labels: numbers and names to the left, and right, above and below.
 _NUMBERS, _NAMES, _RIGHT, _ABOVE, _BELOW, _LABEL = 24.0, 75.0, 8.0, 6.0, 16.0, 12.0
+_LETTER = 4.2
 # A bar of colours beside a chart: how far, how thick, in how many steps, and the room that it needs with its numbers.
 _APART, _THICK, _STEPS, _BAR = 6.0, 5.0, 24, 32.0
 # rerun takes negative radii as points on the screen instead of metres.
@@ -54,7 +65,9 @@ def log_overview(stream: RecordingStream, overview: Overview, entity_path: str) 
     arms.log_dh(base.at("dh"), calibration.table, scene)
     _log_cameras(base, calibration, scene)
     _log_leds(base, scene)
-    _log_workspace(base.at("workspace"), overview.workspace)
+    for k, of in enumerate(overview.workspaces):
+        layer = base.at("workspace")
+        _log_workspace(layer.at(of.link) if k else layer, of, error_colors(overview.workspaces))
     _log_residuals(base, scene)
     _log_convergence(base, calibration, scene)
     for chart in all_charts(overview):
@@ -65,7 +78,7 @@ def log_overview(stream: RecordingStream, overview: Overview, entity_path: str) 
 
 def _log_cameras(base: Layer, calibration: FittedCalibration, scene: CalibrationScene) -> None:
     """Log the cameras' poses and frusta, their rays to the LEDs, their images, and the arm drawn into these."""
-    photographs, rejected = find_photographs(calibration.session), find_rejected(calibration.session)
+    pictures, rejected = find_pictures(calibration.session), find_rejected(calibration.session)
     fastened = calibration.session.attachments
     told = calibration.problem.told(calibration.session.q)
     # The calibrated arm, thinner, lies on the nominal one.
@@ -77,9 +90,9 @@ def _log_cameras(base: Layer, calibration: FittedCalibration, scene: Calibration
         image = base.at("cameras", camera.name, "image")
         frame = fastened.camera[index]
         _log_camera(base, index, camera, fastened.frames[frame] if frame else None, scene)
-        if photographs[index]:
-            pose = np.array(sorted(photographs[index]))
-            blobs = compressed(photographs[index][k] for k in pose)
+        if pictures[index]:
+            pose = np.array(sorted(pictures[index]))
+            blobs = [pictures[index][k] for k in pose.tolist()]
             image.each(rr.EncodedImage, {"blob": blobs}, pose, media_type="image/jpeg")
         if lights := rejected.get(camera.name):
             pose, places = np.array([light[0] for light in lights]), [light[1:3] for light in lights]
@@ -208,12 +221,12 @@ def _log_leds(base: Layer, scene: CalibrationScene) -> None:
     base.at("residuals", "field").fixed(field)
 
 
-def _log_workspace(layer: Layer, workspace: Workspace) -> None:
+def _log_workspace(layer: Layer, workspace: Workspace, scale: Scale) -> None:
     """Log the tip's places over the workspace, coloured by how far it is off, on one scale before and after.
 
     Where the configuration was not measured, the dot is small.
     """
-    scale, radii = error_colors(workspace), np.where(workspace.measured, _DOT, _SMALL_DOT)
+    radii = np.where(workspace.measured, _DOT, _SMALL_DOT)
     for name, error in workspace.errors.items():
         colors = palette.viridis(np.clip(scale.share(1e3 * error), 0.0, 1.0))
         layer.at(name).fixed(rr.Points3D(workspace.tip, colors=colors, radii=radii))
@@ -312,7 +325,8 @@ def _room(chart: Chart) -> tuple[float, float]:
     """The width of the names beside a chart, and its height."""
     if chart.y.names is None:
         return _NUMBERS, _HEIGHT
-    return _NAMES, max(_HEIGHT, min(_ROW * len(chart.y.names), _TALLEST))
+    longest = max(map(len, chart.y.names.values()), default=0)
+    return max(_NAMES, _LETTER * longest), max(_HEIGHT, min(_ROW * len(chart.y.names), _TALLEST))
 
 
 def _log_texts(base: Layer, overview: Overview) -> None:
@@ -327,8 +341,9 @@ def _log_texts(base: Layer, overview: Overview) -> None:
     for name, text in (
         ("parameters", parameter_text(overview.document)),
         ("residuals", RESIDUALS.format(parts=parts)),
+        ("pixels", PIXELS.format(sigmas=palette.SIGMA_LEGEND.capitalize())),
         ("convergence", CONVERGENCE),
-        ("joints", JOINTS),
+        ("joints", JOINTS + (MODELS if joint_model_charts(overview.calibration) else "")),
         ("workspace", WORKSPACE),
     ):
         texts.at(name).fixed(rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.arrays import evenly
+from urdfcal.estimation.projection import projection_sigma
 from urdfcal.output import palette
 from urdfcal.output.chart import Chart, Mark, Scale, reference_length
 from urdfcal.output.charts import by_pose, convergence_charts, parameter_charts, spread, workspace_chart
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
 FIGURES = (
     "residuals", "workspace", "joints", "convergence", "causes", "joint_models", "corrections", "fields", "enlarged",
-    "magnitudes",
+    "magnitudes", "projection",
 )  # fmt: skip
 """Names of all figures that a report may have."""
 # Of a map of the workspace, and of one of an image, along the longer side.
@@ -49,7 +50,7 @@ def figures(overview: Overview) -> dict[str, Figure]:
     cost, _, step, *_ = convergence_charts(calibration)
     found = {
         "residuals": Figure([[by_pose(table), spread(table)]], 230),
-        "workspace": Figure([[*workspace_maps(overview.workspace), workspace_chart(overview.workspace)]], 250),
+        "workspace": Figure([[*workspace_maps(of), workspace_chart(of)] for of in overview.workspaces], 250),
         "joints": Figure([[_joint_ranges(calibration)]], 60),
         "convergence": Figure([[cost, step]], 180),
     }
@@ -62,6 +63,9 @@ def figures(overview: Overview) -> dict[str, Figure]:
         found["corrections"] = Figure([corrections], 100)
     if scene.pixels is not None:
         found |= _images(scene, scene.pixels, calibration.estimate.cameras)
+    if lenses := _projections(scene, calibration):
+        height = min((720 / max(len(lenses), 2) - 62) / _flattest(calibration.estimate.cameras), _TALLEST) + 28
+        found["projection"] = Figure(_in_rows(lenses, min(3, len(lenses))), height)
     return found
 
 
@@ -83,7 +87,7 @@ def workspace_maps(workspace: Workspace) -> list[Chart]:
     return [
         Chart(
             name,
-            f"{name} [mm]",
+            f"{name}, {workspace.link} [mm]",
             Scale(float(x.min() - size), float(x.max() + size)),
             Scale(float(y.min() - size), float(y.max() + size)),
             [
@@ -229,6 +233,44 @@ def _magnitudes(pixels: ResidualTable, cameras: Sequence[Camera]) -> list[Chart]
                 Scale(float(np.min(y - half, initial=-height)), float(np.max(y + half, initial=0.0))),
                 [
                     Mark("cells", "rms", x, y, _shades(colors, rms), size),
+                    Mark("hairlines", "border", border[:, 0], border[:, 1], palette.FAINT),
+                ],
+                equal=True,
+                axes=False,
+                colors=colors,
+            )
+        )
+    return charts
+
+
+def _projections(scene: CalibrationScene, calibration: FittedCalibration) -> list[Chart]:
+    """How well each lens that was estimated tells where light falls, over its image; in one scale."""
+    found, pixels = [], scene.pixels
+    if pixels is None:
+        return []
+    distance = np.linalg.norm(scene.rays[:, 1] - scene.rays[:, 0], axis=1)
+    for c, camera in _all(calibration.estimate.cameras):
+        used, (width, height) = (pixels.camera == c) & pixels.used & np.isfinite(distance), camera.resolution
+        size = max(camera.resolution) / (2 * _IMAGE_CELLS)
+        u, v = (np.arange(0.5 * size, end, size) for end in (width, height))
+        uv = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+        sigma = projection_sigma(calibration.problem, calibration.fit, c, uv, pixels.measured[used], distance[used])
+        if sigma is not None:
+            found.append((camera, size, uv, sigma))
+    if not found:
+        return []
+    colors = Scale.holding(*(sigma for *_, sigma in found), logarithmic=True, room=0.0)
+    charts = []
+    for camera, size, uv, sigma in found:
+        border = _border(camera)
+        charts.append(
+            Chart(
+                f"{camera.name} projection",
+                f"{camera.name}: standard deviation [px]",
+                Scale(0.0, float(uv[:, 0].max() + size / 2)),
+                Scale(-float(uv[:, 1].max() + size / 2), 0.0),
+                [
+                    Mark("cells", "sigma", uv[:, 0], -uv[:, 1], _shades(colors, sigma), size),
                     Mark("hairlines", "border", border[:, 0], border[:, 1], palette.FAINT),
                 ],
                 equal=True,

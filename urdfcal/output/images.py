@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from urdfcal.detection.image_index import ImageIndex
     from urdfcal.estimation.snapshot import Snapshot
     from urdfcal.result.fitted import FittedCalibration
     from urdfcal.session.model import Session
@@ -129,18 +130,12 @@ def find_photographs(session: Session) -> tuple[dict[int, Path], ...]:
 
 def find_shots(session: Session) -> tuple[dict[tuple[int, int], Path], ...]:
     """For each camera the image of each pose and LED, as an index of the session's; with -1 for the targets, first."""
-    folder = session.folder / _FOLDER if session.folder is not None else None
+    index = find_index(session)
     none: tuple[dict[tuple[int, int], Path], ...] = ({},) * len(session.attachments.camera)
-    if folder is None or not folder.is_dir() or not none:
+    if index is None:
         return none
-    from urdfcal.detection.image_index import read_index
     from urdfcal.images.files import Video
 
-    try:
-        index = read_index(folder, unmoved(session))
-    except SessionError:  # a folder of other images: nothing that a calibration from tables should fail for
-        return none
-    # Videos stay where they are: every frame as an image of its own would be a hundred times their size.
     found: list[dict[tuple[int, int], Path]] = [{} for _ in index.shots]
     of_pictures = [[(pose, -1) for pose in poses] for poses in index.pictures]
     of_leds = [[(shot.pose, shot.led) for shot in shots] for shots in index.shots]
@@ -152,6 +147,19 @@ def find_shots(session: Session) -> tuple[dict[tuple[int, int], Path], ...]:
     poses = [{pose for pose, _ in of} for of in found]
     seen = [set(poses_of_camera(session, c).tolist() if lens.count(of) > 1 else poses[of]) for c, of in enumerate(lens)]
     return tuple({shot: path for shot, path in found[of].items() if shot[0] in seen[c]} for c, of in enumerate(lens))
+
+
+def find_index(session: Session) -> ImageIndex | None:
+    """Which of a session's images shows what; None where there are none, or images of something else."""
+    folder = session.folder / _FOLDER if session.folder is not None else None
+    if folder is None or not folder.is_dir() or not len(session.attachments.camera):
+        return None
+    from urdfcal.detection.image_index import read_index
+
+    try:
+        return read_index(folder, unmoved(session))
+    except SessionError:  # a folder of other images: nothing that a calibration from tables should fail for
+        return None
 
 
 def find_rejected(session: Session) -> dict[str, list[tuple[int, float, float, str]]]:
@@ -180,14 +188,22 @@ def compressed(paths: Iterable[Path]) -> list[bytes]:
 def _compressed(path: Path) -> bytes:
     import cv2
 
-    image = cv2.imdecode(np.frombuffer(path.read_bytes(), dtype=np.uint8), cv2.IMREAD_ANYCOLOR)
-    if image is not None and image.mean() < _DARK:
-        image = cv2.LUT(image, _BRIGHTER)
+    return encoded(cv2.imdecode(np.frombuffer(path.read_bytes(), dtype=np.uint8), cv2.IMREAD_ANYCOLOR))
+
+
+def encoded(image: NDArray[np.uint8] | None) -> bytes:
+    """An image (h, w[, 3], blue first) as JPEG, brightened if it is dark; nothing of none."""
+    import cv2
+
+    if image is None:
+        return b""
+    if image.mean() < _DARK:
+        image = np.asarray(cv2.LUT(image, _BRIGHTER), dtype=np.uint8)
     done, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
     return data.tobytes() if done else b""
 
 
-def write_overlay(path: Path, recording: Path, pose: str) -> None:
+def write_overlay(path: Path, recording: Path, pose: str) -> tuple[str, ...]:
     """Draw the arm, nominal and calibrated, and the LEDs into every camera's image at a pose; write a PNG.
 
     Args:
@@ -195,22 +211,26 @@ def write_overlay(path: Path, recording: Path, pose: str) -> None:
         recording: ``calibration.rrd``.
         pose: its label.
 
+    Returns:
+        The cameras of which there is no picture at this pose: there the ground is dark.
+
     Raises:
         OutputError: there is no such pose, or no camera.
     """
     import cv2
 
-    images = overlays(recording, pose)
+    images, without = overlays(recording, pose)
     height = max(image.shape[0] for image in images.values())
     parts = [np.pad(image, ((0, height - len(image)), (0, _GAP), (0, 0))) for image in images.values()]
     done, data = cv2.imencode(".png", np.hstack(parts)[:, :-_GAP])
     if not done:
         raise OutputError("OpenCV cannot encode this image", where=str(path))
     write_bytes(path, data.tobytes())
+    return without
 
 
-def overlays(recording: Path, pose: str) -> dict[str, NDArray[np.uint8]]:
-    """The images of :func:`write_overlay`, (h, w, 3) blue first, by camera.
+def overlays(recording: Path, pose: str) -> tuple[dict[str, NDArray[np.uint8]], tuple[str, ...]]:
+    """The images of :func:`write_overlay`, (h, w, 3) blue first, by camera; and the cameras without a picture.
 
     Raises:
         OutputError: there is no such pose, or no camera.
@@ -237,21 +257,24 @@ def overlays(recording: Path, pose: str) -> dict[str, NDArray[np.uint8]]:
         raise OutputError(
             "no camera took part", where=str(recording), remedy="A tracker's points have no images to draw into."
         )
-    at, drawn = poses.index(pose) + 1, {}
+    at, drawn, without = poses.index(pose) + 1, {}, []
     for image in images:
+        camera = image.split("/")[-2].replace("\\", "")
         width, height = (int(side) for side in (value(image, "Pinhole:resolution") or [[0, 0]])[0])
         background = np.full((height, width, 3), 16, dtype=np.uint8)
         if photograph := value(image, "EncodedImage:blob", at):
             data = np.frombuffer(bytes(photograph[0]), dtype=np.uint8)
             background = np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), dtype=np.uint8)
+        else:
+            without.append(camera)
         lines = [
             (kind, _pixels(strip))
             for kind in OF_ARM
             for strip in value(f"{image}/arm/{kind}", "LineStrips2D:strips", at) or []
         ]
         leds = [(kind, _pixels(value(f"{image}/{name}", "Points2D:positions", at) or [])) for kind, name in _LEDS]
-        drawn[image.split("/")[-2].replace("\\", "")] = draw_image(background, lines, leds)
-    return drawn
+        drawn[camera] = draw_image(background, lines, leds)
+    return drawn, tuple(without)
 
 
 def _pixels(values: Any) -> Floats:

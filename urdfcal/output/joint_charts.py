@@ -20,11 +20,12 @@ _LEAST, _MOST = 0.01, 12
 # A joint model of less than this share of what is left is not seen in its chart.
 _SEEN = 0.1
 JOINTS = """\
-**Joints.** How far each joint's geometry, and what each joint does beside, moves the tip over the workspace (rms, the
-base aligned), with its 95 % interval: what was wrong with this arm. Joint by joint they may cancel.
-
-Joint models: blue is what the measurements show of a joint without the model, green what they show with it, grey the
-model. Green should scatter about zero, blue about grey.
+**Joints.** What was wrong with this arm: how far each joint's geometry (blue) moves the tip over the workspace (rms,
+the bases aligned), with its 95 % interval (grey). Joint by joint they may cancel.
+"""
+MODELS = """
+Amber: the same of what a joint does beside. Its charts: blue is what the measurements show of the joint without the
+model, green what they show with it, grey the model. Green should scatter about zero, blue about grey.
 """
 
 
@@ -48,7 +49,7 @@ def contribution_chart(calibration: FittedCalibration) -> Chart | None:
         height,
         [
             Mark("bars", "geometry", along[geometry], across[geometry], palette.NOMINAL),
-            Mark("bars", "joint models", along[~geometry], across[~geometry], palette.OUTLIER),
+            Mark("bars", "joint models", along[~geometry], across[~geometry], palette.ACCENT),
             Mark("lines", "intervals", ends, np.stack([y, y], axis=-1), palette.INK),
         ],
     )

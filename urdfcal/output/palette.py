@@ -19,6 +19,8 @@ OF_ARM = {"nominal": NOMINAL, "calibrated": CALIBRATED}
 GHOST = (*NOMINAL, 60)
 MEASURED = (255, 255, 255)
 OUTLIER = (230, 60, 230)
+ACCENT = (214, 140, 40)
+"""What joints do beside their geometry, and tolerances: neither arm, and no outlier."""
 REJECTED = (255, 170, 80)
 """Lights in images that are no LED."""
 FAINT = (150, 150, 120)

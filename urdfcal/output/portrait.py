@@ -28,6 +28,8 @@ _PAINT = np.array([205.0, 190.0, 180.0])  # blue, green, red
 # Finer meshes than this take longer than the rest of the page, and show no more.
 _MOST_TRIANGLES = 60_000
 _ROUND = 20
+# Radius of a rod, for the arm's reach.
+_ROD = 0.025
 _STL = np.dtype([("normal", "<3f4"), ("corners", "<9f4"), ("attribute", "<u2")])
 
 
@@ -46,12 +48,16 @@ def portrait(overview: Overview) -> str:
     readings = session.readings
     spread = np.maximum(np.ptp(readings, axis=0), 1e-9)
     pose = int(np.argmin(np.sum(((readings - np.median(readings, axis=0)) / spread) ** 2, axis=1)))
-    parts = [np.zeros((0, 3, 3))]
+    frames, parts, drawn = scene.frames[pose], [np.zeros((0, 3, 3))], set()
     for link in visible_links(session.urdf, session.chain, collision=True)[0]:
-        T_base_link = scene.frames[pose, link.frame] @ link.T_frame_link
         for shape in link.shapes:
-            T = T_base_link @ shape.T_link_shape
+            T = frames[link.frame] @ link.T_frame_link @ shape.T_link_shape
             parts.append(triangles(shape) @ T[:3, :3].T + T[:3, 3])
+            drawn |= {link.frame} if len(parts[-1]) else set()
+    if drawn:  # where a link's shape cannot be read, a rod leads to the next joint, lest hands hang in the air
+        rod = _ROD * session.chain.reach
+        ends = ((parent + 1, joint + 1) for joint, parent in enumerate(session.chain.parents))
+        parts += [_rod(frames[a, :3, 3], frames[b, :3, 3], rod) for a, b in ends if a not in drawn]
     corners = np.concatenate(parts)
     if not 0 < len(corners) <= _MOST_TRIANGLES:
         return ""
@@ -104,6 +110,20 @@ def triangles(shape: Shape) -> Floats:
     radius, heights = shape.size[0], np.linspace(-np.pi / 2, np.pi / 2, _ROUND // 2)
     layers = [np.column_stack([np.cos(h) * circle, np.full(_ROUND, np.sin(h))]) for h in heights]
     return radius * np.concatenate([_between(a, b) for a, b in pairwise(layers)])
+
+
+def _rod(start: Floats, end: Floats, radius: float) -> Floats:
+    """The surface of a rod between two points; none of a point."""
+    length = float(np.linalg.norm(end - start))
+    if not length > 0.0:
+        return np.zeros((0, 3, 3))
+    axis = (end - start) / length
+    across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    across /= np.linalg.norm(across)
+    angle = np.linspace(0.0, 2.0 * np.pi, _ROUND, endpoint=False)
+    circle = radius * np.column_stack([np.cos(angle), np.sin(angle)])
+    found: Floats = _tube(circle, circle, length / 2.0) @ np.stack([across, np.cross(axis, across), axis])
+    return found + (start + end) / 2.0
 
 
 def _binary_stl(path: Path) -> Floats:

@@ -15,7 +15,7 @@ from urdfcal.output import charts
 from urdfcal.output.entities import chart_view, log_overview
 from urdfcal.output.exports.names import exported
 from urdfcal.output.figure_files import FOLDER, earlier_figures, write_figures
-from urdfcal.output.findings import HEADLINE, Overview, headline
+from urdfcal.output.findings import HEADLINE, Overview, Workspace, headline
 from urdfcal.output.palette import BACKGROUND, VERDICT_COLORS
 from urdfcal.output.report import write_report
 from urdfcal.output.scene import CalibrationScene, ResidualTable, image_range
@@ -184,7 +184,7 @@ def layout(overview: Overview, active: int = 0) -> rrb.Blueprint:
             name=f"rms of each pose [{unit}]",
             plot_legend=rrb.PlotLegend(visible=False),  # it would cover the curves
         ),
-        row_shares=[3, 2],
+        row_shares=[5, 2],
     )
     both = rrb.Horizontal(arm, beside, column_shares=[3, 1])
     tabs: list[rrb.Container | rrb.View] = [
@@ -192,7 +192,9 @@ def layout(overview: Overview, active: int = 0) -> rrb.Blueprint:
     ]
     if scene.pixels is not None:
         views = _images(images, overview, scene.pixels)
-        tabs.append(rrb.Grid(*views, grid_columns=len(views) // len(images), name="Pixels"))
+        grid = rrb.Grid(*views, grid_columns=len(views) // len(images))
+        text = rrb.TextDocumentView(origin=f"{ROOT}/texts/pixels", name="How to read this")
+        tabs.append(rrb.Vertical(grid, text, row_shares=[6, 1], name="Pixels"))
     tabs += [
         _grid("convergence", charts.convergence_charts(calibration)),
         *([_grid("joints", joints)] if (joints := charts.joint_charts(calibration)) else []),
@@ -227,7 +229,7 @@ def _parameters(overview: Overview) -> rrb.Container:
     arm = _space(
         "DH rows to scale: d blue, a red",
         ["+ $origin/dh/**", "+ $origin/led/predicted"],
-        target + 1.1 * reach * towards / np.linalg.norm(towards),
+        target + 1.7 * reach * towards / np.linalg.norm(towards),
         target,
         overrides={row: rr.LineStrips3D.from_fields(show_labels=True) for row in rows},
     )
@@ -239,24 +241,25 @@ def _parameters(overview: Overview) -> rrb.Container:
 
 
 def _workspace(overview: Overview) -> rrb.Container:
-    workspace = overview.workspace
-    reach = overview.calibration.chain.reach
-    middle = (workspace.tip.min(axis=0) + workspace.tip.max(axis=0)) / 2
-    eye = middle + 2.2 * reach * np.array([0.8, -1.0, 0.5]) / np.linalg.norm([0.8, -1.0, 0.5])
-    tips = overview.calibration.chain.tips
-    tip = "tip" if len(tips) == 1 else tips[0].link
-    views = [
-        _space(
-            f"{name} {tip}: {1e3 * error.min():.2g} to {1e3 * error.max():.2g} mm off",
-            [f"+ $origin/workspace/{name}", "+ $origin/calibrated/**"],
-            eye,
-            middle,
-        )
-        for name, error in workspace.errors.items()
-    ]
-    shares = chart_view(charts.colored_workspace_chart(workspace), ROOT)
+    rows = [rrb.Horizontal(*_clouds(of, further=k > 0)) for k, of in enumerate(overview.workspaces)]
+    shares = [chart_view(chart, ROOT) for chart in charts.workspace_charts(overview.workspaces)]
     text = rrb.TextDocumentView(origin=f"{ROOT}/texts/workspace", name="How to read this")
-    return rrb.Vertical(rrb.Horizontal(*views), rrb.Horizontal(shares, text), row_shares=[3, 2], name="Workspace")
+    below = rrb.Horizontal(*shares, text)
+    return rrb.Vertical(*rows, below, row_shares=[*([6 // len(rows)] * len(rows)), 4], name="Workspace")
+
+
+def _clouds(workspace: Workspace, *, further: bool) -> list[rrb.View]:
+    """The workspace of the first tip or of a further one, nominal and calibrated."""
+    middle = (workspace.tip.min(axis=0) + workspace.tip.max(axis=0)) / 2
+    far = 1.1 * float(np.linalg.norm(workspace.tip - middle, axis=1).max()) / np.tan(_HALF_VIEW)
+    eye = middle + far * np.array([0.8, -1.0, 0.5]) / np.linalg.norm([0.8, -1.0, 0.5])
+    folder = f"workspace/{rr.escape_entity_path_part(workspace.link)}" if further else "workspace"
+    views = []
+    for (name, error), what in zip(workspace.errors.items(), ("off", "standard deviation"), strict=True):
+        low, high = (f"{1e3 * end:.2g}" for end in (error.min(), error.max()))
+        title = f"{workspace.link}, {name}: {low} to {high} mm {what}"
+        views.append(_space(title, [f"+ $origin/{folder}/{name}", "+ $origin/calibrated/**"], eye, middle))
+    return views
 
 
 def _grid(name: str, shown: list[Chart]) -> rrb.Container:

@@ -18,10 +18,13 @@ from urdfcal.output.findings import (
     HEADLINE,
     MOUNTS,
     claims,
+    counted,
     fastening_sentences,
     fixed_parameters,
     listed,
     look_up,
+    residual_rows,
+    to_check,
 )
 from urdfcal.output.page import template
 from urdfcal.output.palette import SIGMA_LEGEND
@@ -40,8 +43,6 @@ if TYPE_CHECKING:
 _TEMPLATE = "output/report.html.jinja"
 _OUTLIERS_SHOWN = 25
 _MINUS = "\N{MINUS SIGN}"
-# In no text.
-_NOWHERE = "\0"
 # Parameters that are correlated more are told apart by little, and so many pairs are shown.
 _CORRELATED, _PAIRS = 0.9, 12
 # An LED's place that is known worse is told by predictions alone. [m]
@@ -82,7 +83,7 @@ def write_report(path: Path, overview: Overview, *, refused: bool = False) -> No
             json.dumps(value), "/".join(path), text.replace("-", _MINUS)
         )
 
-    pairs = _correlated_pairs(calibration)
+    pairs, missed = _correlated_pairs(calibration), worst(overview)
     outliers, chi2 = document["outliers"], document["fit"]["reduced_chi2"]
     largest = sorted(range(len(outliers)), key=lambda i: -outliers[i]["sigmas"])[:_OUTLIERS_SHOWN]
     rows: dict[str, list[int]] = {}  # joint by joint, which entries of the DH list are its parameters
@@ -95,15 +96,18 @@ def write_report(path: Path, overview: Overview, *, refused: bool = False) -> No
         n=number,
         meaning=HEADLINE,
         claims=claims(document),
+        counted=counted(document),
+        residual_rows=residual_rows(document),
         misfit="of unknown size in" if chi2 is None else f"{np.sqrt(chi2):.2g} times",
         portrait=portrait(overview),
-        worst=[replace(miss, crop=Markup(miss.crop)) for miss in worst(overview)],  # noqa: S704  # as of figures
+        worst=[replace(miss, crop=Markup(miss.crop)) for miss in missed],  # noqa: S704  # as of figures
+        numbered=any(miss.pose.lstrip("0") != str(miss.number) for miss in missed),
         pairs=pairs[:_PAIRS],
         pair_count=len(pairs),
         correlated=_CORRELATED,
         hardly_known=_hardly_known(document),
         short=_short,
-        folder=f"{folder}/" if (folder := calibration.session.folder) and folder.is_absolute() else _NOWHERE,
+        reasons=to_check(calibration),
         figures={name: Markup(figure_html(figure)) for name, figure in figures(overview).items()},  # noqa: S704  # made by us, labels escaped
         sigma_legend=SIGMA_LEGEND,
         actuated=len(calibration.chain.actuated),

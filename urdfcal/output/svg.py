@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from html import escape
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -141,14 +142,14 @@ def _axes(chart: Chart, width: float, height: float) -> Iterator[str]:
 
 
 def _apart(names: Mapping[float, str]) -> dict[float, str]:
-    """The names that fit beside each other."""
-    shown: dict[float, str] = {}
-    end = -np.inf
-    for u, name in names.items():
-        half = _LETTER * (len(name) + 1) / 2
-        if u - half > end:
-            shown[u], end = name, u + half
-    return shown
+    """The names that fit beside each other: all of them, or every second, third ..., lest they look uneven."""
+    for step in range(1, len(names) + 1):
+        shown = dict(list(names.items())[::step])
+        halves = [_LETTER * (len(name) + 1) / 2 for name in shown.values()]
+        ends = [(u - half, u + half) for u, half in zip(shown, halves, strict=True)]
+        if all(left > right for (_, right), (left, _) in pairwise(ends)):
+            return shown
+    return {}
 
 
 def _mark(chart: Chart, mark: Mark, width: float, height: float) -> Iterator[str]:

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from urdfcal.estimation.state import Key, State
     from urdfcal.result.document import ResultDocument
     from urdfcal.robot.dh import DHTable
-    from urdfcal.robot.mechanism import Mechanism
+    from urdfcal.robot.mechanism import Mechanism, Tip
     from urdfcal.session.model import Session
 
 # Forward kinematics of the URDF that was written against the estimate. [m, entries of the rotation]
@@ -153,16 +153,17 @@ class FittedCalibration(Calibration):
             what = f"{'; '.join(self.failures)}; there is no result to write: {key} is no finite number"
             raise CalibrationError(what, where="not written") from error
 
-    def tip_sigma(self, q: Floats) -> Floats:
+    def tip_sigma(self, q: Floats, tip: Tip | None = None) -> Floats:
         """Predict the standard deviation of the calibrated tip's position, after base alignment.
 
         Args:
             q: (N, n) joint values. [rad or m]
+            tip: another link than the first tip.
 
         Returns:
             (N,) root of the covariance's trace. [m]
         """
-        covariance = tip_covariance(self.problem, self.fit, q)
+        covariance = tip_covariance(self.problem, self.fit, q, tip=tip)
         result: Floats = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
         return result
 
