@@ -21,7 +21,7 @@ from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.output.arms import Shape
 from urdfcal.output.charts import parameter_charts
 from urdfcal.output.figures import figures, workspace_maps
-from urdfcal.output.findings import Overview, headline, look_up, sample_workspace
+from urdfcal.output.findings import Overview, headline, look_up, pose_texts, sample_workspace
 from urdfcal.output.palette import UNMEASURED
 from urdfcal.output.portrait import portrait, triangles
 from urdfcal.output.report import _correlated_pairs, write_report
@@ -132,6 +132,9 @@ def test_what_is_known_of_the_arm_is_said_and_no_folder_of_this_machine(calibrat
     assert "arm.urdf" in page.text
     assert "joints.csv:3:1: odd" in page.text
     assert "secret" not in (tmp_path / "report.html").read_text()
+    shown = pose_texts(Overview.of(replace(calibration, session=session, assessment=assessment)))[0]
+    assert shown.index("- joints.csv:3:1: odd") < shown.index("Blue ghost"), "what is to be checked stands first"
+    assert "secret" not in shown
 
 
 def test_the_worst_measurements_are_listed_by_how_unlikely_they_are(calibration, page):

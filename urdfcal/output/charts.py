@@ -46,12 +46,10 @@ arm the predicted standard deviation. Both clouds have the colours of the bar, i
 Small dots: joint values outside of what was measured.
 """
 PIXELS = """\
-**Pixels.** White ring: where a light was detected. Green dot: where the calibrated arm puts it, blue: the
-nominal one. The lines are the arm itself, by its joint readings alone.
-
-Arrows: the residuals of all poses, from detected to predicted, enlarged as the title says; the white one is as long as
-the number beside it. {sigmas}. Purple: taken out of the fit. Arrows in random directions are noise; arrows that turn
-together are a wrong lens.
+White ring: where a light was detected; green dot: where the calibrated arm puts it, blue: the nominal one. Lines: the
+arm, by its joint readings alone. Arrows: residuals of all poses, detected to predicted, enlarged as the title says; the
+white one is as long as the number beside it. {sigmas}. Purple: taken out of the fit. Arrows in random directions
+are noise; arrows that turn together are a wrong lens.
 """
 CONVERGENCE = """\
 **Convergence**, iteration by iteration (0: nominal). Each joint's offsets in mm and mrad; light blue: theta, dark

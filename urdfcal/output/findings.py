@@ -283,6 +283,7 @@ def pose_texts(overview: Overview) -> list[str]:
     for m, (pose, led, cut) in enumerate(zip(leds.pose, leds.led, leds.outlier, strict=True)):
         taken_out = ", taken out of the fit" if cut else ""
         lines[pose].append(f"{names[led]} {new[m]:.2f} mm off, nominal {old[m]:.2f} mm{taken_out}")
+    what = counted(overview.document).removesuffix("s").capitalize()
     legend = _LEGEND.format(enlarged=_ENLARGED.format(factor=scene.factor) if scene.factor > 1.0 else _TRUE_SIZE)
     legend += _RAYS if scene.pixels is not None else ""
     if find_rejected(session):
@@ -290,9 +291,9 @@ def pose_texts(overview: Overview) -> list[str]:
     if fastened := fastening_sentences(session):
         legend += "\n" + " ".join(fastened) + "\n"
     if reasons := to_check(overview.calibration):
-        legend += "\n**To check:**\n" + "\n".join(f"- {text}" for text in reasons)
+        legend = "**To check:**\n" + "\n".join(f"- {text}" for text in reasons) + f"\n\n{legend}"
     return [
-        f"**Pose {pose}**: {'; '.join(line) or 'nothing seen'}.\n\n{legend}"
+        f"**{what} {pose}**: {'; '.join(line) or 'nothing seen'}.\n\n{legend}"
         for pose, line in zip(poses, lines, strict=True)
     ]
 
