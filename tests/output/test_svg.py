@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -68,6 +69,17 @@ def test_texts_are_escaped_and_ticks_keep_apart():
     texts = [element.text for element in figure.iter() if element.tag.endswith("text")]
     assert "<a> & b" in texts
     assert 2 < texts.count("a long name") < 12
+
+
+def test_of_ticks_that_do_not_fit_all_but_every_second_or_third_go():
+    names = {round(0.1 * k, 1): f"{k / 10:.4f}" for k in range(10)}
+    places = list(names.values())
+    for charts in (2, 3, 4):
+        chart = Chart("c", "t", Scale(0, 1, names=names), Scale(0, 1), [])
+        svg = ElementTree.fromstring(figure_svg(Figure([[chart, *[replace(chart, axes=False)] * (charts - 1)]], 200)))  # noqa: S314
+        shown = [places.index(e.text) for e in svg.iter() if e.text in places]
+        assert len(shown) > 1
+        assert len(set(np.diff(shown))) == 1, "evenly"
 
 
 def test_equal_axes_have_one_unit_and_cells_their_colours():
