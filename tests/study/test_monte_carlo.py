@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -32,6 +33,18 @@ def test_a_run_is_the_same_in_whatever_order_and_expects_what_comes() -> None:
     nominal, error, expected = np.sqrt(np.mean(there**2, axis=0))
     assert error < 0.2 * nominal
     assert 0.5 * expected < error < 2.0 * expected
+
+
+def test_an_arm_that_bends_is_judged_with_its_bending(tmp_path: Path) -> None:
+    rig = tmp_path / "rig"
+    shutil.copytree(UR5, rig)
+    said = (rig / "rig.yaml").read_text() + "errors: {compliance: 1.0e-4}\n"
+    (rig / "rig.yaml").write_text(said)
+    nominal, error, _ = run_one(Run(rig, Variation("arm", 1e-6), 0))
+    assert nominal > 5e-4  # all of it is sag: the geometry is as drawn
+    (rig / "rig.yaml").write_text(said + "joint_models: {compliance: off}\n")
+    _, rigid, _ = run_one(Run(rig, Variation("arm", 1e-6), 0))
+    assert error < 0.5 * rigid
 
 
 def test_a_baseline_is_longer_and_looks_at_the_same_place() -> None:

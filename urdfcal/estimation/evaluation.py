@@ -104,7 +104,11 @@ def compare(a: Mechanism, b: Mechanism, q: Floats) -> Difference:
             f"the two robots have different joints between base and tip: {', '.join(a.names)} and {', '.join(b.names)}",
             remedy="Compare two versions of the same robot, with the same --base and --tip.",
         )
-    tips_a, tips_b = tip_poses(a, q), tip_poses(b, q)
+    return compare_tips(tip_poses(a, q), tip_poses(b, q))
+
+
+def compare_tips(tips_a: Floats, tips_b: Floats) -> Difference:
+    """Compare where two versions of one robot have their tip, T_base_tip (N, 4, 4) each; see :func:`compare`."""
     T_a_b = kabsch(_markers(tips_b), _markers(tips_a))
     aligned = T_a_b @ tips_b
     return Difference(

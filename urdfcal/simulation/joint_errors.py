@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
@@ -17,8 +17,10 @@ from urdfcal.estimation.joint_models.gravity_backlash import GravityBacklash
 from urdfcal.estimation.joint_models.harmonics import Harmonics
 from urdfcal.estimation.joint_models.lag import Lag
 from urdfcal.estimation.joint_models.under_torque import UnderTorque
+from urdfcal.robot.kinematics import tip_poses
 from urdfcal.session.bending import bent
 from urdfcal.session.knowledge import JointError
+from urdfcal.session.model import Positions, Setup
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
@@ -26,7 +28,7 @@ if TYPE_CHECKING:
     from urdfcal.arrays import Floats
     from urdfcal.estimation.joint_models.linear import LinearJointModel
     from urdfcal.session.knowledge import ErrorSizes
-    from urdfcal.session.model import Positions
+    from urdfcal.simulation.simulate import Simulated
 
 # Keeps the joints' random numbers apart from all others.
 _STREAM = 6
@@ -140,6 +142,13 @@ def true_joint_values(positions: Positions, errors: Mapping[str, Floats]) -> Flo
     for kind in (kind.model for kind in _KINDS.values() if kind.model.name in errors):
         q = q + _applied(kind, positions).values(readings, errors[kind.name])
     return q
+
+
+def true_tips(simulated: Simulated, q: Floats) -> Floats:
+    """Compute where the tip of a simulated robot truly is, T_base_tip (N, 4, 4), at readings ``q`` (N, n). [m]."""
+    truth, own = simulated.truth, {one.name: getattr(simulated.session, one.name) for one in fields(Setup)}
+    there = Positions(**own, poses=tuple(map(str, range(len(q)))), q=q)
+    return tip_poses(truth.chain, true_joint_values(there, truth.joint_errors), truth.placements)
 
 
 def joint_errors_to_dicts(positions: Positions, errors: Mapping[str, Floats]) -> list[dict[str, Any]]:

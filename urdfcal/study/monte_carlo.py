@@ -10,13 +10,14 @@ import numpy as np
 from urdfcal.arrays import inverse, rms
 from urdfcal.cameras.rig import Rig
 from urdfcal.errors import SessionError, UrdfcalError
-from urdfcal.estimation.evaluation import compare
+from urdfcal.estimation.evaluation import compare_tips
 from urdfcal.estimation.measurements import Detections
 from urdfcal.io.folder import read_rig
 from urdfcal.pipeline import calibrate
 from urdfcal.planning.belief import Belief, check_plannable
-from urdfcal.robot.flexure import without_flexures
+from urdfcal.robot.kinematics import tip_poses
 from urdfcal.session.knowledge import Estimate, Led
+from urdfcal.simulation.joint_errors import true_tips
 from urdfcal.simulation.scene import look_at
 from urdfcal.simulation.simulate import simulate
 from urdfcal.study.engine import each
@@ -138,13 +139,14 @@ def run_one(run: Run) -> Floats | str:
         simulated = simulate(rig, seed=run.seed, **options)
         estimate = replace(simulated.session.estimate, geometry=simulated.session.estimate.geometry or "dh")
         session = replace(simulated.session, estimate=estimate)
-        built = calibrate(session, force=True).placements
+        built = calibrate(session, force=True)
     except UrdfcalError as error:
         return error.what
     chain, truth = session.chain, simulated.truth
     q = chain.random_values(_WORKSPACE, np.random.default_rng(run.seed))
-    true = without_flexures(truth.chain.with_placements(truth.placements))
-    errors = [rms(compare(arm, true, q).position) for arm in (chain, chain.with_placements(built))]
+    true = true_tips(simulated, q)
+    tips = tip_poses(chain, q), built.forward(chain.readings(q))
+    errors = [rms(compare_tips(of, true).position) for of in tips]
     belief = Belief.of_rig(rig, truth.readings).identified_by(truth.readings).with_session(session)
     return np.array([*errors, belief.candidates(truth.readings, q).error(belief.information)])
 

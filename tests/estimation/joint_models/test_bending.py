@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,8 +12,7 @@ import urdfcal
 from tests.estimation.test_joint_model_choice import OFF, calibrated, chosen
 from urdfcal.arrays import rms
 from urdfcal.errors import SessionError
-from urdfcal.estimation.alignment import kabsch
-from urdfcal.estimation.evaluation import explain
+from urdfcal.estimation.evaluation import compare_tips, explain
 from urdfcal.estimation.joint_models import Readings
 from urdfcal.estimation.joint_models.bending import Bending
 from urdfcal.io.folder import read_rig, read_session
@@ -23,15 +22,13 @@ from urdfcal.robot.flexure import rigid_joints, spread_placements, with_flexures
 from urdfcal.robot.gravity import masses_of
 from urdfcal.robot.kinematics import link_poses, tip_poses
 from urdfcal.session.bending import bent
-from urdfcal.session.model import Positions, Setup
-from urdfcal.simulation.joint_errors import true_joint_values
+from urdfcal.simulation.joint_errors import true_tips
 from urdfcal.simulation.simulate import simulate
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from urdfcal.arrays import Floats
     from urdfcal.result.fitted import FittedCalibration
     from urdfcal.simulation.simulate import Simulated
 
@@ -55,20 +52,10 @@ def loaded(found: FittedCalibration, tmp_path_factory: pytest.TempPathFactory) -
     return urdfcal.Calibration.load(folder)
 
 
-def true_tips(data: Simulated, q: Floats) -> Floats:
-    """Where the true arm's tip is (N, 3) at readings (N, n)."""
-    own = {one.name: getattr(data.session, one.name) for one in fields(Setup)}
-    there = Positions(**own, poses=tuple(map(str, range(len(q)))), q=q)
-    values = true_joint_values(there, data.truth.joint_errors)
-    return tip_poses(data.truth.chain, values, data.truth.placements)[:, :3, 3]
-
-
 def tip_error(data: Simulated, calibration: urdfcal.Calibration) -> float:
     """Of a calibration, over the workspace, the best alignment at the base. [m]"""
     q = calibration.chain.random_values(200, np.random.default_rng(1))
-    here, true = calibration.forward(calibration.chain.readings(q))[:, :3, 3], true_tips(data, q)
-    T = kabsch(here, true)
-    return rms(np.linalg.norm(here @ T[:3, :3].T + T[:3, 3] - true, axis=1))
+    return rms(compare_tips(calibration.forward(calibration.chain.readings(q)), true_tips(data, q)).position)
 
 
 @pytest.mark.parametrize("rig", ["ur5", "stanford", "tiago_dual"])
