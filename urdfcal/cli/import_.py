@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from urdfcal.cameras.rig import Rig
-    from urdfcal.importing.data_set import State
+    from urdfcal.importing.data_set import StateUnit
     from urdfcal.importing.decimals import Decimal
     from urdfcal.importing.handeye import Eye
     from urdfcal.robot.chain import Chain
@@ -139,7 +139,7 @@ def command(
     columns: tuple[tuple[str, str], ...],
     columns_file: Path | None,
     decimal: Decimal | None,
-    state: State | None,
+    state: StateUnit | None,
     mounts: tuple[tuple[str, str], ...],
     motors: Path | None,
     eye: Eye | None,
@@ -248,7 +248,7 @@ def _import_data_set(
     named: dict[str, str],
     cameras: dict[str, tuple[str, str | None]],
     mounts: dict[str, str],
-    numbers: tuple[State, Path | None],
+    numbers: tuple[StateUnit, Path | None],
     *,
     stills: bool,
 ) -> None:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from urdfcal.importing.lerobot import DataSet
     from urdfcal.robot.urdf.urdf import Urdf
 
-State = Literal["degrees", "normalized", "radians"]
+StateUnit = Literal["degrees", "normalized", "radians"]
 """What a data set's joint states are in; normalized: from -100 to 100 between the ends of a motor's range."""
 
 # Between episodes nobody knows how the arm moved: longer than any gap in a log that is bridged. [s]
@@ -54,7 +54,7 @@ class DataSetReadings:
 
 
 def read_joints(
-    of: DataSet, joints: tuple[str, ...], named: Mapping[str, str], state: State, motors: Path | None
+    of: DataSet, joints: tuple[str, ...], named: Mapping[str, str], state: StateUnit, motors: Path | None
 ) -> DataSetReadings:
     """Read what the joints of an arm were.
 
@@ -153,7 +153,7 @@ def import_data_set(
     return (*readings.warnings, said)
 
 
-def _radians(names: list[str], state: State, path: Path | None) -> Floats:
+def _radians(names: list[str], state: StateUnit, path: Path | None) -> Floats:
     """(n,) how many radians one of a motor's numbers is."""
     if state != "normalized":
         return np.full(len(names), 1.0 if state == "radians" else np.pi / 180.0)
