@@ -210,7 +210,7 @@ def test_an_arm_that_bends_tells_where_gravity_points(simulated: Callable) -> No
     session = sagging(leaning, 4e-5)
     upright = replace(session, gravity=data.session.gravity)
     found = calibrated(replace(upright, estimate=replace(AS_GIVEN, gravity="free")))
-    assert set(chosen(found)) == {"leaning_compliance"}
+    assert "leaning_compliance" in chosen(found)
     model = next(m for m in found.problem.joint_models if m.name == "leaning_compliance")
     direction, sigma = model.direction(found.fit.state[model.key], found.sigmas_of(model.key))
     assert np.arccos(direction @ down / 9.81) < 3.0 * sigma < 0.2
@@ -256,12 +256,12 @@ def test_an_arm_that_is_not_rigid_has_every_model_weighed(monkeypatch: pytest.Mo
     assert told.log_evidence(terms) - len(terms) > told.log_evidence(strict) - len(strict)
     assert all(np.mean(a) < 1.1 * np.mean(b) for a, b in zip(told.errors(terms), told.errors(strict), strict=True))
     # What is switched on stays, whatever the evidence says.
-    on = replace(session, joint_models={"gain": True})
-    forced = calibrated(on, **{**OFF, "gain": True})
+    on = replace(session, joint_models={"gain": True, "lag": True})
+    forced = calibrated(on, **{**OFF, "gain": True, "lag": True})
     monkeypatch.undo()
     again = better_terms(Alternatives.of(on, forced.problem, forced.fit, (), 0))
-    assert len(again) > 1
-    assert "gain" in {term.model for term in again}
+    assert len(again) > 2
+    assert {"gain", "lag"} < {term.model for term in again}
 
 
 @pytest.mark.parametrize(("worse", "kept"), [(1.04, True), (1.06, False)])

@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from urdfcal.arrays import rms
 from urdfcal.errors import CalibrationError
-from urdfcal.estimation.evaluation import compare
+from urdfcal.estimation.evaluation import compare, explain
 from urdfcal.estimation.identifiability import identify
+from urdfcal.estimation.joint_models.found import FoundJointModels
 from urdfcal.estimation.joint_models.time_offset import TIME_OFFSETS
 from urdfcal.estimation.linearize import Tangent
 from urdfcal.estimation.model_spec import ModelSpec
@@ -22,6 +24,7 @@ from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.dh import DHTable
+from urdfcal.robot.gravity import STANDARD_GRAVITY
 from urdfcal.session.knowledge import Estimate
 from urdfcal.session.trajectory import AT_REST, JointLog
 from urdfcal.simulation.motion import MotionSettings, set_in_motion
@@ -201,3 +204,12 @@ def test_folds_of_a_moving_arm_are_stretches_of_time() -> None:
 def test_frames_are_not_triangulated() -> None:
     with pytest.raises(CalibrationError, match="by one camera"):
         calibrate(filmed("elbow3r", 6, 4.0).session, method="points")
+
+
+def test_clocks_that_a_session_keeps_stay_in_its_explanation_by_any_arm() -> None:
+    # Freed for the calibrated arm alone, they would be counted as its merit.
+    session = replace(filmed("elbow3r", 6, 2.0, OFFSETS).session, joint_models={"time_offset": False})
+    rigid = FoundJointModels(session.chain, (), STANDARD_GRAVITY)
+    drawn, calibrated = (explain(session.chain, session, bends=bends) for bends in (None, rigid))
+    np.testing.assert_array_equal(drawn.residuals[0], calibrated.residuals[0])
+    assert rms(drawn.residuals[0]) > 1.5 * rms(explain(session.chain, replace(session, joint_models={})).residuals[0])

@@ -11,7 +11,7 @@ from urdfcal.arrays import Floats, frozen
 from urdfcal.errors import RobotError
 from urdfcal.estimation.alignment import kabsch
 from urdfcal.estimation.blocks.arm import no_offsets
-from urdfcal.estimation.joint_models.bending import Bending
+from urdfcal.estimation.joint_models import JOINT_MODELS
 from urdfcal.estimation.joint_models.linear import LinearJointModel
 from urdfcal.estimation.joint_models.time_offset import time_offsets
 from urdfcal.estimation.model_spec import nominal
@@ -21,6 +21,7 @@ from urdfcal.estimation.solver import solve
 from urdfcal.estimation.time_offset_start import start_state
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.robot.tree_dh import rows_of
+from urdfcal.session.bending import bent
 from urdfcal.session.moves import resolve_moves
 
 if TYPE_CHECKING:
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
     from urdfcal.session.knowledge import Freedom
     from urdfcal.session.model import Session
 
+
+_OF_JOINTS = frozenset(kind.name for kind in JOINT_MODELS if issubclass(kind, LinearJointModel))
 
 # Tips that spread by less in a second direction do not fix an alignment; their axes then count at this length. [m]
 _SPREAD = 0.01
@@ -156,12 +159,13 @@ def explain(
     models = () if bends is None else bends.of_session(session)
     # Distances of places are a check of the arm.
     session = resolve_moves(replace(session, chain=chain, place_distances=()))
-    if bends is not None:
-        session = replace(session, joint_models={Bending.name: dict.fromkeys(bends.bending, True)})
+    # What joints do is not estimated: only what a session says of clocks counts.
+    said = {name: of for name, of in session.joint_models.items() if name not in _OF_JOINTS}
+    session = replace(session, joint_models=said)
     arm = rows_of(chain)
     start = start_state(session, arm, no_offsets(arm))
     session = session.recorded(time_offsets(start))
-    problem = Problem.of(session, arm)
+    problem = Problem.of(session if bends is None else bent(session, bends.bending), arm)
     rigid = (model for model in problem.joint_models if not isinstance(model, LinearJointModel))
     problem = replace(problem, joint_models=(*rigid, *models))
     spec = nominal(session, start)

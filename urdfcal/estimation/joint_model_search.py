@@ -76,15 +76,15 @@ def _step(of: Alternatives, chosen: tuple[Term, ...]) -> tuple[Term, ...] | None
 
 def _weighed(of: Alternatives, chosen: tuple[Term, ...]) -> tuple[Term, ...]:
     """Widen, narrow, add or leave out each model in turn, until the evidence gains no more (MacKay 1992)."""
-    forced = {unit.term.joints: unit.term.model for unit in of.units if unit.forced}
+    forced = {(unit.term.model, unit.term.joints) for unit in of.units if unit.forced}
     for _ in range(_ROUNDS):
         before = set(chosen)
         for model in dict.fromkeys(unit.term.model for unit in of.units):
-            kept = tuple(t for t in chosen if t.model != model or forced.get(t.joints) == model)
+            kept = tuple(t for t in chosen if t.model != model or (model, t.joints) in forced)
             mine = tuple(term for term in chosen if term not in kept)
             whole = of.alike(model)[-1]
             options = [(), mine]
-            if forced.get(whole.joints) != model:
+            if (model, whole.joints) not in forced:
                 options += [(replace(whole, scale=scale),) for scale in _FINER]
             values = [of.log_evidence((*kept, *option)) - _TOO * len(option) for option in options]
             best = options[int(np.argmax(values))]

@@ -178,7 +178,7 @@ class Calibration:
 
         Returns:
             The calibrated model: the rigid arm. Joint models, such as compliance, are none of it: give it the joint
-            values of :meth:`joint_values`.
+            values of :meth:`joint_values`, which where links bend are those of ``bending.build_model()`` instead.
 
         Raises:
             RobotError: a joint is missing, or its placement is not the nominal one that was calibrated; the model is

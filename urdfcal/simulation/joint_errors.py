@@ -147,7 +147,8 @@ def true_joint_values(positions: Positions, errors: Mapping[str, Floats]) -> Flo
 def true_tips(simulated: Simulated, q: Floats) -> Floats:
     """Compute where the tip of a simulated robot truly is, T_base_tip (N, 4, 4), at readings ``q`` (N, n). [m]."""
     truth, own = simulated.truth, {one.name: getattr(simulated.session, one.name) for one in fields(Setup)}
-    there = Positions(**own, poses=tuple(map(str, range(len(q)))), q=q)
+    # Where the arm comes from is anyone's choice: it has settled, as a calibration takes it that is not told.
+    there = Positions(**own, poses=tuple(map(str, range(len(q)))), q=q, previous=q)
     return tip_poses(truth.chain, true_joint_values(there, truth.joint_errors), truth.placements)
 
 

@@ -9,11 +9,13 @@ import numpy as np
 
 from urdfcal.arrays import Bools, Floats, Ints, frozen, inverse
 from urdfcal.estimation.measurements import Detections
-from urdfcal.robot.flexure import spread_placements, with_flexures
+from urdfcal.robot.flexure import spread_placements, with_flexures, without_flexures
 from urdfcal.robot.kinematics import link_poses
 from urdfcal.robot.mechanism import BASE, Tip
 
 if TYPE_CHECKING:
+    from typing_extensions import Self
+
     from urdfcal.cameras.camera import Camera
     from urdfcal.robot.mechanism import Mechanism
     from urdfcal.session.attachments import Attachments
@@ -58,6 +60,13 @@ class Scene:
         chain = with_flexures(self.chain, self.chain.actuated)
         tips = tuple(chain.tip(tip.link) for tip in self.attachments.tips)
         placements = spread_placements(chain, self.placements)
+        return replace(self, chain=chain, placements=placements, attachments=replace(self.attachments, tips=tips))
+
+    def unbent(self) -> Self:
+        """Return the same scene without flexures."""
+        chain = without_flexures(self.chain)
+        tips = tuple(chain.tip(tip.link) for tip in self.attachments.tips)
+        placements = without_flexures(self.chain.with_placements(self.placements)).placements
         return replace(self, chain=chain, placements=placements, attachments=replace(self.attachments, tips=tips))
 
     def camera_centres(self, q: Floats) -> Floats:

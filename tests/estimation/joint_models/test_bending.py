@@ -23,6 +23,7 @@ from urdfcal.robot.gravity import masses_of
 from urdfcal.robot.kinematics import link_poses, tip_poses
 from urdfcal.session.bending import bent
 from urdfcal.simulation.joint_errors import true_tips
+from urdfcal.simulation.motion import MotionSettings, set_in_motion
 from urdfcal.simulation.simulate import simulate
 
 if TYPE_CHECKING:
@@ -176,3 +177,28 @@ def test_it_takes_masses_and_no_measured_torques(simulated: Callable) -> None:
     for other in (replace(session, urdf=None), replace(session, torques=np.zeros_like(session.q))):
         with pytest.raises(SessionError, match="bending is switched on, but what it depends on is not in this session"):
             calibrated(other, bending=True)
+
+
+def test_a_session_whose_moments_are_not_known_is_explained_with_it_all_the_same(
+    data: Simulated, loaded: urdfcal.Calibration
+) -> None:
+    # The result knows what its links weigh.
+    session = replace(data.session, torques=np.zeros_like(data.session.q))
+    bare = explain(loaded.calibrated, session, bends=loaded.joint_models)
+    known = explain(loaded.calibrated, data.session, bends=loaded.joint_models)
+    np.testing.assert_allclose(bare.residuals[0], known.residuals[0], atol=1e-9)
+    # What the session says of bending is its calibration's, not this one's.
+    said = replace(data.session, joint_models={"bending": True})
+    rigid = replace(loaded.joint_models, found=(), mechanism=loaded.chain)
+    assert rms(explain(loaded.calibrated, said, bends=rigid).residuals[0]) > 2.0 * rms(known.residuals[0])
+
+
+def test_an_arm_that_bends_is_filmed_in_motion() -> None:
+    rig = read_rig(find_rig("ur5"))
+    still = simulate(replace(rig, errors={"bending": 3e-5}), poses=6, seed=0)
+    moving = set_in_motion(still, MotionSettings())
+    truth = moving.truth
+    assert len(truth.unbent().chain.joints) == 6
+    np.testing.assert_array_equal(spread_placements(truth.chain, truth.unbent().placements), truth.placements)
+    assert np.abs(truth.q[:, ~np.isin(np.arange(18), rigid_joints(truth.chain))]).max() > 1e-5
+    assert moving.session.q.shape[1] == 6

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from urdfcal.errors import SessionError
 from urdfcal.estimation.joint_models.backlash import Backlash
-from urdfcal.estimation.joint_models.base import JointModel, Readings, Term
+from urdfcal.estimation.joint_models.base import JointModel, Readings, Term, forced_on
 from urdfcal.estimation.joint_models.bending import Bending
 from urdfcal.estimation.joint_models.compliance import Compliance
 from urdfcal.estimation.joint_models.gain import Gain
@@ -21,6 +21,7 @@ from urdfcal.estimation.joint_models.time_offset import TimeOffsets
 from urdfcal.estimation.joint_models.torque_basis import TorqueBasis
 from urdfcal.estimation.joint_models.zero_offset import ZeroOffsets
 from urdfcal.session.bending import bent
+from urdfcal.session.knowledge import AUTO
 
 if TYPE_CHECKING:
     from urdfcal.session.model import Positions
@@ -49,16 +50,17 @@ def joint_models_of(session: Positions) -> tuple[JointModel, ...]:
         SessionError: one that the session switches on does not apply to it, or what it leaves free cannot be found.
     """
     session = bent(session)
-    models = {kind.name: kind.of(session) for kind in JOINT_MODELS}
+    kind_of = {kind.name: kind for kind in JOINT_MODELS}
+    models = {name: kind.of(session) for name, kind in kind_of.items()}
     for name, said in session.joint_models.items():
         if isinstance(said, Mapping) and not isinstance(models[name], LinearJointModel | None):
             raise SessionError(
                 f"{name} is not a matter of single joints", where="joint_models", remedy="Write on or off."
             )
     for name, model in models.items():
-        if model is None and session.joint_models.get(name):
+        if model is None and forced_on(session.joint_models.get(name, AUTO)):
             raise SessionError(
-                f"{name} is switched on, but what it depends on is not in this session",
+                f"{name} is switched on, but what it depends on is not in this session: {kind_of[name].needs}",
                 where="joint_models",
                 remedy=f"Leave it out, or write {name}: off.",
             )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar
@@ -12,6 +13,7 @@ import numpy as np
 from urdfcal.estimation.blocks.arm import no_offsets
 from urdfcal.estimation.blocks.base import VectorBlock
 from urdfcal.session.bending import bent
+from urdfcal.session.knowledge import AUTO
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
 
     from urdfcal.arrays import Bools, Floats, Ints
     from urdfcal.estimation.blocks.arm import ArmParameterization
+    from urdfcal.session.knowledge import JointModelSaid
     from urdfcal.session.model import Positions
     from urdfcal.session.trajectory import Motion
 
@@ -72,6 +75,11 @@ class Readings:
         return self._known[key]
 
 
+def forced_on(said: JointModelSaid) -> bool:
+    """Return whether a session switches a joint model on, for one joint at least."""
+    return True in (said.values() if isinstance(said, Mapping) else [said])
+
+
 @dataclass(frozen=True)
 class Term:
     """A joint model of some joints, chosen because the measurements speak for it.
@@ -95,6 +103,8 @@ class JointModel(VectorBlock):
     """
 
     name: ClassVar[str]
+    needs: ClassVar[str] = "joints that turn, of an arm that stood still in every pose"
+    """What it takes to apply to a session, in words."""
 
     @classmethod
     @abstractmethod
@@ -116,9 +126,9 @@ class JointModel(VectorBlock):
 
         One that is switched on takes part where the arm does, which is not in the nominal one's fit.
         """
-        said = session.joint_models.get(cls.name)
+        said = session.joint_models.get(cls.name, AUTO)
         usual = cls.enabled(session, geometry)
-        return usual if said is None else bool(said) and (usual or geometry != "none")
+        return usual if said == AUTO else bool(said) and (usual or geometry != "none")
 
     def block(self, session: Positions, geometry: str, terms: Sequence[Term]) -> Self | None:
         """Return the block as it is estimated; None where it is not.

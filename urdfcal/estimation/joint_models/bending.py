@@ -40,6 +40,7 @@ class Bending(UnderTorque):
 
     name: ClassVar[str] = BENDING
     words: ClassVar[tuple[str, ...]] = ACROSS
+    needs: ClassVar[str] = "masses in the URDF and gravity's direction, and no measured torques"
     groups: ClassVar[Mapping[str, tuple[int, ...]]] = {"moment across it": (0, 1)}
     revolute: ClassVar[Prior | None] = Prior("rad/(N m)", 1e-5, 0.05)
     prismatic: ClassVar[Prior | None] = revolute  # the link before it turns, too

@@ -35,6 +35,7 @@ class LeaningCompliance(UnderTorque):
     """
 
     name: ClassVar[str] = "leaning_compliance"
+    needs: ClassVar[str] = "masses in the URDF, no measured torques, and gravity: {direction: free}"
     words: ClassVar[tuple[str, ...]] = ("x", "y", "z")
     groups: ClassVar[Mapping[str, tuple[int, ...]]] = {"torque": (0, 1, 2)}
     revolute: ClassVar[Prior | None] = Compliance.revolute  # in any direction

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
-from urdfcal.estimation.joint_models.base import JointModel
+from urdfcal.estimation.joint_models.base import JointModel, forced_on
 from urdfcal.estimation.state import Key
 from urdfcal.session.knowledge import AUTO
 from urdfcal.session.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from typing_extensions import Self
 
@@ -267,8 +266,7 @@ class LinearJointModel(JointModel):
     @classmethod
     def estimated(cls, session: Positions, geometry: str) -> bool:
         """Return whether the session switches it on for a joint."""
-        said: Any = session.joint_models.get(cls.name, AUTO)
-        return geometry != "none" and True in (said.values() if isinstance(said, Mapping) else [said])
+        return geometry != "none" and forced_on(session.joint_models.get(cls.name, AUTO))
 
     def document(self, value: Floats, sigma: Floats) -> tuple[dict[str, Any], ...]:
         """Return entries of the joints that have it."""

@@ -30,6 +30,7 @@ class MotorHarmonics(Harmonics):
     """
 
     name: ClassVar[str] = "motor_harmonics"
+    needs: ClassVar[str] = "gear_ratio of a joint that turns"
     groups: ClassVar[Mapping[str, tuple[int, ...]]] = {"motor harmonic 1": (0, 1), "motor harmonic 2": (2, 3)}
 
     ratio: Floats = field(kw_only=True)

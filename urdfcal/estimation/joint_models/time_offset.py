@@ -33,6 +33,7 @@ class TimeOffsets(JointModel):
     """The joints have run on by the time that a camera's clock differs from the robot's."""
 
     name: ClassVar[str] = "time_offset"
+    needs: ClassVar[str] = "an arm that moved while it was filmed"
     order: ClassVar[int] = 2
     own_section: ClassVar[bool] = True
 

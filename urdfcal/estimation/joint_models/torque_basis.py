@@ -42,6 +42,7 @@ class TorqueBasis(LinearJointModel):
     """
 
     name: ClassVar[str] = "torque_basis"
+    needs: ClassVar[str] = "a URDF without masses, and no measured torques"
     words: ClassVar[tuple[str, ...]] = tuple(map(str, range(1, _MOST + 1)))
     groups: ClassVar[Mapping[str, tuple[int, ...]]] = {"torque": tuple(range(_MOST))}
     revolute: ClassVar[Prior | None] = Prior("1", 1.0, 1e3)

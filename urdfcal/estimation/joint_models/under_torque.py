@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -28,6 +28,8 @@ class UnderTorque(LinearJointModel):
         masses: that the joints carry in each part of the session; none where torques are measured.
         gravity: (3,) in the base link's frame. [m/s^2]
     """
+
+    needs: ClassVar[str] = "masses in the URDF, or measured torques"
 
     masses: tuple[Masses, ...] = field(kw_only=True)
     gravity: Floats = field(kw_only=True)
