@@ -137,6 +137,70 @@ for cls, method in ((Path, "unlink"), (Path, "replace"), (Path, "rename")):
     assert (out / "mine").read_text() == "old"
 
 
+@pytest.mark.parametrize(
+    ("listed", "message"),
+    [
+        ('["../precious.txt"]', r"'../precious.txt', which is no file's name there. Remove .urdfcal.12345678.whole"),
+        ('["b", "figures/../../precious.txt"]', "no file's name there"),
+        ('["PLACE/precious.txt"]', "no file's name there"),
+        ('["mine/precious.txt"]', "no file's name there"),
+        ('["b", 3]', "has 3, which"),
+        ('[""]', "has '', which"),
+        (r'["b\u0000"]', "no file's name there"),
+        ('"b"', "is no list"),
+        ('["b"', "is not JSON"),
+        ("[" * 100_000, "is not JSON"),
+    ],
+)
+def test_files_that_others_list_as_replaced_are_not_removed(listed: str, message: str, tmp_path: Path) -> None:
+    """A folder of results may come from anybody."""
+    out, whole = tmp_path / "out", tmp_path / "out/.urdfcal.12345678.whole"
+    put(tmp_path, "old", "precious.txt")
+    put(out, "old", "b")
+    put(out / "mine", "old", "precious.txt")
+    put(whole, "new", "b")
+    put(whole / "figures", "new", "x.svg")
+    (whole / ".replaced.json").write_text(listed.replace("PLACE", str(tmp_path)))
+    with pytest.raises(OutputError, match=message):
+        settle(out)
+    assert {path.read_text() for path in (tmp_path / "precious.txt", out / "b", out / "mine/precious.txt")} == {"old"}
+
+
+@pytest.mark.parametrize("link", ["whole", "new", "old"])
+def test_links_that_others_made_are_not_followed(link: str, tmp_path: Path) -> None:
+    out, whole = tmp_path / "out", tmp_path / "out/.urdfcal.12345678.whole"
+    put(tmp_path / "private", "old", "x.svg")
+    out.mkdir()
+    places = {"whole": whole, "new": whole / "figures", "old": out / "figures"}
+    if link != "whole":
+        put(whole, "new", "b")
+    for place in (whole / "figures", out / "figures") if link != "whole" else ():
+        if place != places[link]:
+            put(place, "new", "x.svg")
+    places[link].symlink_to(tmp_path / "private")
+    with pytest.raises(OutputError, match="is a link"):
+        settle(out)
+    assert (tmp_path / "private/x.svg").read_text() == "old"
+
+
+def test_a_folder_in_the_way_of_a_file_is_found_before_anything_is_put_there(tmp_path: Path) -> None:
+    put(tmp_path, "old", "a")
+    (tmp_path / "figures/x.svg").mkdir(parents=True)
+
+    def write(joined: str | None, replaced: tuple[str, ...] = ()) -> None:
+        with staged(tmp_path, replaced, joined) as stage:
+            put(stage, "new", "a")
+            if joined:
+                put(stage / joined, "new", "x.svg")
+
+    with pytest.raises(OutputError, match=r"figures/x.svg is a folder"):
+        write("figures")
+    with pytest.raises(OutputError, match="figures is a folder"):
+        write(None, ("figures",))
+    assert names(tmp_path) == {"a", "figures"}
+    assert (tmp_path / "a").read_text() == "old"
+
+
 def test_what_a_living_process_writes_is_left_alone(tmp_path: Path) -> None:
     with staged(tmp_path / "out") as first:
         (first / "a").write_text("a")

@@ -15,7 +15,7 @@ from urdfcal.errors import OutputError, SessionError
 from urdfcal.temporaries import alone_in, temporary
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Collection, Iterable, Iterator
 
 
 # Names in a folder of what is being put there: files that are all written, and the list of those they replace.
@@ -106,19 +106,20 @@ def staged(folder: Path, replaced: Iterable[str] = (), joined: str | None = None
             if beside != folder and not folder.exists():
                 stage.rename(folder)
                 return
-            names = [path.name for path in stage.iterdir() if path.name != joined]
-            for name in names:
-                if (folder / name).is_dir():
-                    raise IsADirectoryError(errno.EISDIR, f"{name} is a folder")
+            names = {path.name for path in stage.iterdir() if path.name != joined}
             if joined is not None and (stage / joined).is_dir():
-                names += [f"{joined}/{path.name}" for path in (stage / joined).iterdir()]
+                names |= {f"{joined}/{path.name}" for path in (stage / joined).iterdir()}
                 if (folder / joined).exists() and not (folder / joined).is_dir():
                     raise NotADirectoryError(errno.ENOTDIR, f"{joined} is a file")
-            (stage / _GONE).write_text(json.dumps(sorted({*names, *replaced})), encoding="utf-8")
+            gone = sorted({*names, *replaced})
+            for name in gone:
+                if (folder / name).is_dir():
+                    raise IsADirectoryError(errno.EISDIR, f"{name} is a folder")
+            (stage / _GONE).write_text(json.dumps(gone), encoding="utf-8")
             whole = folder / f".{_OURS}.{secrets.token_hex(4)}{_WHOLE}"
             with alone_in(folder):
                 stage.rename(whole)
-                _put(whole, folder)
+                _put(whole, folder, gone)
 
 
 def settle(folder: Path) -> None:
@@ -128,25 +129,56 @@ def settle(folder: Path) -> None:
         folder: where :func:`staged` puts files; or none.
 
     Raises:
-        OutputError: the folder cannot be written.
+        OutputError: the folder cannot be written, or what is to be put there is nothing that :func:`staged` left.
     """
     if not any(folder.glob(f".{_OURS}.*{_WHOLE}")):
         return
     with told(folder), alone_in(folder):
         for whole in sorted(folder.glob(f".{_OURS}.*{_WHOLE}")):
-            _put(whole, folder)
+            _put(whole, folder, _listed(whole, folder))
 
 
-def _put(whole: Path, folder: Path) -> None:
+def _listed(whole: Path, folder: Path) -> list[str]:
+    """Read which files are to go, and refuse what would reach out of the folder: it may be someone else's making.
+
+    Raises:
+        OutputError: one is not in the folder, or in one of its folders whose files are joined; or links lead elsewhere.
+    """
+    into = [path.name for path in whole.iterdir() if path.is_dir()]
+    what = next((f"{path} is a link" for path in (whole, *whole.iterdir()) if path.is_symlink()), "")
+    what = what or next((f"{path} is a link" for path in map(folder.joinpath, into) if path.is_symlink()), "")
+    names = []
+    if not what and (whole / _GONE).exists():
+        try:
+            names = json.loads((whole / _GONE).read_text(encoding="utf-8"))
+        except (ValueError, RecursionError):
+            what = f"{_GONE} is not JSON"
+        if not isinstance(names, list):
+            what = f"{_GONE} is no list"
+        elif odd := [name for name in names if not _is_inside(name, into)]:
+            what = f"{_GONE} has {odd[0]!r}, which is no file's name there"
+    if what:
+        remedy = f"Remove {whole.name} if nothing in it is of use, and make the results anew."
+        raise OutputError(f"these are not files that urdfcal was putting here: {what}", where=str(whole), remedy=remedy)
+    return names
+
+
+def _is_inside(name: object, into: Collection[str]) -> bool:
+    """Whether this names a file of a folder, or of one of some folders in it."""
+    if not isinstance(name, str) or not name.isprintable():
+        return False
+    parts = Path(name).parts
+    return ".." not in parts and not Path(name).anchor and (len(parts) == 1 or (len(parts) == 2 and parts[0] in into))
+
+
+def _put(whole: Path, folder: Path, gone: Iterable[str]) -> None:
     """Take old files away, then put the new ones there; begun again after a kill, it goes on where it was.
 
     Between the two some files are missing, which any program that reads them notices, other than a mixture.
     """
-    gone = whole / _GONE
-    if gone.exists():
-        for name in json.loads(gone.read_text(encoding="utf-8")):
-            (folder / name).unlink(missing_ok=True)
-        gone.unlink()
+    for name in gone:
+        (folder / name).unlink(missing_ok=True)
+    (whole / _GONE).unlink(missing_ok=True)
     for path in list(whole.iterdir()):
         new = folder / path.name
         if path.is_dir() and new.is_dir():
