@@ -6,6 +6,7 @@ import json
 import shutil
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,7 +24,6 @@ from urdfcal.io.shipped_rigs import find_rig
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
 
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
 MOTORS = (*JOINTS, "gripper")
@@ -224,6 +224,7 @@ def test_a_motor_may_have_another_name_and_a_camera_be_on_the_arm(folder: Path) 
         ({"features": {}}, DEGREES, "there is no video 'front'"),
         ({"data_path": "data/{episode_index}.parquet"}, DEGREES, "data/data/0.parquet: there is no such file. Fet"),
         ({"fps": "fast"}, DEGREES, "'fast' stands where a number belongs"),
+        ({"chunks_size": 0}, DEGREES, "'chunks_size': "),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_named(
@@ -256,3 +257,56 @@ def test_damaged_files_are_named(folder: Path, version: str, capsys: pytest.Capt
         assert message in said
         assert not (folder / "s").exists()
         shutil.rmtree(folder / "data")
+
+
+def refused(capsys: pytest.CaptureFixture[str], *options: str) -> str:
+    assert run([*IMPORT, *options]) == 2
+    assert not (Path("s")).exists()
+    return " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize("text", ["", "1e999"])
+def test_a_data_set_without_episodes_is_refused(folder: Path, text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    write_data_set(folder / "data", EPISODES[:1], "v2.1")
+    episodes = folder / "data/meta/episodes.jsonl"
+    episodes.write_text(text and episodes.read_text().replace(str(len(EPISODES[0])), text))
+    said = refused(capsys, *DEGREES)
+    assert ("episodes.jsonl:1: this describes no episode" if text else "episodes.jsonl: there is no episode") in said
+    assert "Fetch the data set again" in said
+
+
+@pytest.mark.parametrize("column", ["length", "data/file_index", f"videos/{KEY}/from_timestamp"])
+def test_an_episode_without_its_numbers_is_refused(
+    folder: Path, column: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_data_set(folder / "data", EPISODES, "v3.0")
+    (path,) = (folder / "data/meta/episodes").rglob("*.parquet")
+    table = pq.read_table(path).to_pydict()
+    pq.write_table(pa.table({**table, column: [table[column][0], None]}), path)
+    said = refused(capsys, *DEGREES)
+    assert f"file-000.parquet: {column} is not a number for every episode. Fetch" in said
+
+
+def test_states_that_are_no_numbers_are_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_data_set(folder / "data", EPISODES[:1], "v2.1")
+    (path,) = (folder / "data/data").rglob("*.parquet")
+    table = pq.read_table(path).to_pydict()
+    pq.write_table(pa.table({**table, "observation.state": [None, *table["observation.state"][1:]]}), path)
+    assert "observation.state of episode 0 is not 135 times 6 numbers. Fetch" in refused(capsys, *DEGREES)
+
+
+@pytest.mark.parametrize("stills", [[], ["--stills"]])
+def test_a_motor_at_the_end_of_its_range_throughout_is_named(
+    folder: Path, stills: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    q = EPISODES[0].copy()
+    q[2:, 2] = 2.5
+    write_data_set(folder / "data", [q], "v2.1", "normalized")
+    said = refused(capsys, "--state", "normalized", "--motors", "motors.json", *stills)
+    assert "data: elbow_flex is at an end of its range, or beyond, in 133 of 135 frames" in said
+    assert "too few are left. Record it with" in said
+
+
+def test_too_few_frames_are_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_data_set(folder / "data", [EPISODES[0][:2]], "v2.1")
+    assert "data: 2 frames are too few. Record" in refused(capsys, *DEGREES)

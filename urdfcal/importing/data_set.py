@@ -16,7 +16,7 @@ from urdfcal.names import listed, suggest
 from urdfcal.rosbag.clock import Timeline
 from urdfcal.rosbag.stills import find_stills
 from urdfcal.session.knowledge import Noise
-from urdfcal.session.model import Positions, Setup
+from urdfcal.session.model import MIN_POSES, Positions, Setup
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -66,7 +66,7 @@ def read_joints(
         motors: LeRobot's calibration of them, for normalized ones.
 
     Raises:
-        SessionError: a joint has no motor, or what the motors' numbers mean is not known.
+        SessionError: a joint has no motor, what the motors' numbers mean is not known, or too few frames are left.
     """
     columns = []
     for joint in joints:
@@ -86,14 +86,15 @@ def read_joints(
     raw = np.concatenate([episode.state[:, columns] for episode in of.episodes])
     number = np.repeat(np.arange(len(of.episodes)), [len(episode.time) for episode in of.episodes])
     row = np.concatenate([np.arange(len(episode.time)) for episode in of.episodes])
-    known = _within(raw) if state == "normalized" else np.ones(len(raw), bool)
-    warnings = []
-    if not known.all():
+    beyond = np.abs(raw) >= _END if state == "normalized" else np.zeros(raw.shape, bool)
+    kept, warnings = np.flatnonzero(~beyond.any(axis=1)), []
+    if len(kept) < len(raw):
         warnings.append(
-            f"{np.count_nonzero(~known)} of {len(raw)} frames are left out, in which a joint is at an end of its "
+            f"{len(raw) - len(kept)} of {len(raw)} frames are left out, in which a joint is at an end of its "
             "range, or beyond: LeRobot reads no farther"
         )
-    kept = np.flatnonzero(known)
+    if len(kept) < MIN_POSES:
+        raise _too_few(str(of.path), names, beyond)
     times = np.concatenate(time)[kept]
     return DataSetReadings(times, raw[kept] * scale, number[kept].tolist(), row[kept].tolist(), tuple(warnings))
 
@@ -171,9 +172,14 @@ def _radians(names: list[str], state: StateUnit, path: Path | None) -> Floats:
     return np.array(scale)
 
 
-def _within(raw: Floats) -> Bools:
-    """Which frames (K,) have all motors within their ranges, where LeRobot's numbers end."""
-    return np.asarray((np.abs(raw) < _END).all(axis=1))
+def _too_few(where: str, names: list[str], beyond: Bools) -> SessionError:
+    """Say why hardly a frame is left of (K, n), in which motors are at an end of their ranges."""
+    if not beyond.any():
+        return SessionError(f"{len(beyond)} frames are too few", where=where, remedy="Record the arm for longer.")
+    worst = int(beyond.sum(axis=0).argmax())
+    what = f"{names[worst]} is at an end of its range, or beyond, in {beyond[:, worst].sum()} of {len(beyond)} frames"
+    remedy = "Record it with its motors within their ranges, or in degrees: use_degrees of LeRobot's robot."
+    return SessionError(f"{what}, where LeRobot reads no farther: too few are left", where=where, remedy=remedy)
 
 
 def _write_images(

@@ -3,27 +3,30 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from dataclasses import dataclass
 from pathlib import Path  # noqa: TC003  # a field's type
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
 from urdfcal.errors import SessionError
 from urdfcal.files import Source
 from urdfcal.images.files import Video
-from urdfcal.io.keys import OpenKeys
+from urdfcal.io.keys import OpenKeys, Positive
 from urdfcal.io.yaml_document import Document
 from urdfcal.names import suggest
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from urdfcal.arrays import Floats
 
 INFO = "meta/info.json"
 _STATE, _TIME, _EPISODE = "observation.state", "timestamp", "episode_index"
+_FETCH = "Fetch the data set again, all of it."
 # A field of a path: {video_key}, {episode_index:06d}.
 _FIELD = re.compile(r"\{(\w+)(?::0(\d)d)?\}")
 
@@ -79,12 +82,14 @@ def read_data_set(path: Path, cameras: Mapping[str, str]) -> DataSet:
     for entry in layout.entries:
         file = layout.data(entry)
         rows = _parquet(file, [_STATE, _TIME], int(entry[_EPISODE]))
-        state, time = np.array(rows[_STATE], np.float64), np.array(rows[_TIME], np.float64)
+        state, time = _numbers(rows[_STATE]), _numbers(rows[_TIME])
         if state.shape != (int(entry["length"]), len(motors)) or not np.isfinite(state).all():
             what = f"{_STATE} of episode {entry[_EPISODE]} is not {entry['length']} times {len(motors)} numbers"
-            raise SessionError(what, where=str(file), remedy="Fetch the data set again, all of it.")
-        if not (np.diff(time) > 0.0).all():
-            raise SessionError(f"the times of episode {entry[_EPISODE]} do not increase", where=str(file))
+            raise SessionError(what, where=str(file), remedy=_FETCH)
+        if not (np.isfinite(time).all() and (np.diff(time) > 0.0).all()):
+            raise SessionError(
+                f"the times of episode {entry[_EPISODE]} do not increase", where=str(file), remedy=_FETCH
+            )
         videos = {name: layout.video(entry, key) for name, key in keys.items()}
         episodes.append(Episode(time, state, videos))
     return DataSet(path, motors, tuple(episodes))
@@ -97,11 +102,11 @@ class _Feature(OpenKeys):
 
 class _InfoFile(OpenKeys):
     codebase_version: str
-    fps: float
+    fps: Positive
     features: dict[str, _Feature]
     data_path: str
     video_path: str | None = None
-    chunks_size: int = 1000
+    chunks_size: Annotated[int, Field(gt=0)] = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +160,7 @@ class _Format2:
 
         file = self.path / _FIELD.sub(written, template)
         if not file.is_file():
-            raise SessionError("there is no such file", where=str(file), remedy="Fetch the data set again, all of it.")
+            raise SessionError("there is no such file", where=str(file), remedy=_FETCH)
         return file
 
 
@@ -181,7 +186,7 @@ def _format(path: Path) -> _Format2:
     document = Document.read(path / INFO)
     info = document.validate(_InfoFile)
     if info.codebase_version in ("v2.0", "v2.1"):
-        return _Format2(path, info, list(_lines(path / "meta/episodes.jsonl")))
+        return _Format2(path, info, _lines(path / "meta/episodes.jsonl"))
     if info.codebase_version != "v3.0":
         what = f"it is of format {info.codebase_version}, not 2.0, 2.1 or 3.0"
         remedy = "LeRobot's own scripts convert data sets, in lerobot/datasets."
@@ -193,20 +198,35 @@ def _format(path: Path) -> _Format2:
     entries: list[dict[str, Any]] = []
     for file in sorted((path / "meta/episodes").rglob("*.parquet")):
         rows = _parquet(file, columns)
+        for name, cells in rows.items():
+            if not all(isinstance(cell, (int, float)) and math.isfinite(cell) for cell in cells):
+                raise SessionError(f"{name} is not a number for every episode", where=str(file), remedy=_FETCH)
         entries += [dict(zip(columns, row, strict=True)) for row in zip(*rows.values(), strict=True)]
     if not entries:
-        raise SessionError("there is no episode", where=str(path / "meta/episodes"))
+        raise SessionError("there is no episode", where=str(path / "meta/episodes"), remedy=_FETCH)
     return _Format3(path, info, entries)
 
 
-def _lines(path: Path) -> Iterator[dict[str, Any]]:
+def _lines(path: Path) -> list[dict[str, int]]:
     """The episodes of meta/episodes.jsonl."""
+    entries = []
     for number, line in enumerate(Source.read(path).text.splitlines(), 1):
         try:
             entry = json.loads(line)
-            yield {key: int(entry[key]) for key in (_EPISODE, "length")}
-        except (ValueError, TypeError, KeyError) as error:
-            raise SessionError("this describes no episode", where=f"{path}:{number}") from error
+            entries.append({key: int(entry[key]) for key in (_EPISODE, "length")})
+        except (ValueError, TypeError, KeyError, OverflowError) as error:
+            raise SessionError("this describes no episode", where=f"{path}:{number}", remedy=_FETCH) from error
+    if not entries:
+        raise SessionError("there is no episode", where=str(path), remedy=_FETCH)
+    return entries
+
+
+def _numbers(cells: list[Any]) -> Floats:
+    """Cells as an array; not a number each where rows of it differ in length, or are none."""
+    try:
+        return np.array(cells, np.float64)
+    except (ValueError, TypeError):
+        return np.full(len(cells), np.nan)
 
 
 def _parquet(path: Path, columns: Sequence[str], episode: int | None = None) -> dict[str, list[Any]]:
@@ -223,5 +243,5 @@ def _parquet(path: Path, columns: Sequence[str], episode: int | None = None) -> 
     except (OSError, pa.ArrowException) as error:
         raise SessionError(f"this cannot be read as Parquet: {str(error).splitlines()[0]}", where=str(path)) from error
     if missing:
-        raise SessionError(f"there is no column {missing[0]!r}", where=str(path), remedy="Fetch the data set again.")
+        raise SessionError(f"there is no column {missing[0]!r}", where=str(path), remedy=_FETCH)
     return cells
