@@ -254,9 +254,14 @@ def _import_data_set(
 ) -> None:
     from urdfcal.importing.data_set import import_data_set, read_joints
     from urdfcal.importing.lerobot import read_data_set
+    from urdfcal.names import check_known
     from urdfcal.session.attachments import CameraMount
     from urdfcal.session.model import Setup
 
+    for name, (video, info) in cameras.items():
+        check_known(name, things["rig"].names, "cameras", "--camera")
+        if info is not None:
+            raise click.UsageError(f"--camera {name}={video},{info}: a data set has no camera_info; --cameras says it")
     known = _known(robot, _read_urdf(robot[0], "a data set"), things)
     known = known.carrying([*mounts.values(), *(target.link for target in known.targets if target.link)])
     data = read_data_set(path, {name: cameras.get(name, (name, None))[0] for name in known.rig.names})

@@ -12,7 +12,7 @@ from urdfcal.images.files import write_image
 from urdfcal.io.folder import IMAGES
 from urdfcal.io.motors import RANGE, STEPS, read_motors
 from urdfcal.io.writing import put_into, write_keys, write_session, write_setup, write_table
-from urdfcal.names import listed, suggest
+from urdfcal.names import check_known, listed, suggest
 from urdfcal.rosbag.clock import Timeline
 from urdfcal.rosbag.stills import find_stills
 from urdfcal.session.knowledge import Noise
@@ -66,8 +66,11 @@ def read_joints(
         motors: LeRobot's calibration of them, for normalized ones.
 
     Raises:
-        SessionError: a joint has no motor, what the motors' numbers mean is not known, or too few frames are left.
+        SessionError: a joint is none or has no motor, what the motors' numbers mean is not known, or too few frames are
+            left.
     """
+    for joint in named:
+        check_known(joint, joints, "joints", "--column")
     columns = []
     for joint in joints:
         motor = named.get(joint, joint)
