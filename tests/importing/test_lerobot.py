@@ -19,7 +19,7 @@ from urdfcal.cameras.io.formats import write_kalibr
 from urdfcal.cameras.rig import Rig
 from urdfcal.cli import run
 from urdfcal.images.files import read_image, write_video
-from urdfcal.io.folder import read_positions, read_rig
+from urdfcal.io.folder import read_positions, read_rig, read_session
 from urdfcal.io.shipped_rigs import find_rig
 
 if TYPE_CHECKING:
@@ -154,6 +154,16 @@ def test_an_arm_that_stopped_gives_a_pose_and_an_image_a_stop(
     # Each from the middle of its stop, which is 30 frames long: 15 counts, and video is off by some.
     expected = [grey(e, 45 * k + 15) for e, q in enumerate(EPISODES) for k in range(len(q) // 45)]
     np.testing.assert_allclose(images, expected, atol=6.0)
+
+
+def test_an_episode_begins_where_nobody_knows_how_the_arm_came_there(folder: Path) -> None:
+    write_data_set(folder / "data", EPISODES, "v2.1")
+    assert run([*IMPORT, "--stills", *DEGREES]) == 0
+    poses = read_positions(folder / "s").poses
+    rows = [f"{pose},front,led,{20 + k},{20 + k}" for k, pose in enumerate(poses)]
+    (folder / "s/detections.csv").write_text("\n".join(["pose,camera,led,u,v", *rows, ""]))
+    session = read_session(folder / "s")
+    np.testing.assert_array_equal(session.came_from, session.q[[0, 0, 1, 3, 3]])
 
 
 @pytest.mark.parametrize("version", ["v2.1", "v3.0"])

@@ -16,7 +16,7 @@ from urdfcal.names import check_known, listed, suggest
 from urdfcal.rosbag.clock import Timeline
 from urdfcal.rosbag.stills import find_stills
 from urdfcal.session.knowledge import Noise
-from urdfcal.session.model import MIN_POSES, Positions, Setup
+from urdfcal.session.model import MIN_POSES, Positions, Setup, before
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -145,12 +145,18 @@ def import_data_set(
             _write_moving(setup, urdf, readings, labels, partial)
             said = "times of data sets are counted, not taken: where the arm stopped to be seen, --stills is better"
             return (*readings.warnings, said)
+        q, time = setup.chain.joint_values(still.readings), readings.time[list(labels)]
+        previous = before(q, time)
+        # Where an episode begins nobody knows where the arm came from: hands have moved it in between.
+        begins = np.diff(np.array(readings.episode)[list(labels)], prepend=-1) > 0
+        previous[begins] = q[begins]
         positions = Positions(
             **{entry.name: getattr(setup, entry.name) for entry in fields(Setup) if entry.name != "noise"},
             noise=Noise(joint=still.sigma or None),
             poses=tuple(labels.values()),
-            q=setup.chain.joint_values(still.readings),
-            time=readings.time[list(labels)],
+            q=q,
+            time=time,
+            previous=previous,
         )
         write_session(partial, positions)
     said = f"the joints were read to {still.sigma:.2g} rad where the arm stood still, {len(labels)} times"
