@@ -62,6 +62,8 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match="file: cannot write here: it is a file"), staged(tmp_path / "file"):
         pass
+    with pytest.raises(OutputError, match="it is a folder"):
+        write_text(tmp_path, "a")
     with pytest.raises(OutputError, match="cannot write here"):
         write_text(tmp_path / "nowhere" / "a.txt", "a")
 

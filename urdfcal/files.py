@@ -6,7 +6,7 @@ import errno
 import hashlib
 import json
 import secrets
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,7 +15,7 @@ from urdfcal.errors import OutputError, SessionError
 from urdfcal.temporaries import alone_in, temporary
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator
+    from collections.abc import Collection, Iterable, Iterator, Mapping
 
 
 # Names in a folder of what is being put there: files that are all written, and the list of those they replace.
@@ -74,11 +74,14 @@ def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary path beside ``path``; rename it over ``path`` when the block succeeds.
 
     Raises:
-        OutputError: the folder is not there, cannot be written, or is full.
+        OutputError: the folder is not there, cannot be written, or is full, or ``path`` is a folder.
     """
-    with told(path), temporary(path.parent, path.name, lambda new: new.touch(exist_ok=False), path.suffix) as new:
-        yield new
-        new.replace(path)
+    with told(path):
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, "it is a folder")
+        with temporary(path.parent, path.name, lambda new: new.touch(exist_ok=False), path.suffix) as new:
+            yield new
+            new.replace(path)
 
 
 @contextmanager
@@ -208,6 +211,19 @@ def write_bytes(path: Path, data: bytes) -> None:
     """Write ``data`` to ``path`` in one step: all of it or nothing."""
     with replacing(path) as temporary:
         temporary.write_bytes(data)
+
+
+@contextmanager
+def written(texts: Mapping[Path, str]) -> Iterator[None]:
+    """Write texts as UTF-8, each to its path, when the block succeeds as well: all of them or nothing.
+
+    Raises:
+        OutputError: one of them cannot be written.
+    """
+    with ExitStack() as stack:
+        for path, text in texts.items():
+            stack.enter_context(replacing(path)).write_bytes(text.encode())
+        yield
 
 
 def write_text(path: Path, text: str) -> None:

@@ -81,7 +81,23 @@ def test_until_asks_for_as_few_as_needed_and_says_when_that_is_out_of_reach(caps
     assert "nothing more to measure" in capsys.readouterr().out
     assert not Path("plan.csv").exists()
     assert run([*RIG, "--until", "1m", "--save", "plan.rrd"]) == 0
+    assert "there is nothing to record: plan.rrd is not written" in capsys.readouterr().err
     assert not Path("plan.rrd").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "place"),
+    [(["--save", "nowhere/plan.rrd"], "nowhere/plan.rrd"), (["--format", "ros", "--save", "plan.rrd"], "plan.yaml")],
+)
+def test_a_plan_is_written_whole_or_not_at_all(
+    arguments: list[str], place: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Path("plan.yaml").mkdir()
+    assert (
+        run(["plan", "elbow3r", "-o", "plan.csv", "--candidates", "20", "--poses", "1", "--no-check", *arguments]) == 2
+    )
+    assert f"{place}: cannot write here" in capsys.readouterr().err
+    assert [path.name for path in Path().iterdir()] == ["plan.yaml"]
 
 
 def test_a_session_is_gone_on_from_and_a_box_is_where_it_counts(capsys: pytest.CaptureFixture[str]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import click
@@ -90,7 +91,7 @@ def command(
 
     Exit status 1 says that --until cannot be reached.
     """
-    from urdfcal.files import write_text
+    from urdfcal.files import written
     from urdfcal.io.scene import read_scene
     from urdfcal.planning.files import FORMATS, WRITERS, as_csv
     from urdfcal.planning.planner import Planner
@@ -109,14 +110,10 @@ def command(
     if found.count:
         files = {output: as_csv(found)}
         files |= {output.with_suffix(WRITERS[of][0]): WRITERS[of][1](found) for of in FORMATS if of in also}
-    for path, text in files.items():
-        write_text(path, text)
-    warnings = found.warnings
-    if save is not None and files:
-        from urdfcal.output.plan_recording import write_plan
-
-        warnings, files = (*warnings, *write_plan(save, found)), {**files, save: ""}
-    for warning in warnings:
+    with written(files):
+        if save is not None:
+            found, files = _recorded(save, found), {**files, **({save: ""} if files else {})}
+    for warning in found.warnings:
         say(f"- {warning}", err=True)
     if as_json:
         click.echo(json.dumps(_as_dict(found), indent=2))
@@ -125,6 +122,14 @@ def command(
         if isinstance(setup, Calibration):
             click.echo(_how_to_go_on(setup))
     return int(until is not None and found.likely[-1] > until)
+
+
+def _recorded(path: Path, plan: Plan) -> Plan:
+    """Write the recording of a plan, if it has poses, and return it with what is to be said of that."""
+    from urdfcal.output.plan_recording import write_plan
+
+    said = write_plan(path, plan) if plan.count else (f"there is nothing to record: {path} is not written",)
+    return replace(plan, warnings=(*plan.warnings, *said))
 
 
 def _read(start: str) -> Setup | Calibration:
