@@ -14,6 +14,7 @@ from urdfcal.estimation.blocks.arm import ARM
 from urdfcal.estimation.blocks.cameras import lens_key
 from urdfcal.estimation.diagnosis.doctor import Finding
 from urdfcal.estimation.diagnosis.trials import Suspicion
+from urdfcal.estimation.evidence import Regions, TipError
 from urdfcal.estimation.measurements import Detections
 from urdfcal.estimation.scale import LengthScale
 from urdfcal.estimation.uncertainty import SizeError
@@ -280,15 +281,25 @@ def test_all_lengths_too_long_by_one_factor(good: FittedCalibration, sigmas: flo
 def test_a_size_of_the_arm_that_held_out_poses_do_not_show(good: FittedCalibration, times: float, said: bool) -> None:
     shown = max(good.comparison.chosen.rms("distance"), good.evidence.regions.rms)
     hidden = SizeError(1.5e-3, times * shown, 5e-5)
-    found = again(good, tip=replace(good.evidence.tip, rms=1.01 * hidden.rms, size=hidden))
+    found = again(good, tip=replace(good.evidence.tip, expected=1.01 * hidden.rms, size=hidden))
     assert found.level == ("doubtful" if said else "good")
     for reason in found.warnings:
         assert reason.startswith("all lengths together are known to 0.15 % only")
         assert "or a known distance" in reason
     declared = replace(good.evidence.scale, declared=2e-3)
-    assert again(good, tip=replace(good.evidence.tip, rms=hidden.rms, size=hidden), scale=declared).level == "good"
-    mixed = replace(good.evidence.tip, rms=2.0 * hidden.rms, size=hidden)  # most of it is something else
+    assert again(good, tip=replace(good.evidence.tip, expected=hidden.rms, size=hidden), scale=declared).level == "good"
+    mixed = replace(good.evidence.tip, expected=2.0 * hidden.rms, size=hidden)  # most of it is something else
     assert again(good, tip=mixed).level == "good"
+
+
+def test_where_the_model_does_not_hold_a_better_known_length_takes_away_no_more_than_its_part() -> None:
+    holds = TipError(1.0e-3, (0.5e-3, 1.5e-3), 5, 0.6e-3, SizeError(1e-3, 0.8e-3, 0.6e-3), 1.0e-3)
+    tip = holds.at_least(Regions(4, 2.6e-3, (2e-3, 4e-3), 5e-3))  # of which 2.4 mm nothing explains
+    assert (tip.rms, tip.interval) == (2.6e-3, (0.5e-3, 4e-3))
+    assert tip.size.rms_without == pytest.approx(np.hypot(2.4e-3, 0.6e-3))
+    assert tip.rms_with_more == pytest.approx(np.hypot(2.4e-3, 0.6e-3))
+    assert tip.limited_by_size, "as far as the model explains it"
+    assert holds.at_least(Regions(4, 0.2e-3, (1e-4, 3e-4), 5e-3)) == holds
 
 
 @pytest.mark.parametrize(("share", "fall", "said"), [(0.1, 99.0, True), (0.65, 99.0, True), (1.4, 99.0, False),

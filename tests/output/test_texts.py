@@ -73,6 +73,7 @@ def test_where_the_size_of_the_arm_is_the_limit_a_known_length_is_asked_for_and_
     )
     assert said[-1] == "as many poses again like these would bring next to nothing"
     assert len(said_of(None, size={**size, "is_limit": False})) == 3
+    assert len(said_of(None, size={**size, "rms_without_mm": 0.2101})) == 3, "it would bring nothing"
 
 
 def test_a_tip_error_far_beyond_what_held_out_poses_show_is_explained():

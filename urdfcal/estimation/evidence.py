@@ -70,6 +70,7 @@ class TipError:
         more: a number of further poses like those measured.
         rms_with_more: what they would bring; None where the residuals exceed the noise, and the model is the limit. [m]
         size: the part of the expected error that is one factor of all lengths.
+        expected: the rms error if the model held. [m]
     """
 
     rms: float
@@ -77,11 +78,27 @@ class TipError:
     more: int
     rms_with_more: float | None
     size: SizeError
+    expected: float
 
     @property
     def limited_by_size(self) -> bool:
-        """Whether more than half of the expected squared error is one factor of all lengths."""
-        return 2.0 * self.size.rms**2 > self.rms**2
+        """Whether, if the model held, more than half of the expected squared error were one factor of all lengths."""
+        return 2.0 * self.size.rms**2 > self.expected**2
+
+    def at_least(self, regions: Regions) -> TipError:
+        """Return it of a model that does not hold.
+
+        What left-out regions show beyond what is expected stays, whatever is measured more or known better.
+        """
+        worse, with_more = max(self.expected, regions.rms), self.rms_with_more
+        beyond = float(np.sqrt(worse**2 - self.expected**2))
+        return replace(
+            self,
+            rms=worse,
+            interval=(self.interval[0], max(self.interval[1], regions.interval[1])),
+            rms_with_more=None if with_more is None else float(np.hypot(beyond, with_more)),
+            size=replace(self.size, rms_without=float(np.hypot(beyond, self.size.rms_without))),
+        )
 
 
 @dataclass(frozen=True)
@@ -179,18 +196,14 @@ def gather(
 
 
 def _tip(problem: Problem, fit: Solution, regions: Regions, *, holds: bool) -> TipError:
-    expected, (low, high) = tip_error(problem, fit)
+    expected, interval = tip_error(problem, fit)
     size = size_error(problem, fit)
     poses = len(problem.poses)
     more = _MORE if poses < _MANY else poses
     # Of an effect that is named but lost in the noise more poses tell more, too.
     with_more = None if fit.misfit else tip_rms_with(problem, fit, 1.0 + more / poses)
-    if holds:
-        return TipError(expected, (low, high), more, with_more, size)
-    worse = max(expected, regions.rms)
-    if with_more is not None:  # what left-out regions show beyond what is expected stays
-        with_more = float(np.sqrt(worse**2 - expected**2 + with_more**2))
-    return TipError(worse, (low, max(high, regions.interval[1])), more, with_more, size)
+    tip = TipError(expected, interval, more, with_more, size, expected)
+    return tip if holds else tip.at_least(regions)
 
 
 def _regions(problem: Problem, comparison: Comparison) -> tuple[Regions, Floats]:

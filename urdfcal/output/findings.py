@@ -239,7 +239,10 @@ def _larger(document: ResultData) -> tuple[str, ...]:
             return ()
         return (f"{times:.0f} times what held-out poses show: they are where it was measured, elsewhere less is known",)
     known = f"{size['rms_mm']:.2g} mm of it is one factor of all lengths, known to {1e2 * size['sigma']:.2g} %"
-    return (f"{known}: a better known length would bring {tip['rms_mm']:.2g} -> {size['rms_without_mm']:.2g} mm",)
+    before, after = f"{tip['rms_mm']:.2g}", f"{size['rms_without_mm']:.2g}"
+    if before == after:  # where the model does not hold, that is the limit
+        return ()
+    return (f"{known}: a better known length would bring {before} -> {after} mm",)
 
 
 def _more_poses(document: ResultData) -> tuple[str, ...]:
