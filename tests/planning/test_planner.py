@@ -200,6 +200,24 @@ def test_what_no_poses_tell_is_said_and_what_would() -> None:
     assert said.endswith(f"{DECIDE}; the distance of led and other, by calliper and named in led_distances, {left}")
 
 
+def test_only_a_distance_that_can_be_measured_and_is_not_known_is_asked_for(few: Simulated) -> None:
+    rig = read_rig(find_rig("ur5"))
+    (led,) = rig.leds
+
+    def asked(*names: str, known: tuple[LedDistance, ...] = ()) -> tuple[str, str] | None:
+        places = [np.add(led.position, [0.0, 0.02 * k, 0.0]) for k in range(len(names))]
+        leds = tuple(replace(led, name=name, position=at) for name, at in zip(names, places, strict=True))
+        belief = Belief.of_rig(replace(rig, leds=leds, led_distances=known), few.session.q)
+        found = belief.with_distance(1e-4)
+        return None if found is None else found[0]
+
+    assert asked("a", "b", "c") == ("a", "c")
+    assert asked("a", "b", "c", known=(LedDistance(("c", "a"), 0.04, 1e-4),)) in (("a", "b"), ("b", "c"))
+    assert asked("a", "b", "a@31") is None, "a is not where it was, and b alone"
+    assert asked("a", "a@31", "a@40") is None
+    assert asked("b", "c", "a", "a@31") == ("b", "c")
+
+
 def test_what_cannot_be_planned_is_refused(few: Simulated) -> None:
     with pytest.raises(SessionError, match="no camera is there"):
         Planner(read_rig(find_rig("panda_sockets")))

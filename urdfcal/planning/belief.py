@@ -27,6 +27,7 @@ from urdfcal.planning.design import Candidates
 from urdfcal.robot.placements import PlacementTable
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.session.model import MIN_POSES, Positions, Setup
+from urdfcal.session.moves import lasting_leds
 from urdfcal.session.trajectory import Trajectory
 from urdfcal.simulation.scene import Scene
 from urdfcal.simulation.simulate import nominal_scene
@@ -130,16 +131,23 @@ class Belief:
         return replace(self, problem=problem, information=information, q=session.q[-1])
 
     def with_distance(self, sigma: float) -> tuple[tuple[str, str], Belief] | None:
-        """Take the distance of two LEDs as measured, of those on one link the farthest apart.
+        """Take the distance of two LEDs as measured, of those on one link whose is unknown the farthest apart.
+
+        LEDs that moved count for none: they were there one after the other.
 
         Args:
             sigma: how well. [m]
 
         Returns:
-            The two, and what is known then; None where no link has two.
+            The two, and what is known then; None where no link has two such.
         """
         places, frames, names = self.state[LEDS], self.setup.attachments.led, [led.name for led in self.setup.leds]
-        pairs = [(a, b) for a, b in combinations(range(len(names)), 2) if frames[a] == frames[b]]
+        known_already = {frozenset(distance.leds) for distance in self.setup.led_distances}
+        pairs = [
+            (a, b)
+            for a, b in combinations(lasting_leds(self.setup), 2)
+            if frames[a] == frames[b] and {names[a], names[b]} not in known_already
+        ]
         if not pairs:
             return None
         apart = [float(np.linalg.norm(places[a] - places[b])) for a, b in pairs]

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from urdfcal.arrays import Ints
-    from urdfcal.session.model import Positions, Session
+    from urdfcal.session.model import Positions, Session, Setup
 
 BASE_LINK = "base"
 """What ``moved`` calls the robot's base, or what all standing cameras are on: one moved against the other."""
@@ -60,6 +60,13 @@ def unmoved(session: Session) -> Positions:
     mounts = tuple(mount for mount in session.mounts if session.rig.index(mount.camera) in cameras)
     rig = session.rig.at(cameras)
     return replace(session.unmeasured(), rig=rig, leds=leds, mounts=mounts, estimate=Estimate())
+
+
+def lasting_leds(setup: Setup) -> tuple[int, ...]:
+    """Return the LEDs that stayed where they were: of one that moved no name is free to say something of it now."""
+    names = [led.name for led in setup.leds]
+    before = [name.rpartition("@")[0] for name in names]
+    return tuple(k for k, name in enumerate(names) if name not in before and before[k] not in names)
 
 
 def session_name(part: str) -> str:
