@@ -80,6 +80,8 @@ def without_flexures(mechanism: Mechanism) -> Mechanism:
 
 def spread_placements(mechanism: Mechanism, placements: Floats) -> Floats:
     """Return the placements (n', 4, 4) of a mechanism with flexures from those (n, 4, 4) of its joints without. [m]."""
+    if len(placements) == len(mechanism.joints):
+        return placements
     result = np.tile(np.eye(4), (len(mechanism.joints), 1, 1))
     result[_first(mechanism)] = placements
     return frozen(result)
@@ -87,6 +89,8 @@ def spread_placements(mechanism: Mechanism, placements: Floats) -> Floats:
 
 def spread_twists(mechanism: Mechanism, twists: Floats) -> Floats:
     """Return body twists (6 n', p) of all placements from those (6 n, p) of the joints without flexures."""
+    if len(twists) == 6 * len(mechanism.joints):
+        return twists
     result = np.zeros((6 * len(mechanism.joints), twists.shape[1]))
     rows = 6 * _first(mechanism)[:, None] + np.arange(6)
     result[rows.ravel()] = twists
