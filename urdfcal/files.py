@@ -100,10 +100,8 @@ def staged(folder: Path, replaced: Iterable[str] = (), joined: str | None = None
         OutputError: ``folder`` is a file, or it or its parent cannot be written, or is full.
     """
     with told(folder):
-        if folder.exists() and not folder.is_dir():
-            raise NotADirectoryError(errno.ENOTDIR, "it is a file")
+        beside, stem = _stage_of(folder)
         settle(folder)
-        beside, stem = (folder, _OURS) if folder.exists() else (folder.absolute().parent, folder.name)
         with temporary(beside, stem, Path.mkdir) as stage:
             yield stage
             if beside != folder and not folder.exists():
@@ -123,6 +121,27 @@ def staged(folder: Path, replaced: Iterable[str] = (), joined: str | None = None
             with alone_in(folder):
                 stage.rename(whole)
                 _put(whole, folder, gone)
+
+
+def check_place(folder: Path) -> None:
+    """Refuse, before long work, a folder that :func:`staged` could not put its files in.
+
+    Raises:
+        OutputError: it is a file, or it or its parent cannot be written.
+    """
+    with told(folder), temporary(*_stage_of(folder), Path.mkdir):
+        pass
+
+
+def _stage_of(folder: Path) -> tuple[Path, str]:
+    """Where files wait that go into a folder, and the stem of that place's name.
+
+    Raises:
+        OSError: it is a file.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise NotADirectoryError(errno.ENOTDIR, "it is a file")
+    return (folder, _OURS) if folder.exists() else (folder.absolute().parent, folder.name)
 
 
 def settle(folder: Path) -> None:

@@ -14,6 +14,7 @@ from urdfcal.cli import run
 from urdfcal.errors import SessionError
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
+from urdfcal.study import monte_carlo
 from urdfcal.study.charts import study_charts
 from urdfcal.study.monte_carlo import Outcome, Run, Variation, present, run_one, settings_of, varied_rig
 from urdfcal.study.results import as_csv, rows
@@ -116,6 +117,32 @@ def test_the_command_prints_and_writes_what_more_noise_costs(
     assert "numbers with commas between" in capsys.readouterr().err
     assert run(["study", "elbow3r", "--scheduler", "tcp://nowhere:1"]) == 2
     assert "--scheduler goes with --engine dask" in capsys.readouterr().err
+
+
+def test_a_place_that_cannot_be_written_is_refused_before_the_first_simulation(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(monte_carlo, "study", lambda *_, **__: pytest.fail("it was simulated"))
+    (tmp_path / "file").write_text("")
+    for place in (tmp_path / "file", tmp_path / "nowhere" / "out"):
+        assert run(["study", "elbow3r", "-o", str(place)]) == 2
+        assert f"{place}: cannot write here" in " ".join(capsys.readouterr().err.split())
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+@pytest.mark.parametrize("more", [[], ["--json"]])
+def test_what_came_out_is_printed_even_where_it_cannot_be_written(
+    more: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def study(*_: object, **__: object) -> list[Outcome]:
+        (tmp_path / "out").write_text("")  # meanwhile someone put a file there
+        return [Outcome(Variation(None, 1.0), 50, 1e-3, 2e-3, 1e-3, 5e-3, (1e-3,), ())]
+
+    monkeypatch.setattr(monte_carlo, "study", study)
+    assert run(["study", "elbow3r", "-o", str(tmp_path / "out"), *more]) == 2
+    said = capsys.readouterr()
+    assert "as it is" in said.out
+    assert "out: cannot write here" in " ".join(said.err.split())
 
 
 def test_where_no_arm_can_be_simulated_the_reason_is_written() -> None:

@@ -12,9 +12,11 @@ from urdfcal.cli.console import PATH, json_option, progress_bar, say, seed_optio
 from urdfcal.cli.engines import engine_options
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from urdfcal.study.engine import Engine
+    from urdfcal.study.monte_carlo import Outcome
 
 
 class Numbers(click.ParamType[tuple[float, ...]]):
@@ -57,26 +59,36 @@ def command(
     nothing else is said. What is expected follows from the measurements' noise and the tolerances alone (the bound of
     Cramer and Rao, with priors).
     """
+    from urdfcal.files import check_place
     from urdfcal.io.folder import read_rig
     from urdfcal.io.shipped_rigs import find_rig
     from urdfcal.study.monte_carlo import settings_of, study
-    from urdfcal.study.results import HEADS, failures, rows, write_study
+    from urdfcal.study.results import write_study
 
     where, settings = find_rig(rig), settings_of({name: values for name, values in varied.items() if values})  # type: ignore[misc]
+    if output is not None:
+        check_place(output)
     with progress_bar("simulating", seeds * len(settings)) as advance:
         table = study(
             where, settings, seeds=seeds, seed=seed, engine=engine, processes=processes, scheduler=scheduler,
             progress=advance,
         )  # fmt: skip
-    paths = () if output is None else write_study(output, read_rig(where), table, seed)
     if as_json:
         click.echo(json.dumps([{**asdict(one), "setting": str(one.setting)} for one in table], indent=2))
-        return
+    else:
+        _print(table)
+    # Last: what took so long to find out is not lost where it cannot be written.
+    paths = () if output is None else write_study(output, read_rig(where), table, seed)
+    for path in () if as_json else paths:
+        click.echo(path)
+
+
+def _print(table: Sequence[Outcome]) -> None:
+    from urdfcal.study.results import HEADS, failures, rows
+
     shown = sheet("", list(HEADS))
     for row in rows(table):
         shown.add_row(*row)
     terminal().print(shown)
-    for path in paths:
-        click.echo(path)
     for why in failures(table):
         say(f"- {why}", err=True)
