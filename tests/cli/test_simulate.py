@@ -34,6 +34,7 @@ def _inside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ("arguments", "message"),
     [
         (["--distractors"], "--distractors goes with --images"),
+        (["--poses", "80", "--at", "plan.csv"], "--poses does not go with --at"),
         (["--images", "--pixel", "0.1"], "--pixel and --outliers do not go with --images"),
         (["--images", "--outliers", "0.1"], "--pixel and --outliers do not go with --images"),
         (["--video", "--trajectory", "--pixel", "0"], "--pixel and --outliers do not go with --images"),

@@ -1,6 +1,6 @@
 """``urdfcal simulate`` and ``demo``: a session from a robot whose errors are known, and what comes of one."""
 
-from itertools import count
+from itertools import count as counting
 from pathlib import Path
 from typing import Any
 
@@ -8,11 +8,16 @@ import click
 
 from urdfcal.cli.console import PATH, POSITIVE, progress_bar, say, seed_option
 
+_POSES = 50
+
 
 @click.command("simulate")
 @click.argument("rig", metavar="RIG")
 @click.option("-o", "--output", "session", type=PATH, required=True, help="Folder to write.")
-@click.option("--poses", type=click.IntRange(min=3), default=50, help="Number of arm positions.")
+@click.option(
+    "--poses", type=click.IntRange(min=3), show_default=False,
+    help=f"Number of arm positions.  [default: {_POSES}, or those of --at]",
+)  # fmt: skip
 @click.option(
     "--at", type=PATH, metavar="FILE",
     help="Measure in these, a table as `urdfcal plan` writes; rows named pass1, ... are passed through.",
@@ -55,7 +60,7 @@ from urdfcal.cli.console import PATH, POSITIVE, progress_bar, say, seed_option
 def simulate(
     rig: str,
     session: Path,
-    poses: int,
+    poses: int | None,
     at: Path | None,
     seed: int,
     arm_seed: int | None,
@@ -79,6 +84,7 @@ def simulate(
 
     filmed, noisy = images or video, outliers or pixel is not None
     for given, wrong in (
+        (poses is not None and at is not None, "--poses does not go with --at: the file says which there are"),
         (distractors and not filmed, "--distractors goes with --images"),
         (filmed and noisy, "--pixel and --outliers do not go with --images: the images decide"),
         (video and not trajectory, "--video goes with --trajectory"),
@@ -89,7 +95,7 @@ def simulate(
             raise click.UsageError(wrong)
     description = read_rig(find_rig(rig))
     planned = None if at is None else read_plan(at, description.chain)
-    poses = poses if planned is None else len(planned[0])
+    count = (poses or _POSES) if planned is None else len(planned[0])
     errors: dict[str, Any] = {
         "at": planned,
         "arm_seed": arm_seed,
@@ -97,8 +103,8 @@ def simulate(
         "error_scale": error_scale,
         "outliers": outliers,
     }
-    with progress_bar("sampling poses", poses) as advance:
-        simulated = simulation.simulate(description, poses=poses, seed=seed, progress=advance, **errors)
+    with progress_bar("sampling poses", count) as advance:
+        simulated = simulation.simulate(description, poses=count, seed=seed, progress=advance, **errors)
     if trajectory:
         from urdfcal.simulation.motion import MotionSettings, set_in_motion
 
@@ -116,7 +122,7 @@ def simulate(
         say(f"- {warning}", err=True)
     if trajectory:
         say(f"{session}: the arm moves; {len(simulated.session.poses)} frames")
-    say(f"{session}: {poses} poses of {description.chain.name}, seed {seed}; the truth is in truth.urdf")
+    say(f"{session}: {count} poses of {description.chain.name}, seed {seed}; the truth is in truth.urdf")
 
 
 @click.command("demo")
@@ -135,14 +141,14 @@ def demo(rig: str, output: Path | None, seed: int) -> None:
     from urdfcal.simulation import simulate as simulation
 
     description = read_rig(find_rig(rig))
-    names = ("urdfcal-demo" if i == 1 else f"urdfcal-demo-{i}" for i in count(1))
+    names = ("urdfcal-demo" if i == 1 else f"urdfcal-demo-{i}" for i in counting(1))
     folder = output or next(Path(name) for name in names if not Path(name).exists())
     try:
         folder.mkdir(parents=True)
     except OSError as error:
         what = f"cannot make this folder: {error.strerror}"
         raise OutputError(what, where=str(folder), remedy="Name a new one with -o.") from error
-    simulation.write_simulated(folder / "session", simulation.simulate(description, poses=50, seed=seed))
+    simulation.write_simulated(folder / "session", simulation.simulate(description, poses=_POSES, seed=seed))
     calibration = run(read_session(folder / "session"), folder / "result", seed=seed)
 
     session, truth = calibration.session, str(folder / "session" / "truth.urdf")
