@@ -18,7 +18,8 @@ from urdfcal.estimation.time_offset_start import start_state
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.dh import DHTable
 from urdfcal.robot.tree_dh import rows_of
-from urdfcal.session.knowledge import Led
+from urdfcal.session.exclusion import leave_out
+from urdfcal.session.knowledge import Excluded, Led
 from urdfcal.simulation.motion import MotionSettings, set_in_motion
 
 if TYPE_CHECKING:
@@ -100,3 +101,18 @@ def test_what_is_fixed_takes_a_fair_part_in_what_is_unidentifiable(simulated: Ca
     assert not {"arm_2_joint.d", "head_1_joint.d"} & fixed
     nominal = dict(zip(table.labels, table.nominal[:, table.columns.index("d")], strict=True))
     assert abs(nominal["arm_2_joint"]) < 0.02 < 0.2 < abs(nominal["arm_3_joint"])
+
+
+@pytest.mark.parametrize("priors", [True, False])
+def test_a_scale_that_one_length_alone_says_is_known_no_better_than_that_one(
+    simulated: Callable, *, priors: bool
+) -> None:
+    session = simulated("elbow3r").session  # whose links have one length beside what the base and the LED take
+    session = leave_out(session, Excluded(cameras=session.rig.names[1:]))
+    table = DHTable.from_chain(session.chain)
+    problem, state = Problem.of(session, table), first_state(session, table, np.zeros_like(table.nominal))
+    spec = ModelSpec("dh", ("fixed",), ("fixed",), priors=priors)
+    found = identify(problem, state, choose_parameters(session, problem, state, spec))
+    assert ("joint_2.a" in found.parameters.reasons) != priors
+    (said,) = (sentence for sentence in found.unidentifiable if sentence.startswith("the scale"))
+    assert said.endswith("their tolerances decide" if priors else "it is fixed at its nominal value")

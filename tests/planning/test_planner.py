@@ -200,6 +200,14 @@ def test_what_no_poses_tell_is_said_and_what_would() -> None:
     assert said.endswith(f"{DECIDE}; the distance of led and other, by calliper and named in led_distances, {left}")
 
 
+def test_an_arm_of_one_length_before_one_camera_is_known_no_better_than_that_length() -> None:
+    rig, _ = varied_rig(read_rig(find_rig("elbow3r")), Variation("cameras", 1))
+    q, _, _ = in_view(nominal_scene(rig), 40, np.random.default_rng(0), MARGIN)
+    belief = Belief.of_rig(rig, q).identified_by(q)
+    told = belief.candidates(q, rig.chain.random_values(50, np.random.default_rng(1)))
+    assert told.error(belief.information + 1e4 * told.information(range(len(q)))) > 3e-4, "its tolerance is 1 mm"
+
+
 def test_only_a_distance_that_can_be_measured_and_is_not_known_is_asked_for(few: Simulated) -> None:
     rig = read_rig(find_rig("ur5"))
     (led,) = rig.leds

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from urdfcal.arrays import Bools, Floats, Ints
-    from urdfcal.estimation.blocks.base import Block
     from urdfcal.estimation.parameters import Parameters
     from urdfcal.estimation.problem import Problem
     from urdfcal.estimation.state import State
@@ -71,8 +70,8 @@ def identify(problem: Problem, state: State, parameters: Parameters) -> Identifi
     Of the parameters that take a fair part in an unidentifiable direction, the first in the order of the blocks is
     named for it, so that two runs agree: of the arm's d, a, theta, alpha, beta, inner rows first; then LEDs and
     cameras, then the base. It is fixed at its nominal value unless several parameters with tolerances share the
-    direction (as all lengths share the scale that one camera cannot identify): their tolerances then say more together
-    than one nominal value.
+    direction: their tolerances then say more together than one nominal value. Nor is the scale, which one camera cannot
+    identify, fixed where a length has a tolerance, be it one alone: how well it is known is what that tolerance says.
     """
     with one_blas_thread():
         problem = problem.spread(_ENOUGH)
@@ -102,7 +101,9 @@ def identify(problem: Problem, state: State, parameters: Parameters) -> Identifi
         direction = _direction(R, kept, first, companies)
         part = np.abs(direction) > _NAMED_PART * np.abs(direction).max()
         partners = [int(columns[k]) for k in np.argsort(-np.abs(direction), kind="stable") if k != first and part[k]]
-        fix = bool(np.count_nonzero(tolerated & (np.abs(direction) > _PART)) <= 1)
+        # A scale that one nominal length says is no better known than that one: fixed, it would count as exact.
+        several = 0 if _is_scale(parameters, (int(columns[first]), *partners)) else 1
+        fix = bool(np.count_nonzero(tolerated & (np.abs(direction) > _PART)) <= several)
         text = _sentence(parameters, int(columns[first]), partners, fix=fix)
         if fix:
             fixed[int(columns[first])] = text
@@ -168,8 +169,7 @@ def _sentence(parameters: Parameters, first: int, partners: Sequence[int], *, fi
             return f"{why}: {outcome}"
         if not partners:
             return f"{block.label(index)} moves nothing that is measured: {outcome}"
-    involved = [parameters.blocks[k] for k in sorted({position, *others})]
-    if _is_scale(parameters, (first, *partners), involved):
+    if _is_scale(parameters, (first, *partners)):
         return (
             f"the scale (all lengths together, {block.label(index)} among them) is unidentifiable without a stereo "
             f"baseline or a known distance: {outcome}"
@@ -183,13 +183,14 @@ def _sentence(parameters: Parameters, first: int, partners: Sequence[int], *, fi
     return f"{block.label(index)} cannot be distinguished from {named}{more}: {outcome}"
 
 
-def _is_scale(parameters: Parameters, entries: Sequence[int], involved: Sequence[Block[Any]]) -> bool:
+def _is_scale(parameters: Parameters, entries: Sequence[int]) -> bool:
     """Whether lengths take part, along more than one axis: of the arm, and of two others such as LEDs and the base."""
     owners = [parameters.owner(entry) for entry in entries]
+    involved = {of for of, _ in owners}
     lengths = all(parameters.blocks[of].units[k] == "m" for of, k in owners)
     beside = [of for of, _ in owners if not parameters.blocks[of].toleranced]
     axes = max((beside.count(of) for of in beside), default=0)
-    return lengths and axes > 1 and any(block.toleranced for block in involved) and len(involved) > 2
+    return lengths and axes > 1 and any(parameters.blocks[of].toleranced for of in involved) and len(involved) > 2
 
 
 def _observability(singular: Floats, measurements: int) -> tuple[float, float, float, float, float]:
