@@ -236,7 +236,7 @@ def test_what_cannot_be_planned_is_refused(few: Simulated) -> None:
     with pytest.raises(SessionError, match="poses are free, of 12"):
         Planner(few.session, candidates=12).plan(15)
     with pytest.raises(SessionError, match="of 50 poses found"):
-        Planner(few.session, candidates=80).plan(50)
+        Planner(few.session, candidates=100).plan(50)
 
 
 def test_the_belief_has_all_parameters_of_the_rigid_arm(few: Simulated) -> None:
