@@ -148,6 +148,6 @@ def test_black_pictures_hold_no_led_and_the_summary_says_so(session: Path) -> No
         write_image(path, np.zeros_like(read_image(path)))
     detected = detect(session)
     assert detected.found == 0
-    with pytest.raises(SessionError, match=rf"no LED .* {2 * POSES} images.*no light at all \({2 * POSES}\)"):
+    with pytest.raises(SessionError, match=rf"no LED .* {2 * POSES} images.*no light at all \({2 * POSES}: cam0/01"):
         write_detected(session, detected)
     assert not (session / "detections.csv").exists()
