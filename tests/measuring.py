@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from urdfcal.arrays import rms
 from urdfcal.estimation.evaluation import compare
 from urdfcal.estimation.measurements import Detections
-from urdfcal.session.model import MIN_POSES, Positions, Setup
+from urdfcal.session.model import MIN_POSES, Positions
 from urdfcal.simulation.joint_errors import true_joint_values
 from urdfcal.simulation.scene import noisy_values, simulate_detections
 
@@ -31,8 +31,7 @@ def measured_at(simulated: Simulated, q: Floats, seed: int) -> Session:
     """The true arm of a simulation measured in poses of its nominal readings ``q`` (N, n)."""
     truth, session = simulated.truth, simulated.session
     joint_rng, noise_rng = np.random.default_rng((seed, 11)).spawn(2)
-    own = {one.name: getattr(session, one.name) for one in fields(Setup)}
-    planned = Positions(**own, poses=tuple(f"more {seed}.{k}" for k in range(len(q))), q=q)
+    planned = Positions(**session.of_setup(), poses=tuple(f"more {seed}.{k}" for k in range(len(q))), q=q)
     views = np.tile(np.arange(len(truth.cameras)), (len(q), 1))
     noise = truth.pixel, session.noise.of(Detections)
     true = true_joint_values(planned, truth.joint_errors)

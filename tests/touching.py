@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -23,7 +23,7 @@ from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.session.knowledge import Noise, PlaceDistance
-from urdfcal.session.model import Session, Setup
+from urdfcal.session.model import Session
 
 if TYPE_CHECKING:
     from urdfcal.arrays import Floats
@@ -71,12 +71,8 @@ def touched(
     measured = kind(**index, **values, sigma=np.array(sigma), names=names)
     apart = float(np.linalg.norm(PLACES_AT[0] - PLACES_AT[1]))
     known = (PlaceDistance(("place0", "place1"), apart, 1e-5),) if distances and key == "place" else ()
-    setup = {one.name: getattr(rig, one.name) for one in fields(Setup)} | {
-        "noise": Noise(joint=joint, other={kind.noise: sigma}),
-        "place_distances": known,
-        "sha256": {},
-        "folder": None,
-    }
+    noise = Noise(joint=joint, other={kind.noise: sigma})
+    setup = rig.of_setup(noise=noise, place_distances=known, sha256={}, folder=None)
     q = rig.chain.random_values(len(rows), rng)
     session = Session(**setup, poses=tuple(f"p{k}" for k in rows), q=q, measurements=(measured,))
     problem = Problem.of(session, table)

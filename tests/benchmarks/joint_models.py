@@ -149,7 +149,7 @@ class World:
         readings = Readings(q, each, AT_REST, np.zeros_like(each), previous=np.roll(q, 1, axis=0))
         problem, told = calibration.problem, lambda q: replace(readings, q=q, previous=np.roll(q, 1, axis=0))
         found = problem.joint_values(told(problem.told(q)), calibration.fit.state)
-        here = tip_poses(calibration.bending, found)[:, :3, 3]
+        here = tip_poses(calibration.mechanism, found)[:, :3, 3]
         # Of a world whose links bend the true mechanism has flexures, whatever the calibration knows.
         real = Problem.of(self.session(**self.asked), rows_of(chain))
         values = self.joint_values(real, told(real.told(q)))

@@ -140,7 +140,7 @@ def test_links_fixed_to_the_base_link_have_no_error_to_report() -> None:
     ur5 = package_roots()[-1] / "example-robot-data" / "robots" / "ur_description" / "urdf" / "ur5_robot.urdf"
     tree = Tree.from_urdf(ur5, ["tool0", "base"], "base_link")
     q = tree.random_values(3, np.random.default_rng(3))
-    arm = SimpleNamespace(chain=tree, calibrated=tree, joint_values=tree.joint_values)
+    arm = SimpleNamespace(chain=tree, mechanism=tree, joint_values=tree.joint_values)
     assert _errors(arm, q, q, {}) == {"tool0": 0.0}
 
 

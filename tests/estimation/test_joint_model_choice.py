@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +14,7 @@ from urdfcal.estimation.alignment import kabsch
 from urdfcal.estimation.evaluation import explain
 from urdfcal.estimation.joint_model_choice import Alternatives
 from urdfcal.estimation.joint_model_search import _as_good, _transfers, better_terms
-from urdfcal.estimation.joint_models import JOINT_MODELS, Readings
+from urdfcal.estimation.joint_models import JOINT_MODELS, Readings, Term
 from urdfcal.estimation.joint_models.compliance import Compliance
 from urdfcal.estimation.joint_models.leaning_compliance import LeaningCompliance
 from urdfcal.estimation.joint_models.linear import LinearJointModel
@@ -268,3 +269,41 @@ def test_what_is_weighed_must_not_spoil_a_region(worse: float, kept: bool) -> No
     before = [np.array([5.0, 5.0]), np.array([1.0, 3.0]), np.array([2.0, 2.0])]
     after = [np.array([1.0, 1.0]), np.array([1.0, 1.0]), worse * before[2]]
     assert _as_good(before, after) is kept
+
+
+class Told:
+    """Alternatives of one joint as they are asked for: what is there gains 20, what may be there as much as is said."""
+
+    def __init__(self, gains: dict[str, float], spoils: float = 1.0, forced: frozenset[str] = frozenset()) -> None:
+        self.gains, self.spoils = {"compliance": 20.0, **gains}, spoils
+        self.included = (Term("compliance", ("a",)),)
+        self.units = tuple(SimpleNamespace(term=Term(name, ("a",)), forced=name in forced) for name in self.gains)
+
+    def alike(self, model: str) -> list[Term]:
+        return [Term(model, ("a",))]
+
+    def log_evidence(self, terms: tuple[Term, ...]) -> float:
+        # The evidence is largest with priors as wide as they are.
+        return sum(self.gains[term.model] - abs(np.log(term.scale)) for term in terms)
+
+    def errors(self, terms: tuple[Term, ...]) -> list[np.ndarray]:
+        worse = self.spoils if any(term.model == "lag" for term in terms) else 1.0
+        return [np.ones(3), worse * np.ones(3), np.ones(3)]
+
+
+@pytest.mark.parametrize(
+    ("gain", "spoils", "taken"), [(1.1, 1.0, True), (0.9, 1.0, False), (9.0, 1.04, True), (9.0, 1.06, False)]
+)
+def test_a_model_is_weighed_in_for_enough_evidence_and_no_spoilt_region(
+    gain: float, spoils: float, taken: bool
+) -> None:
+    chosen = {
+        term.model: term.scale for term in joint_model_search._weighed(Told({"lag": gain}, spoils), Told({}).included)
+    }
+    assert chosen == {"compliance": 1.0, **({"lag": 1.0} if taken else {})}
+
+
+def test_of_two_models_forced_on_the_same_joint_both_stay() -> None:
+    told = Told({"lag": -5.0, "backlash": -5.0}, forced=frozenset({"lag", "backlash"}))
+    start = (*told.included, Term("lag", ("a",)), Term("backlash", ("a",)))
+    assert set(joint_model_search._weighed(told, start)) == set(start)

@@ -158,8 +158,8 @@ def _errors(
     chain = calibration.chain
     tips = [chain.tips[0], *(tip for tip in chain.tips[1:] if tip.joint != BASE)]
     nominal = link_poses(chain, chain.joint_values(nominal_commands), tips)
-    bends = calibration.bending
-    real = link_poses(bends, calibration.joint_values(commands, **under), [bends.tip(tip.link) for tip in tips])
+    true = calibration.mechanism
+    real = link_poses(true, calibration.joint_values(commands, **under), [true.tip(tip.link) for tip in tips])
     return {tip.link: _rms_length(T[:, :3, 3] - S[:, :3, 3]) for tip, T, S in zip(tips, real, nominal, strict=True)}
 
 

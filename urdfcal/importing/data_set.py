@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -151,8 +151,7 @@ def import_data_set(
         begins = np.diff(np.array(readings.episode)[list(labels)], prepend=-1) > 0
         previous[begins] = q[begins]
         positions = Positions(
-            **{entry.name: getattr(setup, entry.name) for entry in fields(Setup) if entry.name != "noise"},
-            noise=Noise(joint=still.sigma or None),
+            **setup.of_setup(noise=Noise(joint=still.sigma or None)),
             poses=tuple(labels.values()),
             q=q,
             time=time,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -160,10 +159,8 @@ class Recorder:
         Raises:
             SessionError: there are too few poses, or nothing was seen.
         """
-        setup = {entry.name: getattr(self._setup, entry.name) for entry in fields(Setup)}
-        if isinstance(self._setup, Positions):
-            # Files and images of what was measured then are not what is measured now.
-            setup |= {"sha256": {}, "folder": None}
+        # Files and images of what was measured then are not what is measured now.
+        anew: dict[str, Any] = {"sha256": {}, "folder": None} if isinstance(self._setup, Positions) else {}
         measurements = []
         for kind, rows in self._measured.items():
             if rows:
@@ -171,7 +168,7 @@ class Recorder:
                 columns[kind.array], columns["sigma"] = map(np.array, zip(*rows.values(), strict=True))
                 measurements.append(kind(**columns))
         return Session(
-            **setup,
+            **self._setup.of_setup(**anew),
             poses=tuple(self._readings),
             q=self._setup.chain.joint_values(np.array(list(self._readings.values())).reshape(len(self), -1)),
             time=np.array(self._times) if self._times else None,

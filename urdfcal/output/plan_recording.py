@@ -15,7 +15,7 @@ from urdfcal.output.chart import Chart, Mark, Scale
 from urdfcal.output.entities import chart_view, log_chart, log_frustum
 from urdfcal.output.placing import joint_frames
 from urdfcal.output.recording import ROOT, eye_on
-from urdfcal.output.stream import POSE, Layer, placed
+from urdfcal.output.stream import POSE, Layer, placed, recorded
 from urdfcal.planning.files import labels
 from urdfcal.robot.kinematics import tip_poses
 
@@ -48,20 +48,15 @@ def write_plan(path: Path, plan: Plan) -> tuple[str, ...]:
     Raises:
         OutputError: the file cannot be written.
     """
-    with files.replacing(path) as temporary:
-        stream = rr.RecordingStream("urdfcal")
-        try:
-            stream.save(temporary, default_blueprint=_layout(plan))
-            stream.send_recording_name(f"{plan.chain.name}, planned")
-            base = Layer(stream, ROOT, len(plan.q))
-            base.fixed(rr.ViewCoordinates.RIGHT_HAND_Z_UP, rr.TransformAxes3D(axis_length=0.1 * plan.chain.reach))
-            warnings = _log_arm(base, plan)
-            _log_sightings(base, plan)
-            _log_workspace(base, plan)
-            _log_texts(base, plan)
-            return warnings
-        finally:
-            stream.disconnect()
+    name = f"{plan.chain.name}, planned"
+    with files.replacing(path) as temporary, recorded(temporary, _layout(plan), name) as stream:
+        base = Layer(stream, ROOT, len(plan.q))
+        base.fixed(rr.ViewCoordinates.RIGHT_HAND_Z_UP, rr.TransformAxes3D(axis_length=0.1 * plan.chain.reach))
+        warnings = _log_arm(base, plan)
+        _log_sightings(base, plan)
+        _log_workspace(base, plan)
+        _log_texts(base, plan)
+        return warnings
 
 
 def _log_arm(base: Layer, plan: Plan) -> tuple[str, ...]:

@@ -19,7 +19,7 @@ from urdfcal.output.findings import HEADLINE, Overview, Workspace, headline
 from urdfcal.output.palette import BACKGROUND, VERDICT_COLORS
 from urdfcal.output.report import write_report
 from urdfcal.output.scene import CalibrationScene, ResidualTable, image_range
-from urdfcal.output.stream import POSE, TIME
+from urdfcal.output.stream import POSE, TIME, recorded
 from urdfcal.output.viewer import RECORDING
 from urdfcal.result.calibration import FILE_NAME, Calibration, corrected_name
 from urdfcal.session.trajectory import Trajectory
@@ -134,14 +134,9 @@ def write_recording(path: Path, overview: Overview) -> tuple[str, ...]:
     Raises:
         OutputError: the file cannot be written.
     """
-    with files.replacing(path) as temporary:
-        stream = rr.RecordingStream("urdfcal")
-        try:
-            stream.save(temporary, default_blueprint=layout(overview))
-            stream.send_recording_name(overview.calibration.chain.name)
-            return log_overview(stream, overview, ROOT)
-        finally:
-            stream.disconnect()
+    name = overview.calibration.chain.name
+    with files.replacing(path) as temporary, recorded(temporary, layout(overview), name) as stream:
+        return log_overview(stream, overview, ROOT)
 
 
 def log_calibration(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -11,9 +12,11 @@ import rerun as rr
 from urdfcal.rotations import matrix_to_quaternion
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
+    from pathlib import Path
 
     from rerun import AsComponents, RecordingStream
+    from rerun.blueprint.api import BlueprintLike
 
     from urdfcal.arrays import Floats, Ints
 
@@ -21,6 +24,18 @@ POSE, TIME = "pose", "time"
 ITERATION = "iteration"
 CORNER = 0.5
 """What is added to pixels: rerun's (0, 0) is the corner of the top-left pixel, ours is its centre."""
+
+
+@contextmanager
+def recorded(path: Path, layout: BlueprintLike, name: str) -> Iterator[RecordingStream]:
+    """Yield a stream that goes into a file with its layout of views, and is ended with the block."""
+    stream = rr.RecordingStream("urdfcal")
+    try:
+        stream.save(path, default_blueprint=layout)
+        stream.send_recording_name(name)
+        yield stream
+    finally:
+        stream.disconnect()
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import TYPE_CHECKING
 
@@ -117,7 +117,7 @@ class Belief:
             T_cam_frame=found.T_cam_frame,
         )
         misfit = float(np.sqrt(fit.reduced_chi2)) if fit.misfit else 1.0
-        setup = Setup(**{one.name: getattr(session, one.name) for one in fields(Setup)})
+        setup = Setup(**session.of_setup())
         priors = _by_priors(parameters, state)
         return cls(setup, scene, problem, state, parameters, priors, misfit, session.q[-1]).with_session(session)
 
@@ -211,9 +211,8 @@ class Belief:
 
 def expected_session(setup: Setup, scene: Scene, q: Floats) -> Session:
     """Return what the cameras of a scene would see without noise in poses ``q`` (N, n)."""
-    own = {one.name: getattr(setup, one.name) for one in fields(Setup)}
     part = np.full(len(q), len(setup.parts) - 1)
-    positions = Positions(**own, poses=tuple(str(k) for k in range(len(q))), q=q, part=part)
+    positions = Positions(**setup.of_setup(), poses=tuple(str(k) for k in range(len(q))), q=q, part=part)
     uv = scene.pixels(q)
     pose, camera, led = np.nonzero(scene.in_image(uv) & scene.turned_to(q))
     sigma = np.array(setup.noise.of(Detections))

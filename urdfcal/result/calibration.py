@@ -160,10 +160,10 @@ class Calibration:
         return self.chain.with_placements(self.placements)
 
     @cached_property
-    def bending(self) -> Mechanism:
+    def mechanism(self) -> Mechanism:
         """The calibrated joints, and before each link that bends two flexures: what :meth:`joint_values` are for.
 
-        ``bending.build_model()`` is its Pinocchio model. Where no link bends it is :attr:`calibrated`.
+        ``mechanism.build_model()`` is its Pinocchio model. Where no link bends it is :attr:`calibrated`.
         """
         mechanism = self.joint_models.mechanism
         return mechanism.with_placements(spread_placements(mechanism, self.placements))
@@ -178,7 +178,7 @@ class Calibration:
 
         Returns:
             The calibrated model: the rigid arm. Joint models, such as compliance, are none of it: give it the joint
-            values of :meth:`joint_values`, which where links bend are those of ``bending.build_model()`` instead.
+            values of :meth:`joint_values`, which where links bend are those of ``mechanism.build_model()`` instead.
 
         Raises:
             RobotError: a joint is missing, or its placement is not the nominal one that was calibrated; the model is
@@ -235,7 +235,7 @@ class Calibration:
     ) -> Floats:
         """Compute the joints' true values, for any program that has the calibrated placements (:meth:`apply`).
 
-        Where links bend, no values of the joints alone are true: those of :attr:`bending` are returned.
+        Where links bend, no values of the joints alone are true: those of :attr:`mechanism` are returned.
 
         Args:
             readings: (..., k) of the actuated joints, in the order of ``chain.actuated``. [rad or m]
@@ -274,7 +274,7 @@ class Calibration:
     ) -> Floats:
         """Compute the calibrated tip's frame T_base_tip (..., 4, 4) with all joint models; see :meth:`joint_values`."""
         values = self.joint_values(readings, torques, previous, payload)
-        T = tip_poses(self.bending, values.reshape(-1, values.shape[-1]))
+        T = tip_poses(self.mechanism, values.reshape(-1, values.shape[-1]))
         return T.reshape(*values.shape[:-1], 4, 4)
 
     def compensate(
@@ -313,12 +313,12 @@ class Calibration:
         def true_values(commands: Floats, some: Ints) -> tuple[Floats, Floats]:
             return bends.joint_values(commands, **{name: values[some] for name, values in given.items()})
 
-        return compensate(self.chain, self.bending, q, true_values)
+        return compensate(self.chain, self.mechanism, q, true_values)
 
     @cached_property
     def _arms(self) -> tuple[TipAtOnce, TipAtOnce]:
         """The nominal arm and the calibrated one."""
-        return TipAtOnce(self.chain), TipAtOnce(self.bending)
+        return TipAtOnce(self.chain), TipAtOnce(self.mechanism)
 
     def _carrying(self, payload: Carried) -> FoundJointModels:
         return self.joint_models if payload is None else self.joint_models.carrying(payload)

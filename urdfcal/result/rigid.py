@@ -88,7 +88,7 @@ def best_rigid(
     else:
         table, offsets = rows_of(chain), calibration.dh_offsets
     tips = [tip for tip in chain.tips if tip.joint != BASE]
-    true = calibration.bending
+    true = calibration.mechanism
     values, _ = (bends or calibration.joint_models).joint_values(q, torques, previous)
     wanted = link_poses(true, values, [true.tip(tip.link) for tip in tips])
     told, rows = chain.joint_values(q), table.parameters

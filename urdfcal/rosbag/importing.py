@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -311,17 +311,13 @@ def _write_stills(
         warnings.append(f"{still.creeping} times the arm crept on where it seemed to stand still: these are left out")
     origin = int(still.start[0])
     positions = Positions(
-        **{**_fields(setup), "noise": Noise(joint=still.sigma or None)},
+        **setup.of_setup(noise=Noise(joint=still.sigma or None)),
         poses=tuple(labels[k] for k in used),
         q=setup.chain.joint_values(still.readings[used]),
         time=np.array([(still.start[k] - origin) / 1e9 for k in used]),
     )
     write_session(folder, positions)
     return origin, {images[topic].name: of for topic, of in times.items()}, tuple(warnings)
-
-
-def _fields(setup: Setup) -> dict[str, Any]:
-    return {entry.name: getattr(setup, entry.name) for entry in fields(Setup)}
 
 
 def _write_tables(

@@ -158,6 +158,10 @@ class Setup(Rebuilt):
             check_known(joint, self.chain.actuated, "joints", f"gear_ratio.{joint}")
             finite_number(ratio, "the ratio", f"gear_ratio.{joint}", zero=False)
 
+    def of_setup(self, **changes: Any) -> dict[str, Any]:
+        """Return what a setup says, by the fields' names, for another session of it, with changes."""
+        return {**{entry.name: getattr(self, entry.name) for entry in fields(Setup)}, **changes}
+
     @cached_property
     def attachments(self) -> Attachments:
         """What LEDs, targets and cameras are attached to."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
@@ -20,7 +20,7 @@ from urdfcal.estimation.joint_models.under_torque import UnderTorque
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.session.bending import bent
 from urdfcal.session.knowledge import JointError
-from urdfcal.session.model import Positions, Setup
+from urdfcal.session.model import Positions
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
@@ -146,9 +146,9 @@ def true_joint_values(positions: Positions, errors: Mapping[str, Floats]) -> Flo
 
 def true_tips(simulated: Simulated, q: Floats) -> Floats:
     """Compute where the tip of a simulated robot truly is, T_base_tip (N, 4, 4), at readings ``q`` (N, n). [m]."""
-    truth, own = simulated.truth, {one.name: getattr(simulated.session, one.name) for one in fields(Setup)}
+    truth, setup = simulated.truth, simulated.session.of_setup()
     # Where the arm comes from is anyone's choice: it has settled, as a calibration takes it that is not told.
-    there = Positions(**own, poses=tuple(map(str, range(len(q)))), q=q, previous=q)
+    there = Positions(**setup, poses=tuple(map(str, range(len(q)))), q=q, previous=q)
     return tip_poses(truth.chain, true_joint_values(there, truth.joint_errors), truth.placements)
 
 

@@ -85,7 +85,8 @@ def set_in_motion(simulated: Simulated, settings: MotionSettings) -> Simulated:
         )
     time_offsets = np.array(settings.time_offsets or offset_rng.uniform(-_OFFSET, _OFFSET, count))
 
-    path = _Path.through(_tour(truth.readings, load_collision_checker(truth.unbent(), session)[0]), settings.speed)
+    checker, _ = load_collision_checker(truth.without_flexures(), session)
+    path = _Path.through(_tour(truth.readings, checker), settings.speed)
     log_time = np.arange(0.0, path.end + _REST, 1.0 / settings.joint_rate)
     taken = [np.arange(_DARK + p / rate, path.end + _DARK, 1.0 / rate) for p in phase_rng.random(count)]
     camera = np.repeat(np.arange(count), [len(of) for of in taken])

@@ -55,18 +55,19 @@ class Scene:
         for name in ("placements", "leds", "targets", "T_world_base", "T_cam_frame"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
-    def bending(self) -> Scene:
+    def with_flexures(self) -> Self:
         """Return the same scene with flexures in all links of the robot."""
         chain = with_flexures(self.chain, self.chain.actuated)
-        tips = tuple(chain.tip(tip.link) for tip in self.attachments.tips)
-        placements = spread_placements(chain, self.placements)
-        return replace(self, chain=chain, placements=placements, attachments=replace(self.attachments, tips=tips))
+        return self._of(chain, spread_placements(chain, self.placements))
 
-    def unbent(self) -> Self:
-        """Return the same scene without flexures."""
-        chain = without_flexures(self.chain)
+    def without_flexures(self) -> Self:
+        """Return the same scene of links that do not bend."""
+        placed = without_flexures(self.chain.with_placements(self.placements))
+        return self._of(without_flexures(self.chain), placed.placements)
+
+    def _of(self, chain: Mechanism, placements: Floats) -> Self:
+        """The same scene with the robot's joints given otherwise."""
         tips = tuple(chain.tip(tip.link) for tip in self.attachments.tips)
-        placements = without_flexures(self.chain.with_placements(self.placements)).placements
         return replace(self, chain=chain, placements=placements, attachments=replace(self.attachments, tips=tips))
 
     def camera_centres(self, q: Floats) -> Floats:

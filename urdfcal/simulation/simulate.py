@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +20,7 @@ from urdfcal.io.writing import write_session
 from urdfcal.robot.dh import PARAMETERS
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.robot.urdf.origins import origins_of, rewrite_origins
-from urdfcal.session.model import MIN_POSES, Positions, Setup
+from urdfcal.session.model import MIN_POSES, Positions
 from urdfcal.simulation.joint_errors import draw_joint_errors, joint_errors_to_dicts, true_joint_values
 from urdfcal.simulation.planning import load_collision_checker, sample_poses
 from urdfcal.simulation.scene import Scene, look_at, noisy_values, simulate_detections
@@ -180,7 +180,7 @@ def simulate(
     else:
         readings = sample_poses(outlined, checker, poses, pose_rng, progress) if at is None else at[1]
     planned = Positions(
-        **{one.name: getattr(rig, one.name) for one in fields(Setup)} | {"noise": noise, "sha256": {}, "folder": None},
+        **rig.of_setup(noise=noise, sha256={}, folder=None),
         poses=names,
         q=readings,
         warnings=warnings,
@@ -188,7 +188,7 @@ def simulate(
     joint_errors = draw_joint_errors(rig.errors, planned, arm_seed)
     q, origins = true_joint_values(planned, joint_errors), true.placements
     if Bending.name in joint_errors:
-        true = true.bending()
+        true = true.with_flexures()
     pixel = rig.noise.of(Detections) if pixel is None else pixel
     if not rig.places:
         views, levels = np.tile(np.arange(len(true.cameras)), (poses, 1)), (pixel, noise.of(Detections))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from itertools import islice
 from typing import TYPE_CHECKING
 
@@ -22,7 +22,7 @@ from urdfcal.estimation.problem import Problem
 from urdfcal.estimation.state import State
 from urdfcal.robot.flexure import rigid_joints
 from urdfcal.robot.tree_dh import rows_of
-from urdfcal.session.model import Session, Setup
+from urdfcal.session.model import Session
 from urdfcal.simulation.planning import joint_limits
 
 if TYPE_CHECKING:
@@ -100,8 +100,7 @@ def _arrive(
 ) -> tuple[Floats, Ints]:
     """Move from joint values (K, n) to where LEDs rest in places, ``what`` (2, K); which do not arrive are left out."""
     contacts = Contacts(np.arange(len(q)), what[0], what[1], np.array(1.0), names={"place": tuple(rig.places)})
-    setup = {one.name: getattr(rig, one.name) for one in fields(Setup)}
-    session = Session(**setup, poses=tuple(map(str, range(len(q)))), q=q, measurements=(contacts,))
+    session = Session(**rig.of_setup(), poses=tuple(map(str, range(len(q)))), q=q, measurements=(contacts,))
     problem = Problem.of(session, rows_of(rig.chain))
     places = np.array(list(rig.places.values()))
     state = State({ARM: offsets, BASE: true.T_world_base, LEDS: true.leds, PLACES: places})

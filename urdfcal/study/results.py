@@ -16,7 +16,7 @@ from urdfcal import files
 from urdfcal.output.entities import chart_view, log_chart
 from urdfcal.output.page import template
 from urdfcal.output.recording import ROOT
-from urdfcal.output.stream import Layer
+from urdfcal.output.stream import Layer, recorded
 from urdfcal.output.svg import Figure, figure_html
 from urdfcal.study.charts import study_charts
 
@@ -111,18 +111,13 @@ def _write_recording(path: Path, rig: RigDescription, table: Sequence[Outcome], 
     text = "\n".join([*lines, "", *(f"- {why}" for why in failures(table))])
     views = [chart_view(chart, ROOT) for chart in charts]
     document = rrb.TextDocumentView(origin=f"{ROOT}/texts/table", name="Settings; green: rms, blue: expected")
-    stream = rr.RecordingStream("urdfcal")
-    try:
-        columns = int(np.ceil(np.sqrt(len(views) + 1)))
-        grid = rrb.Grid(document, *views, grid_columns=columns)
-        stream.save(path, default_blueprint=rrb.Blueprint(grid, collapse_panels=True))
-        stream.send_recording_name(f"{rig.chain.name}, studied")
+    grid = rrb.Grid(document, *views, grid_columns=int(np.ceil(np.sqrt(len(views) + 1))))
+    layout = rrb.Blueprint(grid, collapse_panels=True)
+    with recorded(path, layout, f"{rig.chain.name}, studied") as stream:
         base = Layer(stream, ROOT, 0)
         base.at("texts", "table").fixed(rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
         for chart in charts:
             log_chart(base.at("charts"), chart)
-    finally:
-        stream.disconnect()
 
 
 def _mm(metres: float) -> str:

@@ -127,12 +127,12 @@ def test_what_is_loaded_gives_the_same_numbers(found: FittedCalibration, loaded:
     expected = found.problem.joint_values(Readings.of(found.session), found.fit.state)
     np.testing.assert_allclose(loaded.joint_values(q), expected, atol=1e-13)
     np.testing.assert_array_equal(found.true_q, expected)
-    seen = tip_poses(loaded.bending, expected)
+    seen = tip_poses(loaded.mechanism, expected)
     np.testing.assert_allclose(loaded.forward(q), seen, atol=1e-13)
     # The joints' own values alone do not have it: that is the rigid part.
-    real = rigid_joints(loaded.bending)
+    real = rigid_joints(loaded.mechanism)
     assert np.abs(tip_poses(loaded.calibrated, expected[:, real]) - seen).max() > 1e-4
-    assert loaded.chain.names == found.chain.names == tuple(np.array(loaded.bending.names)[real])
+    assert loaded.chain.names == found.chain.names == tuple(np.array(loaded.mechanism.names)[real])
 
 
 def test_commands_make_up_for_it(loaded: urdfcal.Calibration) -> None:
@@ -198,7 +198,7 @@ def test_an_arm_that_bends_is_filmed_in_motion() -> None:
     still = simulate(replace(rig, errors={"bending": 3e-5}), poses=6, seed=0)
     moving = set_in_motion(still, MotionSettings())
     truth = moving.truth
-    assert len(truth.unbent().chain.joints) == 6
-    np.testing.assert_array_equal(spread_placements(truth.chain, truth.unbent().placements), truth.placements)
+    assert len(truth.without_flexures().chain.joints) == 6
+    np.testing.assert_array_equal(spread_placements(truth.chain, truth.without_flexures().placements), truth.placements)
     assert np.abs(truth.q[:, ~np.isin(np.arange(18), rigid_joints(truth.chain))]).max() > 1e-5
     assert moving.session.q.shape[1] == 6

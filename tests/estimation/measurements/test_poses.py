@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -32,7 +32,7 @@ from urdfcal.robot.kinematics import tip_poses
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.rotations import matrix_to_quaternion
 from urdfcal.session.knowledge import Estimate, Led, Noise
-from urdfcal.session.model import Session, Setup
+from urdfcal.session.model import Session
 from urdfcal.session.pattern import FramePattern
 from urdfcal.session.target import Target
 from urdfcal.simulation.simulate import draw_offsets
@@ -72,15 +72,15 @@ def probed(
     table = Poses(
         np.arange(count), np.zeros(count, int), places, np.array(noise["pose"]), np.array(noise["pose_rad"])
     )  # fmt: skip
-    setup = {one.name: getattr(rig(), one.name) for one in fields(Setup)} | {
-        "leds": (),
-        "targets": (Target("probe", FramePattern(), chain.tip_link),),
-        "rig": type(rig().rig)(),
-        "mounts": (),
-        "noise": Noise(joint=0.0, other=noise),
-        "sha256": {},
-        "folder": None,
-    }
+    setup = rig().of_setup(
+        leds=(),
+        targets=(Target("probe", FramePattern(), chain.tip_link),),
+        rig=type(rig().rig)(),
+        mounts=(),
+        noise=Noise(joint=0.0, other=noise),
+        sha256={},
+        folder=None,
+    )
     return Session(**setup, poses=tuple(map(str, range(count))), q=q, measurements=(table,))
 
 
