@@ -69,19 +69,48 @@ def test_outliers_are_no_noise(simulated: Callable) -> None:
     assert noise_of(simulated("panda", poses=50, outliers=0.1).session)["pixel"].found == pytest.approx(clean, rel=0.15)
 
 
-def test_the_score_is_the_derivative_of_the_likelihood(simulated: Callable) -> None:
+@pytest.fixture
+def likelihood(simulated: Callable) -> _Likelihood:
     calibration = calibrated(simulated("so101", poses=20).session)
     problem, fit = calibration.problem, calibration.fit
     parts = [_Part.of(problem, fit, of, kept) for of, kept in zip(problem.observations, fit.kept, strict=True)]
-    likelihood = _Likelihood(tuple(parts), *fit.parameters.prior_residuals(fit.state))
+    return _Likelihood(tuple(parts), *fit.parameters.prior_residuals(fit.state))
+
+
+def test_score_and_observed_information_are_derivatives_of_the_likelihood(likelihood: _Likelihood) -> None:
     variances = np.array([1.7, (3e-4) ** 2])
-    score = likelihood.at(variances).score
+    here = likelihood.at(variances)
     for k in range(2):
         step = np.where(np.arange(2) == k, 1e-4, 0.0)
-        before, after = (likelihood.at(variances * np.exp(sign * step)).value for sign in (-1.0, 1.0))
-        assert (after - before) / 2e-4 == pytest.approx(score[k], rel=1e-4, abs=1e-4)
+        before, after = (likelihood.at(variances * np.exp(sign * step)) for sign in (-1.0, 1.0))
+        assert (after.value - before.value) / 2e-4 == pytest.approx(here.score[k], rel=1e-4, abs=1e-4)
+        np.testing.assert_allclose((before.score - after.score) / 2e-4, here.observed[k], rtol=1e-4, atol=1e-4)
+
+
+def test_the_information_is_that_of_the_whole_covariance(likelihood: _Likelihood) -> None:
+    variances = np.array([1.7, (3e-4) ** 2])
+    (part,) = likelihood.parts
+    N, rows, p = part.J.shape
+    J = part.J.reshape(N * rows, p)
+    joint = np.zeros((N, rows, N, rows))
+    joint[np.arange(N), :, np.arange(N), :] = part.joint @ np.swapaxes(part.joint, 1, 2)
+    own = np.diag(np.ones(N * rows) * part.used.reshape(-1))
+    shares = [variances[0] * own, variances[1] * joint.reshape(N * rows, N * rows)]
+    inverse = np.linalg.pinv(sum(shares))
+    covariance = np.linalg.pinv(J.T @ inverse @ J + likelihood.J_prior.T @ likelihood.J_prior)
+    P = inverse - inverse @ J @ covariance @ J.T @ inverse
+    expected = [[0.5 * np.trace(P @ a @ P @ b) for b in shares] for a in shares]
+    np.testing.assert_allclose(likelihood.at(variances).information, expected, rtol=1e-6)
+
+
+def test_the_likeliest_variances_are_found_in_a_few_rounds(
+    likelihood: _Likelihood, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    variances, evaluations, at = np.array([1.7, (3e-4) ** 2]), [], _Likelihood.at
+    monkeypatch.setattr(_Likelihood, "at", lambda self, of: evaluations.append(of) or at(self, of))
     best, _ = likelihood.maximise(variances)
-    np.testing.assert_allclose(likelihood.at(best).score, 0.0, atol=0.05)
+    assert len(evaluations) <= 10  # Fisher's scoring takes thirty
+    np.testing.assert_allclose(likelihood.at(best).score, 0.0, atol=1e-3)
     held, _ = likelihood.maximise(variances, hold=1)
     assert held[1] == variances[1]
     assert held[0] != variances[0]

@@ -13,7 +13,7 @@ from urdfcal.estimation.whitening import JointNoise, Whitening, joint_noise
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from urdfcal.arrays import Floats
+    from urdfcal.arrays import Bools, Floats
     from urdfcal.estimation.parameters import Parameters
     from urdfcal.estimation.problem import Problem
     from urdfcal.estimation.robust import Weights
@@ -59,6 +59,15 @@ class Neighbourhood:
     def norms(self) -> tuple[Floats, ...]:
         """For each kind (N, m): whitened residual norm of every measurement on its own."""
         return tuple(noise.norms(residual) for noise, residual in zip(self.noise, self.residual, strict=True))
+
+    def at(self, poses: Sequence[Bools]) -> Neighbourhood:
+        """Return that of some of each kind's poses (N,)."""
+        return replace(
+            self,
+            residual=tuple(of[some] for of, some in zip(self.residual, poses, strict=True)),
+            J=tuple(of[some] for of, some in zip(self.J, poses, strict=True)),
+            noise=tuple(of.at(some) for of, some in zip(self.noise, poses, strict=True)),
+        )
 
 
 @dataclass(frozen=True, eq=False)

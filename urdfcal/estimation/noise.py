@@ -85,7 +85,7 @@ def find_noise(problem: Problem, fit: Solution, undeclared: Collection[str] = ()
 
     The covariance of a pose's measurements is ``sum_k v_k C_k + v_q J_q J_q^T``: as declared for each kind, times its
     factor, and what the joint readings' noise does to it, which grows with the lever arm and moves all measurements of
-    a pose together. Fisher scoring on the logarithms (Patterson and Thompson, Biometrika 58, 1971).
+    a pose together (Patterson and Thompson, Biometrika 58, 1971); Newton's method on the logarithms.
 
     Args:
         problem: what was measured.
@@ -177,14 +177,64 @@ class _Part:
             scaled_by[of.numbers] = k
         return cls(residual, J, joint, used, np.tile(scaled_by, m))
 
+    def products(self, W: Whitening, columns: Floats, step: Floats, count: int) -> tuple[Floats, ...]:
+        """What the derivatives by the logarithms of the variances are made of.
+
+        With V the covariance, V_k the share of variance k in it, J the derivatives, e the residuals after a step of the
+        parameters, and X = V^-1 [e J].
+
+        Args:
+            W: whitens at some variances.
+            columns: (N, m D, 1 + p) the residuals and derivatives, whitened.
+            step: (p,) of the parameters.
+            count: number of variances, that of the joint readings the last.
+
+        Returns:
+            The traces of V^-1 V_k (k,) and of V^-1 V_k V^-1 V_l (k, k), X^T V_k X (k, 1 + p, 1 + p), and
+            X^T V_k V^-1 V_l X (k, k, 1 + p, 1 + p).
+        """
+        size = columns.shape[2]
+        trace, traces = np.zeros(count), np.zeros((count, count))
+        once, twice = np.zeros((count, size, size)), np.zeros((count, count, size, size))
+        X = W.shared(np.concatenate([columns[..., :1] + columns[..., 1:] @ step[:, None], columns[..., 1:]], axis=2))
+        # The readings' share of V is A A^T, where each measurement's own noise is 1; V^-1 = 1 - G G^T.
+        G = (W.A @ W.axes) / np.sqrt(1.0 + W.strength)[:, None]
+        A, share = W.shared(W.shared(W.A)), W.strength / (1.0 + W.strength)
+        shares, inner = {count - 1: W.A @ (np.swapaxes(W.A, 1, 2) @ X)}, {}
+        trace[-1], traces[-1, -1] = np.sum(share), np.sum(share**2)
+        for i in np.unique(self.scaled_by).tolist():
+            mine = (self.used & (self.scaled_by == i))[..., None]
+            shares[i], of = mine * X, mine * G
+            inner[i] = np.swapaxes(of, 1, 2) @ of
+            trace[i] = np.sum(mine) - np.sum(of**2)
+            traces[i, i] = np.sum(mine) - 2.0 * np.sum(of**2)
+            traces[[i, -1], [-1, i]] = np.sum(mine * A**2)
+        for i, a in inner.items():
+            for j, b in inner.items():
+                traces[i, j] += np.sum(a * b)
+        half = {k: W.shared(of) for k, of in shares.items()}
+        for k, of in shares.items():
+            once[k] = _products(X, of)
+            for other, with_other in half.items():
+                twice[k, other] = _products(half[k], with_other)
+        return trace, traces, once, twice
+
 
 @dataclass(frozen=True, eq=False)
 class _LikelihoodValue:
-    """The restricted log-likelihood, its derivative by the variances' logarithms, and its Fisher information."""
+    """The restricted log-likelihood at some variances, and its derivatives by their logarithms.
+
+    Attributes:
+        value: the log-likelihood.
+        score: (k,) its derivative.
+        information: (k, k) Fisher's: its expected second derivative, negative.
+        observed: (k, k) its second derivative, negative.
+    """
 
     value: float
     score: Floats
     information: Floats
+    observed: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,61 +245,63 @@ class _Likelihood:
 
     def maximise(self, variances: Floats, hold: int | None = None) -> tuple[Floats, _LikelihoodValue]:
         """Return the likeliest variances, one of them held, and the likelihood there."""
-        free = np.arange(len(variances)) != hold
+        free = np.ix_(np.arange(len(variances)) != hold)[0]
         least = np.append(np.full(len(variances) - 1, _LEAST_SHARE**2), _LEAST_JOINT**2)
-        for _ in range(_ROUNDS):
-            at = self.at(variances)
-            information = at.information[np.ix_(free, free)]
-            damped = information + _VAGUE * np.eye(len(information))
+
+        def further(at: _LikelihoodValue, curvature: Floats) -> Floats:
             step = np.zeros(len(variances))
+            damped = curvature[np.ix_(free, free)] + _VAGUE * np.eye(len(free))
             step[free] = np.clip(np.linalg.solve(damped, at.score[free]), -_LARGEST_STEP, _LARGEST_STEP)
-            moved = np.maximum(variances * np.exp(step), least)
+            result: Floats = np.maximum(variances * np.exp(step), least)
+            return result
+
+        at = self.at(variances)
+        for _ in range(_ROUNDS):
+            # Newton's steps need a handful of rounds where Fisher's scoring needs thirty, but may lead downwards.
+            concave = np.linalg.eigvalsh(at.observed[np.ix_(free, free)])[0] > 0.0
+            moved = further(at, at.observed if concave else at.information)
+            new = self.at(moved)
+            if concave and new.value < at.value:
+                moved = further(at, at.information)
+                new = self.at(moved)
             change = np.abs(np.log(moved / variances)).max()
-            variances = moved
+            variances, at = moved, new
             if change < _SETTLED:
                 break
-        return variances, self.at(variances)
+        return variances, at
 
     def at(self, variances: Floats) -> _LikelihoodValue:
         """Evaluate."""
-        count = len(variances)
         H, g = self.J_prior.T @ self.J_prior, self.J_prior.T @ self.r_prior
         whitened, value = [], -0.5 * float(self.r_prior @ self.r_prior)
         for part in self.parts:
             own = np.broadcast_to(variances[part.scaled_by, None, None], (*part.used.shape, 1, 1))
             W = Whitening.of(own, np.sqrt(variances[-1]) * part.joint)
-            r, J = W(part.residual), W(part.J)
-            whitened.append((W, r, J))
-            H, g = H + np.einsum("nij,nik->jk", J, J), g + np.einsum("nij,ni->j", J, r[..., 0])
+            columns = W(np.concatenate([part.residual, part.J], axis=2))
+            whitened.append((W, columns))
+            normal = _products(columns, columns)
+            H, g = H + normal[1:, 1:], g + normal[1:, 0]
             logs = np.sum(part.used * np.log(variances[part.scaled_by])) + np.sum(np.log1p(W.strength))
-            value -= 0.5 * float(logs + np.sum(r**2))
+            value -= 0.5 * float(logs + normal[0, 0])
         scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
         scaled = H * np.outer(scale, scale)
         covariance = np.linalg.pinv(scaled, hermitian=True) * np.outer(scale, scale)
         step = -covariance @ g
         value += 0.5 * float(g @ covariance @ g) - 0.5 * float(np.linalg.slogdet(H)[1])
-        score, information = np.zeros(count), np.zeros((count, count))
-        # A pose is whitened by R with R^2 = (1 + A A^T)^-1 = 1 - G G^T. The readings' share of its covariance then is
-        # F F^T with F = R A, and that of a variance R M R, with M for the numbers that it scales.
-        for part, (W, r, J) in zip(self.parts, whitened, strict=True):
-            left, q = r + J @ step[:, None], count - 1
-            F, share = W.shared(W.A), W.strength / (1.0 + W.strength)
-            G = (W.A @ W.axes) / np.sqrt(1.0 + W.strength)[:, None]
-            by_joint = np.swapaxes(F, 1, 2) @ J
-            taken = np.sum((by_joint @ covariance) * by_joint)
-            score[q] += 0.5 * (np.sum((np.swapaxes(F, 1, 2) @ left) ** 2) - np.sum(share) + taken)
-            information[q, q] += 0.5 * np.sum(share**2)
-            left, J, F = W.shared(left), W.shared(J), W.shared(F)
-            each = {}
-            for i in np.unique(part.scaled_by).tolist():
-                mine = (part.used & (part.scaled_by == i))[..., None]
-                of = mine * G
-                free = np.sum(mine) - np.sum(of**2)
-                score[i] += 0.5 * (np.sum(mine * left**2) - free + np.sum(mine * (J @ covariance) * J))
-                each[i] = np.swapaxes(of, 1, 2) @ of
-                information[i, i] += 0.5 * (free - np.sum(of**2))
-                information[[i, q], [q, i]] += 0.5 * np.sum(mine * F**2)
-            for i, a in each.items():
-                for j, b in each.items():
-                    information[i, j] += 0.5 * np.sum(a * b)
-        return _LikelihoodValue(value, score, information)
+        products = [part.products(*of, step, len(variances)) for part, of in zip(self.parts, whitened, strict=True)]
+        trace, traces, once, twice = (np.sum(of, axis=0) for of in zip(*products, strict=True))
+        # P = V^-1 - V^-1 J C J^T V^-1 takes out what the parameters make up for, with C their covariance.
+        by_parameters = covariance @ once[:, 1:, 1:]
+        taken = np.einsum("kii->k", by_parameters)
+        score = 0.5 * (once[:, 0, 0] - trace + taken)
+        again = np.einsum("kij,lji->kl", by_parameters, by_parameters)
+        information = 0.5 * (traces - 2.0 * np.einsum("ij,klji->kl", covariance, twice[:, :, 1:, 1:]) + again)
+        moved = once[:, 0, 1:]
+        observed = twice[:, :, 0, 0] - moved @ covariance @ moved.T - information - np.diag(score)
+        return _LikelihoodValue(value, score, information, observed)
+
+
+def _products(a: Floats, b: Floats) -> Floats:
+    """Products (p, r) of columns (N, m, p) and (N, m, r), summed over all rows."""
+    result: Floats = a.reshape(-1, a.shape[2]).T @ b.reshape(-1, b.shape[2])
+    return result

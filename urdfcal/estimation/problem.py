@@ -127,10 +127,17 @@ class Problem:
         one = observed.by_slot
         return one.table.metres_per_unit(one, self.links(one.readings, state), state).reshape(observed.row.shape)
 
-    def off(self, observed: Observations, state: State) -> Floats:
-        """Return how far what was measured is off (N, m), for pixels across the ray; turns do not count. [m]."""
-        residual = self.residual(observed, state)[..., observed.table.lengths]
-        result: Floats = np.linalg.norm(residual, axis=-1) * self.metres_per_unit(observed, state)
+    def off(self, observed: Observations, state: State, residual: Floats | None = None) -> Floats:
+        """Return how far what was measured is off (N, m), for pixels across the ray; turns do not count. [m].
+
+        Args:
+            observed: what was measured.
+            state: where.
+            residual: (N, m, D) what :meth:`residual` gives there, where that is known already.
+        """
+        residual = self.residual(observed, state) if residual is None else residual
+        lengths = np.linalg.norm(residual[..., observed.table.lengths], axis=-1)
+        result: Floats = lengths * self.metres_per_unit(observed, state)
         return result
 
     def seen(self, observed: Observations, state: State) -> Floats:

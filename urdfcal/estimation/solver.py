@@ -201,25 +201,19 @@ def sketch(
         return _descend(robust, at, ones, HuberWeights(), _FIRST_DAMPING, _settled(problem), progress, steps).at.state
 
 
-def refit(problem: Problem, kept: Sequence[Bools], start: State, parameters: Parameters) -> State:
+def refit(problem: Problem, kept: Sequence[Bools], start: Neighbourhood, parameters: Parameters) -> State:
     """Estimate from some of the measurements, near a start that is already good.
 
     Args:
         problem: what was measured.
         kept: for each kind (N, m): the measurements that count.
-        start: first state.
+        start: the problem in the neighbourhood of the first state, see :meth:`LeastSquares.linearise`.
         parameters: what to estimate, with priors.
     """
     weights = [np.where(keep, 1.0, REJECTED) for keep in kept]
     with one_blas_thread():
         least_squares = LeastSquares(problem, parameters)
-        at = least_squares.linearise(start)
-        return _descend(least_squares, at, weights, keep_weights, _FIRST_DAMPING, _CONVERGED_COARSE, None).at.state
-
-
-def residual_norms(problem: Problem, state: State, parameters: Parameters) -> tuple[Floats, ...]:
-    """Return the whitened residual norm (N, m) of every measurement at a state: joint readings' noise counts, too."""
-    return LeastSquares(problem, parameters).linearise(state).norms
+        return _descend(least_squares, start, weights, keep_weights, _FIRST_DAMPING, _CONVERGED_COARSE, None).at.state
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,12 +7,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.estimation.solver import refit, residual_norms
+from urdfcal.arrays import one_blas_thread
+from urdfcal.estimation.least_squares import LeastSquares
+from urdfcal.estimation.solver import refit
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from urdfcal.arrays import Bools, Floats, Ints
+    from urdfcal.estimation.least_squares import Neighbourhood
     from urdfcal.estimation.observations import Observations
     from urdfcal.estimation.parameters import Parameters
     from urdfcal.estimation.problem import Problem
@@ -83,7 +86,9 @@ def hold_out(problem: Problem, fit: Solution, fold_of_pose: Ints) -> HeldOut:
     observations = problem.observations
     norms, residual, distance = ([np.zeros(observed.row.shape) for observed in observations] for _ in range(3))
     steps = []
-    for out, state in _without_each(problem, fit, fold_of_pose):
+    with one_blas_thread():
+        near = LeastSquares(problem, fit.parameters).linearise(fit.state)
+    for out, state in _without_each(problem, fit, near, fold_of_pose):
         steps.append(fit.parameters.between(fit.state, state))
         unseen = problem.with_observations([of.at(left) for of, left in zip(observations, out, strict=True)])
         training = problem.with_observations([of.at(~left) for of, left in zip(observations, out, strict=True)])
@@ -91,16 +96,20 @@ def hold_out(problem: Problem, fit: Solution, fold_of_pose: Ints) -> HeldOut:
         if new.any():
             where = {int(k): "other poses tell it" for k in np.flatnonzero(~new & fit.parameters.active)}
             used = [keep[left] for keep, left in zip(fit.kept, out, strict=True)]
-            state = refit(unseen, used, state, fit.parameters.fixing(where))
-        for k, norm in enumerate(residual_norms(unseen, state, fit.parameters)):
-            left, observed, factor = out[k], unseen.observations[k], factors[k]
-            norms[k][left] = factor * norm
-            residual[k][left] = factor * np.linalg.norm(unseen.residual(observed, state), axis=-1)
-            distance[k][left] = factor * unseen.off(observed, state)
+            own = fit.parameters.fixing(where)
+            state = refit(unseen, used, LeastSquares(unseen, own).linearise(state), own)
+        for k, observed in enumerate(unseen.observations):
+            left, factor, off = out[k], factors[k], unseen.residual(observed, state)
+            # The joint readings' noise is that of the full estimate, from which a fold's hardly moves.
+            norms[k][left] = factor * near.noise[k].at(left).norms(off)
+            residual[k][left] = factor * np.linalg.norm(off, axis=-1)
+            distance[k][left] = factor * unseen.off(observed, state, off)
     return HeldOut(np.array(steps), tuple(norms), tuple(residual), tuple(distance))
 
 
-def _without_each(problem: Problem, fit: Solution, fold_of_pose: Ints) -> Iterator[tuple[list[Bools], State]]:
+def _without_each(
+    problem: Problem, fit: Solution, near: Neighbourhood, fold_of_pose: Ints
+) -> Iterator[tuple[list[Bools], State]]:
     """For each fold which poses (N,) of each kind are in it, and the estimate without them."""
     observations = problem.observations
     fold_of = [fold_of_pose[observed.pose] for observed in observations]
@@ -108,7 +117,7 @@ def _without_each(problem: Problem, fit: Solution, fold_of_pose: Ints) -> Iterat
         out = [of == fold for of in fold_of]
         training = problem.with_observations([of.at(~left) for of, left in zip(observations, out, strict=True)])
         kept = [keep[~left] for keep, left in zip(fit.kept, out, strict=True)]
-        yield out, refit(training, kept, fit.state, fit.parameters)
+        yield out, refit(training, kept, near.at([~left for left in out]), fit.parameters)
 
 
 def _only_unseen(training: Problem, unseen: Problem, parameters: Parameters) -> tuple[Bools, list[Floats]]:

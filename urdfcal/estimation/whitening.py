@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from urdfcal.arrays import Floats
+    from urdfcal.arrays import Bools, Floats
     from urdfcal.estimation.linearize import Linearization
 
 # Poses of so few numbers are whitened by a matrix each, which is quicker than its factors.
@@ -37,6 +37,10 @@ class JointNoise:
         """Take the covariance (N, m, D, D) of measurements, and what the joint readings do to whole poses."""
         own = joint.reshape(*covariance.shape[:3], joint.shape[-1])
         return cls(joint, np.linalg.inv(np.linalg.cholesky(covariance + own @ np.swapaxes(own, -1, -2))))
+
+    def at(self, poses: Bools) -> JointNoise:
+        """Return that of some of the poses (N,)."""
+        return JointNoise(self.joint[poses], self.marginal[poses])
 
     def norms(self, residual: Floats) -> Floats:
         """Return the whitened residual norm (N, m) of each measurement alone."""

@@ -12,7 +12,7 @@ Sources: Rossi, Savino et al., eq. 2; Hayati & Mirmirani, J. Robotic Systems 2(4
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from functools import cached_property, reduce
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
@@ -295,9 +295,19 @@ class DHTable:
 
 
 def row_transform(values: ArrayLike) -> Floats:
-    """Compute B(theta, d, a, alpha, beta) of rows in this order: (..., 5) to (..., 4, 4)."""
+    """Compute B = Rz(theta) Tz(d) Tx(a) Rx(alpha) Ry(beta) of rows in this order: (..., 5) to (..., 4, 4)."""
     values = np.asarray(values, dtype=float)
-    return reduce(np.matmul, [_factor(name, values[..., column]) for column, name in enumerate(PARAMETERS)])
+    turns, d, a = values[..., [0, 3, 4]], values[..., 1], values[..., 2]
+    (c, c_a, c_b), (s, s_a, s_b) = (np.moveaxis(of(turns), -1, 0) for of in (np.cos, np.sin))
+    T = np.zeros((*values.shape[:-1], 4, 4))
+    # Rx(alpha) Ry(beta), which Rz(theta) turns: its third row stays.
+    x, y = (c_b, np.zeros_like(c), s_b), (s_a * s_b, c_a, -s_a * c_b)
+    T[..., 2, 0], T[..., 2, 1], T[..., 2, 2], T[..., 2, 3] = -c_a * s_b, s_a, c_a * c_b, d
+    for column in range(3):
+        T[..., 0, column] = c * x[column] - s * y[column]
+        T[..., 1, column] = s * x[column] + c * y[column]
+    T[..., 0, 3], T[..., 1, 3], T[..., 3, 3] = a * c, a * s, 1.0
+    return T
 
 
 def parameter_twists(values: Floats, Q: Floats) -> Floats:
