@@ -100,6 +100,20 @@ def test_a_plan_is_written_whole_or_not_at_all(
     assert [path.name for path in Path().iterdir()] == ["plan.yaml"]
 
 
+@pytest.mark.parametrize(
+    ("output", "arguments"),
+    [
+        ("plan.json", ["--format", "lerobot"]),
+        ("plan.rrd", ["--save", "plan.rrd"]),
+        ("plan.csv", ["--format", "ros", "--save", "./plan.yaml"]),
+    ],
+)
+def test_no_two_files_are_one(output: str, arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["plan", "elbow3r", "-o", output, *arguments]) == 2
+    assert "two files of this plan would be one" in capsys.readouterr().err
+    assert not list(Path().iterdir())
+
+
 def test_a_session_is_gone_on_from_and_a_box_is_where_it_counts(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["simulate", "elbow3r", "-o", "s", "--poses", "8"]) == 0
     assert run(["plan", "s", *RIG[2:], "--poses", "4", "--workspace", "session"]) == 0

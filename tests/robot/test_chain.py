@@ -110,7 +110,7 @@ TWO = (turning("j", "a b"), turning("k", "b c"))
     ("joints", "tip", "base", "message"),
     [
         (TWO, "tool", None, "no link 'tool'"),
-        (TWO, "c", "base", "no link 'base'"),
+        (TWO, "c", "base", "no link 'base'.*Without base_link the arm starts at the root link 'a'"),
         (TWO, "b", "c", "'c' is not above tip link 'b'"),
         (TWO, "a", None, "no movable joint"),
         ((("weld", "fixed", "a b", ""),), "b", None, "no movable joint"),

@@ -98,6 +98,8 @@ def command(
     from urdfcal.planning.workspace import parse_workspace
     from urdfcal.result.calibration import Calibration
 
+    others = {output.with_suffix(WRITERS[of][0]): WRITERS[of][1] for of in FORMATS if of in also}
+    _distinct(output, *others, *([] if save is None else [save]))
     setup, where, boxes = _read(start), parse_workspace(workspace), () if scene is None else read_scene(scene)
     count = poses or (_DEFAULT if until is None else _MOST)
     with progress_bar("planning", candidates + 3 * count) as advance:
@@ -108,8 +110,7 @@ def command(
         found = planner.plan(count, until=until or 0.0, check=not no_check, progress=advance)
     files = {}
     if found.count:
-        files = {output: as_csv(found)}
-        files |= {output.with_suffix(WRITERS[of][0]): WRITERS[of][1](found) for of in FORMATS if of in also}
+        files = {output: as_csv(found), **{path: text_of(found) for path, text_of in others.items()}}
     with written(files):
         if save is not None:
             found, files = _recorded(save, found), {**files, **({save: ""} if files else {})}
@@ -122,6 +123,16 @@ def command(
         if isinstance(setup, Calibration):
             click.echo(_how_to_go_on(setup))
     return int(until is not None and found.likely[-1] > until)
+
+
+def _distinct(*paths: Path) -> None:
+    """Refuse to write two things into one file."""
+    from urdfcal.errors import OutputError
+
+    for k, path in enumerate(paths):
+        if path.resolve() in (other.resolve() for other in paths[:k]):
+            remedy = "Give -o plan.csv, and --save another name."
+            raise OutputError("two files of this plan would be one", where=str(path), remedy=remedy)
 
 
 def _recorded(path: Path, plan: Plan) -> Plan:

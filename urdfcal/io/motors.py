@@ -33,5 +33,10 @@ def read_motors(path: Path) -> dict[str, dict[str, Any]]:
     if not whole:
         what = "no motor calibration of LeRobot: each motor has range_min and range_max, whole numbers"
         raise SessionError(what, where=str(path), remedy="It is in ~/.cache/huggingface/lerobot/calibration.")
+    for name, motor in motors.items():
+        low, high = (motor[key] for key in RANGE)
+        if low >= high:
+            what = f"motor {name!r}: range_min {low} is not below range_max {high}"
+            raise SessionError(what, where=str(path), remedy="Run lerobot-calibrate again: move it through its range.")
     result: dict[str, dict[str, Any]] = motors
     return result

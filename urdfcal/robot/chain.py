@@ -114,7 +114,10 @@ def _joint_path(urdf: Urdf, tip_link: str, base_link: str, where: str) -> list[U
     """The joints of a URDF, fixed ones included, from a base link to a tip link."""
     for link in (base_link, tip_link):
         if link not in urdf.links:
-            raise RobotError(f"there is no link {link!r}", where=where, remedy=suggest(link, urdf.links, "links"))
+            remedy = suggest(link, urdf.links, "links")
+            if link == base_link:
+                remedy += f" Without base_link the arm starts at the root link {urdf.root!r}."
+            raise RobotError(f"there is no link {link!r}", where=where, remedy=remedy)
     above = {joint.child: joint for joint in urdf.joints.values()}
     path: list[UrdfJoint] = []
     links = [tip_link]
