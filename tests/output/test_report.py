@@ -20,9 +20,8 @@ from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.output.arms import Shape
 from urdfcal.output.charts import parameter_charts
-from urdfcal.output.figures import figures, workspace_maps
-from urdfcal.output.findings import Overview, headline, look_up, pose_texts, sample_workspace
-from urdfcal.output.palette import UNMEASURED
+from urdfcal.output.figures import figures
+from urdfcal.output.findings import Overview, headline, look_up, pose_texts
 from urdfcal.output.portrait import portrait, triangles
 from urdfcal.output.report import _correlated_pairs, write_report
 from urdfcal.output.worst import worst
@@ -316,37 +315,6 @@ def test_names_are_text_and_no_markup(tmp_path):
     text = (tmp_path / "report.html").read_text()
     assert "<b>&<" not in text
     assert "&lt;b&gt;&amp;" in text
-
-
-def test_the_workspace_forgives_where_the_base_stands(calibration):
-    found = sample_workspace(calibration)
-    T = np.eye(4)
-    T[:3, 3] = [0.1, -0.2, 0.3]
-    moved = replace(calibration)
-    object.__setattr__(
-        moved, "placements", np.concatenate([[T @ calibration.placements[0]], calibration.placements[1:]])
-    )
-    np.testing.assert_allclose(sample_workspace(moved).before, found.before, atol=1e-12)
-    assert 1e-4 < np.median(found.before) < 1e-2
-
-
-def test_the_map_is_grey_where_nothing_was_measured(calibration):
-    workspace = sample_workspace(calibration)
-    inside = calibration.in_domain(
-        calibration.chain.readings(
-            calibration.chain.random_values(len(workspace.tip), np.random.default_rng(calibration.seed))
-        )
-    )
-    np.testing.assert_array_equal(workspace.measured, inside)
-    assert 0 < inside.sum() < len(inside)
-    below = replace(workspace, measured=workspace.tip[:, 2] < np.median(workspace.tip[:, 2]))
-    nominal, calibrated = workspace_maps(below)
-    grey, known = nominal.marks
-    assert (grey.name, grey.color) == ("not measured", UNMEASURED)
-    assert len(grey.x) > 0 < len(known.x) == len(known.color)
-    assert np.mean(grey.y) > np.mean(known.y)
-    assert nominal.colors == calibrated.colors
-    assert all(len(of.marks[1].x) == 0 for of in workspace_maps(replace(below, measured=np.zeros(len(inside), bool))))
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")

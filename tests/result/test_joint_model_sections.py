@@ -16,6 +16,7 @@ from urdfcal.errors import OutputError, RobotError, SessionError
 from urdfcal.estimation.blocks.arm import ARM
 from urdfcal.estimation.joint_models import Readings
 from urdfcal.estimation.joint_models.gravity_backlash import GravityBacklash
+from urdfcal.output.workspace import sample_workspace
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.session.knowledge import Payload
@@ -115,6 +116,8 @@ def test_measured_torques_are_needed_where_compliances_were_found_with_them(simu
     true = calibration.joint_values(session.readings, torques)
     expected = calibration.problem.joint_values(Readings.of(session), calibration.fit.state)
     np.testing.assert_allclose(true, expected, atol=1e-13)
+    assert calibration.joint_models.needs_torques
+    assert sample_workspace(calibration).moved is None
     with pytest.raises(SessionError, match="these readings have none"):
         calibration.joint_values(session.readings)
     with pytest.raises(RobotError, match="torques of shape"):

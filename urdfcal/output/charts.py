@@ -17,8 +17,9 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from urdfcal.arrays import Floats
-    from urdfcal.output.findings import Overview, Workspace
+    from urdfcal.output.findings import Overview
     from urdfcal.output.scene import ResidualTable
+    from urdfcal.output.workspace import Workspace
     from urdfcal.result.fitted import FittedCalibration
 
 # Residuals in standard deviations beyond this are off the charts.
@@ -41,7 +42,8 @@ PART_COLORS = ("light blue", "orange", "violet")
 WORKSPACE = """\
 **Workspace.** Each dot is a place that the tip reaches, at joint values at random within the limits. Its colour is how
 far off the tip is there: for the nominal arm the distance to the calibrated one, the bases aligned; for the calibrated
-arm the predicted standard deviation. Both clouds have the colours of the bar, in mm. Blue: nominal, green: calibrated.
+arm the predicted standard deviation. All clouds have the colours of the bar, in mm. Blue: nominal, green: calibrated;
+amber, where there are joint models: how far they move the tip, by sagging say.
 
 Small dots: joint values outside of what was measured.
 """
@@ -254,14 +256,14 @@ def workspace_chart(workspace: Workspace) -> Chart:
     return Chart(
         "shares",
         "% of the workspace below",
-        Scale.holding(1e3 * workspace.before, 1e3 * workspace.after, logarithmic=True),
+        Scale.holding(*(1e3 * error for error in workspace.errors.values()), logarithmic=True),
         Scale(0.0, 100.0),
         [
-            Mark("lines", name, 1e3 * np.sort(error), share, palette.OF_ARM[name])
+            Mark("lines", name, 1e3 * np.sort(error), share, palette.OF_ARM.get(name, palette.ACCENT))
             for name, error in workspace.errors.items()
         ],
         x_label="tip error [mm]",
-        legend=("nominal", "calibrated"),
+        legend=tuple(workspace.errors),
     )
 
 

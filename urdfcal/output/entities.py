@@ -22,7 +22,7 @@ from urdfcal.output.charts import (
     error_colors,
     paths,
 )
-from urdfcal.output.findings import ELLIPSOID, HEADLINE, Overview, Workspace, headline, parameter_text, pose_texts
+from urdfcal.output.findings import ELLIPSOID, HEADLINE, Overview, headline, parameter_text, pose_texts
 from urdfcal.output.images import arm_in_images, find_rejected, finite_pieces
 from urdfcal.output.joint_charts import JOINTS, MODELS, joint_model_charts
 from urdfcal.output.pictures import find_pictures
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from urdfcal.arrays import Floats, Ints
     from urdfcal.cameras.camera import Camera
     from urdfcal.output.scene import CalibrationScene, ResidualTable
+    from urdfcal.output.workspace import Workspace
     from urdfcal.result.fitted import FittedCalibration
 
 # Size of the plotted area; only its shape is seen.

@@ -23,8 +23,9 @@ if TYPE_CHECKING:
 
     from urdfcal.arrays import Floats
     from urdfcal.cameras.camera import Camera
-    from urdfcal.output.findings import Overview, Workspace
+    from urdfcal.output.findings import Overview
     from urdfcal.output.scene import CalibrationScene, ResidualTable
+    from urdfcal.output.workspace import Workspace
     from urdfcal.result.fitted import FittedCalibration
 
 FIGURES = (
@@ -50,7 +51,7 @@ def figures(overview: Overview) -> dict[str, Figure]:
     cost, _, step, *_ = convergence_charts(calibration)
     found = {
         "residuals": Figure([[by_pose(table), spread(table)]], 230),
-        "workspace": Figure([[*workspace_maps(of), workspace_chart(of)] for of in overview.workspaces], 250),
+        "workspace": Figure([row for of in overview.workspaces for row in _workspace(of)], 250),
         "joints": Figure([[_joint_ranges(calibration)]], 60),
         "convergence": Figure([[cost, step]], 180),
     }
@@ -69,8 +70,16 @@ def figures(overview: Overview) -> dict[str, Figure]:
     return found
 
 
+def _workspace(workspace: Workspace) -> list[Sequence[Chart]]:
+    """Maps, and shares beside two or below three."""
+    return _in_rows([*workspace_maps(workspace), workspace_chart(workspace)], 3)
+
+
 def workspace_maps(workspace: Workspace) -> list[Chart]:
-    """The median tip error over distance from the base's axis and height, nominal and calibrated, in one scale."""
+    """The median tip error over distance from the base's axis and height, nominal and calibrated, in one scale.
+
+    Where there are joint models, also how far they move the tip.
+    """
     radius, height = np.hypot(workspace.tip[:, 0], workspace.tip[:, 1]), workspace.tip[:, 2]
     size = max(np.ptp(radius), np.ptp(height)) / _CELLS
     column, row = ((values - values.min()) // size for values in (radius, height))

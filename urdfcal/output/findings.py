@@ -8,28 +8,22 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from urdfcal.arrays import Bools, Floats, frozen
-from urdfcal.estimation.alignment import kabsch
 from urdfcal.estimation.blocks.arm import LENGTHS
 from urdfcal.output.images import find_rejected
 from urdfcal.output.palette import SIGMA_LEGEND
 from urdfcal.output.scene import CalibrationScene, build_scene
-from urdfcal.robot.kinematics import link_poses
-from urdfcal.robot.mechanism import BASE
+from urdfcal.output.workspace import Workspace, ends_of_arms, sample_workspace
 from urdfcal.robot.tree_dh import MOUNT
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from urdfcal.result.fitted import FittedCalibration
-    from urdfcal.robot.mechanism import Tip
     from urdfcal.session.model import Setup
 
 ResultData: TypeAlias = "Mapping[str, Any]"
 """What is in ``calibration.json``."""
 
-# Enough for a map of 20 x 20 cells; drawing more takes longer and shows the same.
-_SAMPLES = 1500
 ELLIPSOID = 2.0
 """Half axes of the covariance ellipsoids, in standard deviations."""
 MOUNTS = (
@@ -56,61 +50,6 @@ _TRIANGULATED = "triangulated, depth included"
 _FAR_MORE = 3.0
 HEADLINE = "rms error on held-out poses"
 """What the one number means that says what a calibration is worth."""
-
-
-@dataclass(frozen=True, eq=False)
-class Workspace:
-    """Tip errors at joint values drawn at random within the joints' limits.
-
-    Attributes:
-        link: whose place it is.
-        tip: (M, 3) of the calibrated arm in the base link's frame. [m]
-        before: (M,) distance of the nominal arm's tip, after the best rigid alignment at the base. [m]
-        after: (M,) predicted standard deviation of the calibrated tip's place, aligned likewise. [m]
-        measured: (M,) whether the joint values lie in the measured domain.
-    """
-
-    link: str
-    tip: Floats
-    before: Floats
-    after: Floats
-    measured: Bools
-
-    @property
-    def errors(self) -> dict[str, Floats]:
-        """(M,) of the nominal and of the calibrated arm. [m]."""
-        return {"nominal": self.before, "calibrated": self.after}
-
-    @property
-    def range(self) -> tuple[float, float]:
-        """Smallest and largest error before and after. [m]."""
-        both = np.concatenate([self.before, self.after])
-        return float(both.min()), float(both.max())
-
-
-def sample_workspace(calibration: FittedCalibration, tip: Tip | None = None) -> Workspace:
-    """Sample the workspace of the tip, or of another link, with the calibration's own seed."""
-    chain = calibration.chain
-    of = tip or chain.tips[0]
-    q = chain.random_values(_SAMPLES, np.random.default_rng(calibration.seed))
-    (calibrated,), (nominal,) = (
-        [T[:, :3, 3] for T in link_poses(chain, q, [of], placements)] for placements in (calibration.placements, None)
-    )
-    T = kabsch(nominal, calibrated)
-    before = np.linalg.norm(nominal @ T[:3, :3].T + T[:3, 3] - calibrated, axis=1)
-    measured = calibration.in_domain(chain.readings(q))
-    after = calibration.tip_sigma(q, of)
-    return Workspace(of.link, frozen(calibrated), frozen(before), frozen(after), measured)
-
-
-def ends_of_arms(session: Setup) -> tuple[Tip, ...]:
-    """The first tip, and the end of each further branch that carries what is measured: the second arm's."""
-    chain, frames = session.chain, session.attachments
-    carrying = {frames.frames[frame] for frame in frames.carrier[frames.led]}
-    first, *others = chain.tips
-    # A link further down the same arm has no workspace of its own.
-    same = (BASE, *chain.path(first.joint))
-    return (first, *(tip for tip in others if tip.link in carrying and tip.joint not in same))
 
 
 @dataclass(frozen=True, eq=False)

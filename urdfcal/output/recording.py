@@ -15,12 +15,13 @@ from urdfcal.output import charts
 from urdfcal.output.entities import chart_view, log_overview
 from urdfcal.output.exports.names import exported
 from urdfcal.output.figure_files import FOLDER, earlier_figures, write_figures
-from urdfcal.output.findings import HEADLINE, Overview, Workspace, headline
+from urdfcal.output.findings import HEADLINE, Overview, headline
 from urdfcal.output.palette import BACKGROUND, VERDICT_COLORS
 from urdfcal.output.report import write_report
 from urdfcal.output.scene import CalibrationScene, ResidualTable, image_range
 from urdfcal.output.stream import POSE, TIME, recorded
 from urdfcal.output.viewer import RECORDING
+from urdfcal.output.workspace import MOVED
 from urdfcal.result.calibration import FILE_NAME, Calibration, corrected_name
 from urdfcal.session.trajectory import Trajectory
 
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 
     from urdfcal.arrays import Floats
     from urdfcal.output.chart import Chart
+    from urdfcal.output.workspace import Workspace
     from urdfcal.result.fitted import FittedCalibration
 
 ROOT = "base"
@@ -244,16 +246,24 @@ def _workspace(overview: Overview) -> rrb.Container:
 
 
 def _clouds(workspace: Workspace, *, further: bool) -> list[rrb.View]:
-    """The workspace of the first tip or of a further one, nominal and calibrated."""
+    """The workspace of the first tip or of a further one: nominal, calibrated, and what joint models move."""
     middle = (workspace.tip.min(axis=0) + workspace.tip.max(axis=0)) / 2
     far = 1.1 * float(np.linalg.norm(workspace.tip - middle, axis=1).max()) / np.tan(_HALF_VIEW)
     eye = middle + far * np.array([0.8, -1.0, 0.5]) / np.linalg.norm([0.8, -1.0, 0.5])
     folder = f"workspace/{rr.escape_entity_path_part(workspace.link)}" if further else "workspace"
     views = []
-    for (name, error), what in zip(workspace.errors.items(), ("off", "standard deviation"), strict=True):
+    what_of = {"nominal": "off", "calibrated": "standard deviation", MOVED: "moved"}
+    for name, error in workspace.errors.items():
         low, high = (f"{1e3 * end:.2g}" for end in (error.min(), error.max()))
-        title = f"{workspace.link}, {name}: {low} to {high} mm {what}"
-        views.append(_space(title, [f"+ $origin/{folder}/{name}", "+ $origin/calibrated/**"], eye, middle))
+        title = f"{workspace.link}, {name}: {low} to {high} mm {what_of[name]}"
+        views.append(
+            _space(
+                title,
+                [f"+ $origin/{folder}/{rr.escape_entity_path_part(name)}", "+ $origin/calibrated/**"],
+                eye,
+                middle,
+            )
+        )
     return views
 
 

@@ -111,6 +111,7 @@ def write_report(path: Path, overview: Overview, *, refused: bool = False) -> No
         figures={name: Markup(figure_html(figure)) for name, figure in figures(overview).items()},  # noqa: S704  # made by us, labels escaped
         sigma_legend=SIGMA_LEGEND,
         actuated=len(calibration.chain.actuated),
+        sags=overview.workspace.moved is not None,
         share=f"{100.0 * overview.workspace.measured.mean():.0f} %",
         rows=list(rows.items()),
         columns=[f"{SYMBOLS.get(c, c)} [{'mm' if c in LENGTHS else 'mrad'}]" for c in calibration.geometry.columns],

@@ -14,6 +14,7 @@ from urdfcal.estimation.joint_models.base import Readings
 from urdfcal.estimation.joint_models.bending import Bending
 from urdfcal.estimation.joint_models.linear import LinearJointModel, Setting
 from urdfcal.estimation.joint_models.torque_basis import TorqueBasis
+from urdfcal.estimation.joint_models.under_torque import UnderTorque
 from urdfcal.robot.flexure import without_flexures
 from urdfcal.robot.gravity import place_of
 from urdfcal.robot.newton import AsTold
@@ -79,6 +80,11 @@ class FoundJointModels:
     def bending(self) -> tuple[str, ...]:
         """Names of the joints before which links bend."""
         return next((of.joints for of in self.found if of.kind is Bending), ())
+
+    @property
+    def needs_torques(self) -> bool:
+        """Whether a model is that under measured torques, which nobody knows where they were not measured."""
+        return any(isinstance(of, UnderTorque) and not of.masses for of in self.models)
 
     def carrying(self, carried: Payload | Literal["nothing"]) -> FoundJointModels:
         """Return the same of an arm that carries something else, or nothing.

@@ -1,0 +1,93 @@
+"""How far the tip is off over the workspace, and how far joint models move it there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from urdfcal.arrays import Bools, Floats, frozen
+from urdfcal.estimation.alignment import kabsch
+from urdfcal.robot.kinematics import link_poses
+from urdfcal.robot.mechanism import BASE
+
+if TYPE_CHECKING:
+    from urdfcal.result.fitted import FittedCalibration
+    from urdfcal.robot.mechanism import Tip
+    from urdfcal.session.model import Setup
+
+# Enough for a map of 20 x 20 cells; drawing more takes longer and shows the same.
+_SAMPLES = 1500
+# Scales are logarithmic: what is below a nanometre counts as one. [m]
+_NOTHING = 1e-9
+MOVED = "joint models"
+"""Name of what joint models move the tip by, beside the errors of the nominal and of the calibrated arm."""
+
+
+@dataclass(frozen=True, eq=False)
+class Workspace:
+    """Tip errors at joint values drawn at random within the joints' limits.
+
+    Attributes:
+        link: whose place it is.
+        tip: (M, 3) of the calibrated arm, as its joint models have it, in the base link's frame. [m]
+        before: (M,) distance of the nominal arm's tip, after the best rigid alignment at the base. [m]
+        after: (M,) predicted standard deviation of the calibrated tip's place, aligned likewise. [m]
+        measured: (M,) whether the joint values lie in the measured domain.
+        moved: (M,) distance that joint models move the tip by, at rest: how far it sags, say; None of an arm without
+            any, and where they follow from torques that were measured, and were not here. [m]
+    """
+
+    link: str
+    tip: Floats
+    before: Floats
+    after: Floats
+    measured: Bools
+    moved: Floats | None = None
+
+    @property
+    def errors(self) -> dict[str, Floats]:
+        """(M,) of the nominal and of the calibrated arm, and what joint models move. [m]."""
+        return {
+            "nominal": self.before,
+            "calibrated": self.after,
+            **({} if self.moved is None else {MOVED: self.moved}),
+        }
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """Smallest error before and after, and the largest of all. [m]."""
+        least = min(float(error.min()) for error in (self.before, self.after))
+        return least, max(float(error.max()) for error in self.errors.values())
+
+
+def sample_workspace(calibration: FittedCalibration, tip: Tip | None = None) -> Workspace:
+    """Sample the workspace of the tip, or of another link, with the calibration's own seed."""
+    chain, models = calibration.chain, calibration.joint_models
+    of = tip or chain.tips[0]
+    q = chain.random_values(_SAMPLES, np.random.default_rng(calibration.seed))
+    (calibrated,), (nominal,) = (
+        [T[:, :3, 3] for T in link_poses(chain, q, [of], placements)] for placements in (calibration.placements, None)
+    )
+    moved = None
+    if models.found and not models.needs_torques:
+        mechanism = calibration.mechanism
+        (T_base_tip,) = link_poses(mechanism, calibration.joint_values(chain.readings(q)), [mechanism.tip(of.link)])
+        rigid, calibrated = calibrated, T_base_tip[:, :3, 3]
+        moved = frozen(np.maximum(np.linalg.norm(calibrated - rigid, axis=1), _NOTHING))
+    T = kabsch(nominal, calibrated)
+    before = np.linalg.norm(nominal @ T[:3, :3].T + T[:3, 3] - calibrated, axis=1)
+    measured = calibration.in_domain(chain.readings(q))
+    after = calibration.tip_sigma(q, of)
+    return Workspace(of.link, frozen(calibrated), frozen(before), frozen(after), measured, moved)
+
+
+def ends_of_arms(session: Setup) -> tuple[Tip, ...]:
+    """The first tip, and the end of each further branch that carries what is measured: the second arm's."""
+    chain, frames = session.chain, session.attachments
+    carrying = {frames.frames[frame] for frame in frames.carrier[frames.led]}
+    first, *others = chain.tips
+    # A link further down the same arm has no workspace of its own.
+    same = (BASE, *chain.path(first.joint))
+    return (first, *(tip for tip in others if tip.link in carrying and tip.joint not in same))
