@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 
 from tests.worlds import repeated
+from urdfcal.arrays import rms
 from urdfcal.errors import CalibrationError
 from urdfcal.estimation.assessment import assess, corrections
 from urdfcal.estimation.blocks.arm import ARM
 from urdfcal.estimation.blocks.cameras import lens_key
 from urdfcal.estimation.diagnosis.doctor import Finding
 from urdfcal.estimation.diagnosis.trials import Suspicion
+from urdfcal.estimation.evaluation import compare
 from urdfcal.estimation.evidence import Regions, TipError
 from urdfcal.estimation.measurements import Detections
 from urdfcal.estimation.scale import LengthScale
@@ -29,7 +31,7 @@ if TYPE_CHECKING:
     from urdfcal.result.fitted import FittedCalibration
     from urdfcal.session.model import Session
 
-EVIDENCE = ("noise", "scale", "findings", "regions", "tip", "improvement", "suspicion")
+EVIDENCE = ("noise", "scale", "findings", "regions", "tip", "improvement", "correction", "suspicion")
 ARM_ONLY = Estimate("dh", "fixed", "fixed")
 
 
@@ -333,9 +335,30 @@ def test_an_led_far_from_where_it_was_said_to_be(good: FittedCalibration) -> Non
 
 def test_regions_that_are_predicted_badly(good: FittedCalibration) -> None:
     inside = float(np.sqrt(np.mean(good.comparison.chosen.residuals("distance") ** 2)))
-    for factor, said in ((1.9, False), (2.1, True)):
-        found = again(good, regions=replace(good.evidence.regions, rms=factor * inside))
-        assert ["it does not hold elsewhere" in text for text in found.warnings] == [True] * said
+    for factor, low, said in (
+        (1.9, 1.1, []),
+        (2.1, 1.1, ["it does not hold elsewhere: "]),
+        (2.1, 0.9, ["whether it holds elsewhere cannot be told from so few poses: "]),
+    ):
+        regions = replace(good.evidence.regions, rms=factor * inside, interval=(low * inside, 9.0 * inside))
+        found = again(good, regions=regions)
+        assert [text[: text.index(": ") + 2] for text in found.warnings] == said
+
+
+def test_corrections_that_are_no_larger_than_what_the_tip_is_expected_to_be_off(good: FittedCalibration) -> None:
+    expected = good.evidence.tip.rms
+    assert again(good, correction=1.01 * expected).level == "good"
+    (warning,) = again(good, correction=0.99 * expected).warnings
+    assert warning.startswith("away from the measured poses the nominal arm may be as good")
+    only_cameras = replace(good.session, estimate=Estimate("none"))
+    assert not any("nominal arm" in text for text in again(good, only_cameras, correction=0.0).warnings)
+
+
+def test_the_correction_is_how_far_the_tip_moves_from_the_nominal_arm(good: FittedCalibration) -> None:
+    chain = good.chain
+    q = chain.random_values(500, np.random.default_rng(1))
+    moved = compare(chain, chain.with_placements(good.placements), q)
+    assert good.evidence.correction == pytest.approx(rms(moved.position), rel=0.1)
 
 
 def test_an_improvement_that_is_not_shown(good: FittedCalibration) -> None:

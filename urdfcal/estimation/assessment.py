@@ -143,7 +143,7 @@ def assess(session: Session, problem: Problem, comparison: Comparison, evidence:
         *_displaced_mounts(session, fit),
         *_other_lenses(session, fit),
         *_elsewhere(comparison, evidence.regions),
-        *_unimproved(session, evidence.improvement),
+        *_unimproved(session, evidence),
     )
     return Assessment.of(failures, warnings)
 
@@ -280,10 +280,15 @@ def _elsewhere(comparison: Comparison, regions: Regions) -> Iterator[str]:
     """Regions that were left out are predicted far worse than poses among the others."""
     inside = comparison.chosen.rms("distance")
     if regions.rms > _WORSE_ELSEWHERE * inside:
-        yield (
-            f"it does not hold elsewhere: {1e3 * regions.rms:.2g} mm rms in regions left out, {1e3 * inside:.2g} mm "
-            "among the measured poses: use it where it was measured, or measure where it will be used"
-        )
+        found = f"{1e3 * regions.rms:.2g} mm rms in regions left out, {1e3 * inside:.2g} mm among the measured poses"
+        low, high = (1e3 * end for end in regions.interval)
+        if regions.interval[0] > inside:
+            yield f"it does not hold elsewhere: {found}: use it where it was measured, or measure where it will be used"
+        else:
+            yield (
+                f"whether it holds elsewhere cannot be told from so few poses: {found} (95 % of a further region: "
+                f"{low:.2g} to {high:.2g} mm): measure more, or use it where it was measured"
+            )
 
 
 def _bends(evidence: Evidence) -> Iterator[str]:
@@ -295,11 +300,20 @@ def _bends(evidence: Evidence) -> Iterator[str]:
         )
 
 
-def _unimproved(session: Session, improvement: tuple[float, float]) -> Iterator[str]:
-    if session.estimate.geometry != "none" and improvement[0] <= 0.0:
+def _unimproved(session: Session, evidence: Evidence) -> Iterator[str]:
+    improvement, correction, expected = evidence.improvement, evidence.correction, evidence.tip.rms
+    if session.estimate.geometry == "none":
+        return
+    if improvement[0] <= 0.0:
         yield (
             "no improvement over the nominal arm is shown: on held-out poses the difference is "
             f"{1e3 * improvement[0]:.2g} to {1e3 * improvement[1]:.2g} mm (95 %)"
+        )
+    elif correction <= expected:
+        yield (
+            f"away from the measured poses the nominal arm may be as good: over the workspace the tip moves by "
+            f"{1e3 * correction:.2g} mm rms, and is expected to be {1e3 * expected:.2g} mm off; urdfcal plan finds "
+            "poses that tell more"
         )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from urdfcal.arrays import rms
 from urdfcal.estimation.assessment import DOUBTFUL_CHI2, MANY_OUTLIERS, MISFIT_CHI2
+from urdfcal.estimation.blocks.arm import ARM
 from urdfcal.estimation.diagnosis.doctor import diagnose
 from urdfcal.estimation.diagnosis.family import undone
 from urdfcal.estimation.diagnosis.residuals import Unexplained
@@ -19,7 +20,7 @@ from urdfcal.estimation.left_out import find_left_out
 from urdfcal.estimation.noise import find_noise
 from urdfcal.estimation.regions import joint_regions, tip_regions
 from urdfcal.estimation.scale import find_scale
-from urdfcal.estimation.uncertainty import SizeError, rigid_loss, size_error, tip_error, tip_rms_with
+from urdfcal.estimation.uncertainty import SizeError, rigid_loss, size_error, tip_change, tip_error, tip_rms_with
 from urdfcal.estimation.validation import hold_out, region_interval, rms_samples
 
 if TYPE_CHECKING:
@@ -115,6 +116,8 @@ class Evidence:
         bends: what the joints do that no URDF can hold, one sentence for each joint model; none of a rigid arm.
         rigid_loss: how far the rigid arm's tip is off for that at the measured poses, root mean square. [m]
         improvement: 95 % interval of the nominal arm's rms error on held-out poses less the calibrated one's. [m]
+        correction: how far the tip moves over the workspace from the nominal arm to the calibrated one, joint models
+            included, rms after the best alignment at the base. [m]
         spread: (count, count) covariance of the estimate over regions left out, where something is not modelled: there
             is a misfit, or what one joint was found to do others may do as well; else None.
         undone: that a correction which the session's URDF has is taken back; None where none is.
@@ -130,6 +133,7 @@ class Evidence:
     bends: tuple[str, ...]
     rigid_loss: float
     improvement: tuple[float, float]
+    correction: float
     spread: Floats | None
     undone: str | None
     suspicion: Suspicion | None
@@ -189,6 +193,7 @@ def gather(
         bends=bends,
         rigid_loss=rigid_loss(problem, fit.state) if bends else 0.0,
         improvement=_improvement(problem, comparison, seed),
+        correction=_correction(problem, fit),
         spread=fit.spread,
         undone=undone(session, calibrated, tip.rms),
         suspicion=suspect(session, progress) if absurd else None,
@@ -231,6 +236,12 @@ def _improvement(problem: Problem, comparison: Comparison, seed: int) -> tuple[f
     samples = [rms_samples(problem.observations, kept, of, unit, seed) for of in trials]
     low, high = np.percentile(samples[0] - samples[1], [2.5, 97.5])
     return float(low), float(high)
+
+
+def _correction(problem: Problem, fit: Solution) -> float:
+    models = {model.key: model.nominal for model in problem.joint_models if isinstance(model, LinearJointModel)}
+    as_drawn = fit.state.replace({ARM: np.zeros_like(fit.state[ARM]), **models})
+    return tip_change(problem, fit, fit.parameters.between(as_drawn, fit.state))
 
 
 def _rms(distance: tuple[Floats, ...], kept: tuple[Bools, ...]) -> float:
