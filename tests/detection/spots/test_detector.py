@@ -145,6 +145,14 @@ def test_hot_pixels_are_no_leds_and_do_not_disturb_one(tmp_path: Path) -> None:
     assert spots.fits.uv[spots.good][0] == pytest.approx([100.3, 80.7], abs=0.12)
 
 
+def test_leds_elsewhere_in_each_image_are_no_lights_that_stand_still(tmp_path: Path) -> None:
+    places = np.random.default_rng(0).uniform([30, 30], [210, 150], (7, 2))
+    images = [[led(*place, 4000.0)] for place in [*places, places[0]]]  # in the sample's median each leaves a trace
+    spots = spots_in(tmp_path, images)
+    assert spots.good.sum() == len(images)
+    assert len(spots.still) == 0
+
+
 def test_a_lamp_that_stands_still_is_none_and_an_led_in_its_light_is_found(tmp_path: Path) -> None:
     lamps = [led(60.0, 60.0, 1800.0), Light(np.array([150.0, 90.0]), 6000.0, 9.0)]
     rng = np.random.default_rng(3)
