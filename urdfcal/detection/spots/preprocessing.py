@@ -50,8 +50,8 @@ _LARGE_SAMPLE, _LARGE_RANK = 15, 0.3
 # The median's own noise costs 10 % of accuracy where the background dominates: it is taken off only where the
 # background differs by more than this many deviations of an image's noise within a crop.
 _STRUCTURE = 3.0
-# A light stands still if the median shows it so many deviations of an image's noise above what is usual: an LED that one
-# image of seven has there moves the median by a third of one, in images of whole counts by one count.
+# A light stands still if the median shows it so many deviations of an image's noise above what is usual: an LED that
+# one image of seven has there moves the median by a third of one, in images of whole counts by one count.
 _STANDING = 5.0
 # Rounding hides noise below this. [counts]
 _LEAST_NOISE = 0.3
