@@ -14,6 +14,7 @@ from urdfcal.cli.judging import _length, _verdict
 from urdfcal.estimation.acceptance import Acceptance
 from urdfcal.io.writing import write_session
 from urdfcal.robot.urdf.urdf import Urdf
+from urdfcal.session.knowledge import Estimate
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -211,3 +212,32 @@ def test_an_arm_that_bends_is_judged_with_its_joint_models(
     assert run(["calibrate", str(shared / "ur10_spread"), "-o", str(tmp_path / "out"), "--quiet"]) == 0
     assert run(["verify", str(tmp_path / "out"), str(shared / "ur10_cubes"), "--limit", "0.6mm"]) == 0
     assert "within 0.6 mm" in capsys.readouterr().out
+
+
+def test_lenses_that_were_found_with_the_arm_judge_it_where_they_suit_better(
+    simulated: Callable, new: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data, session = simulated("elbow3r", poses=62).session, tmp_path / "session"
+    wrong = [
+        replace(camera, intrinsics=camera.intrinsics * np.array([1.02, 1.02, 1.0, 1.0])) for camera in data.rig.cameras
+    ]
+    given = replace(data, rig=replace(data.rig, cameras=tuple(wrong)), estimate=Estimate("dh", "free"))
+    write_session(session, given.at(np.arange(50)))
+    assert run(["calibrate", str(session), "-o", str(tmp_path / "result")]) == 0
+    write_session(tmp_path / "wrong", given.at(NEW))
+    lenses, rms = ", ".join(data.rig.names), {}
+    for folder, said in (
+        ("wrong", f"lenses of {lenses}: as found with the arm, which suit better than the session's"),
+        ("new", f"lenses of {lenses}: the session's, which suit better than those found with the arm"),
+    ):
+        capsys.readouterr()
+        assert run(["evaluate", str(tmp_path / "result"), str(tmp_path / folder), "--json"]) == 0
+        printed = capsys.readouterr()
+        assert said in " ".join(printed.err.split())
+        rms[folder] = json.loads(printed.out)["residual_px"]["rms"]
+        assert run(["verify", str(tmp_path / "result"), str(tmp_path / folder), "--limit", "1mm"]) == 0
+        assert said in " ".join(capsys.readouterr().out.split())
+    # A URDF has no lenses: those of the session make it far worse.
+    (urdf,) = (tmp_path / "result").glob("*.urdf")
+    assert run(["evaluate", str(urdf), str(tmp_path / "wrong"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["residual_px"]["rms"] > 1.5 * rms["wrong"]

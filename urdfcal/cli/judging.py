@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -79,6 +79,7 @@ def verify(
         say(f"- {warning}", err=True)
     with status_line() as status:
         status("fitting base, LEDs and cameras")
+        measured, lenses = lenses_as_calibrated(measured, chain, calibration)
         bends = None if calibration is None else calibration.joint_models
         found = accept(chain, measured, limit, seed, bends=bends)
     new = calibration is None or not _calibrated_with(calibration, measured)
@@ -100,7 +101,7 @@ def verify(
         say(_verdict(found))
         if not new:
             say("- these are the measurements that it was calibrated with: others will be further off")
-        for remark in (*_left_out(found), *domain.remarks):
+        for remark in (*lenses, *_left_out(found), *domain.remarks):
             say(f"- {remark}")
     ctx.exit(0 if found.within else 1)
 
@@ -150,6 +151,46 @@ def arm_of(
         return read_mechanism(Urdf.read(reference), [tip or links[0], *links[1:]], base or session.chain.base_link)
     where = session.urdf_reference or str(folder)
     return apply_to_mechanism(session.chain, calibration.chain, calibration.placements, where)
+
+
+def lenses_as_calibrated(
+    session: Session, chain: Mechanism, calibration: Calibration | None
+) -> tuple[Session, tuple[str, ...]]:
+    """Take the lenses that were estimated with an arm for the session's, if they suit its measurements better.
+
+    Args:
+        session: what was measured.
+        chain: the calibrated arm.
+        calibration: of it; a URDF's is None.
+
+    Returns:
+        The session, and what is to be said of its lenses.
+    """
+    import numpy as np
+
+    from urdfcal.estimation.evaluation import explain
+
+    entries = {} if calibration is None else calibration.document.cameras
+    found = {
+        camera.name: replace(camera, intrinsics=np.array(of.intrinsics), distortion=np.array(of.distortion))
+        for camera in session.rig.cameras
+        if (of := entries.get(camera.name)) is not None
+        and of.sigma.intrinsics
+        and (of.resolution, of.distortion_model) == (list(camera.resolution), camera.distortion_model)
+    }
+    if calibration is None or not found:
+        return session, ()
+    cameras = tuple(found.get(camera.name, camera) for camera in session.rig.cameras)
+    changed = replace(session, rig=replace(session.rig, cameras=cameras))
+    bends = calibration.joint_models
+    medians = [
+        float(np.median(np.concatenate(explain(chain, of, bends=bends).fit.norms, axis=None)))
+        for of in (session, changed)
+    ]
+    names = ", ".join(found)
+    if medians[1] < medians[0]:
+        return changed, (f"lenses of {names}: as found with the arm, which suit better than the session's",)
+    return session, (f"lenses of {names}: the session's, which suit better than those found with the arm",)
 
 
 def _calibrated_with(calibration: Calibration, session: Session) -> bool:

@@ -50,7 +50,8 @@ def evaluate(
 
     With a session, base pose, LED positions and what else it does not know (camera poses, places) are fitted; the arm
     is A's, and for comparison the session's own as its URDF has it (nominal). Of a RESULT, a folder that calibrate has
-    written or its calibration.json, arm and LEDs are as calibrated. Poses outside its measured domain are counted.
+    written or its calibration.json, arm and LEDs are as calibrated, and lenses that it estimated where they suit better
+    than the session's. Poses outside its measured domain are counted.
     Known distances of places take no part: they are shown beside those that come out.
     """
     if turned := _reversed(Path(urdf), Path(other)):
@@ -106,7 +107,7 @@ def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
     import numpy as np
 
     from urdfcal.arrays import rms
-    from urdfcal.cli.judging import arm_of, domain_of, is_urdf
+    from urdfcal.cli.judging import arm_of, domain_of, is_urdf, lenses_as_calibrated
     from urdfcal.estimation.blocks.places import PLACES
     from urdfcal.estimation.evaluation import explain
     from urdfcal.io.folder import read_points, read_session
@@ -126,8 +127,9 @@ def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
         session = replace(session, measurements=(measured,), leds=leds, moved={})
     if calibration is not None:
         session = _leds_as_calibrated(session, calibration)
-    bends = None if calibration is None else calibration.joint_models
-    explained = explain(arm_of(urdf, calibration, session, folder), session, bends=bends)
+    bends, arm = None if calibration is None else calibration.joint_models, arm_of(urdf, calibration, session, folder)
+    session, lenses = lenses_as_calibrated(session, arm, calibration)
+    explained = explain(arm, session, bends=bends)
     try:
         nominal = _sizes(session, explain(session.chain, session))
     except CalibrationError:  # the nominal arm is too far off for these measurements
@@ -148,7 +150,7 @@ def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
             for of in session.place_distances
         ]
     domain = domain_of(calibration, session.chain, session.chain.readings(session.q))
-    for remark in domain.remarks:
+    for remark in (*lenses, *domain.remarks):
         say(f"- {remark}", err=True)
     return result | domain.data
 
