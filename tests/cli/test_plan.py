@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 import yaml
 
 from urdfcal.cli import run
+from urdfcal.cli.plan import _print
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.io.tables import read_joints
@@ -70,12 +72,21 @@ def test_a_calibration_says_how_far_the_arm_is_off_in_the_poses_to_check_by(caps
     assert "in the 4 poses left out" in Path("out/report.html").read_text()
 
 
+def test_of_many_poses_every_tenth_is_in_the_table(capsys: pytest.CaptureFixture[str]) -> None:
+    errors, none = np.linspace(1e-3, 1e-4, 25), np.zeros(24, dtype=bool)
+    plan = SimpleNamespace(count=24, errors=errors, likely=errors, measured=~none, check=none, rank=np.arange(24))
+    _print(plan, ["plan.csv"], None)
+    lines = capsys.readouterr().out.splitlines()
+    rows = [line.split()[0] for line in lines if re.fullmatch(r" *\d+( +[\d.]+){2} *", line)]
+    assert rows == [*map(str, range(11)), "20", "24"]
+
+
 def test_until_asks_for_as_few_as_needed_and_says_when_that_is_out_of_reach(capsys: pytest.CaptureFixture[str]) -> None:
     assert run([*RIG, "--until", "2mm", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["tip_at_most_mm"][-1] <= 2.0 < found["tip_at_most_mm"][-2]
     assert run([*RIG, "--until", "1um", "--poses", "4"]) == 1
-    assert "is not reached" in capsys.readouterr().out
+    assert re.search(r"0.001 mm is not reached: 9 of 10 arms come to [0-9.]+ mm at most", capsys.readouterr().out)
     Path("plan.csv").unlink()
     assert run([*RIG, "--until", "1m"]) == 0
     assert "nothing more to measure" in capsys.readouterr().out

@@ -54,7 +54,10 @@ def test_the_verdict_is_the_exit_code(result: Path, new: Path, capsys: pytest.Ca
     ):
         assert run(["verify", str(result), str(new), "--limit", f"{limit:.6f}mm"]) == code
         line = capsys.readouterr().out.splitlines()[0]
-        assert re.fullmatch(rf"[\d.]+ mm rms \(95 %: [\d.]+ to [\d.]+\) in 12 configurations: {words}", line), line
+        assert re.fullmatch(
+            rf"[\d.]+ mm rms \(95 %: [\d.]+ to [\d.]+\), noise of measuring included, in 12 configurations: {words}",
+            line,
+        ), line
         within = verified(capsys, result, new, "--limit", f"{limit:.6f}mm", code=code)["within"]
         assert within is {"w": True, "n": False}.get(words[0] if "told" not in words else "")
 
@@ -171,8 +174,8 @@ def test_outliers_are_said(
 def test_the_verdict_of_too_many_outliers_says_so() -> None:
     found = Acceptance(1.0, (0.25, 0.9), 12, 12, 12, 1e-3)
     assert _verdict(found) == (
-        "1000 mm rms (95 %: 250 to 900) in 12 configurations: whether it is within 1 mm cannot be told: too many "
-        "measurements are outliers"
+        "1000 mm rms (95 %: 250 to 900), noise of measuring included, in 12 configurations: whether it is within 1 mm "
+        "cannot be told: too many measurements are outliers"
     )
 
 

@@ -72,7 +72,7 @@ def test_report_and_recording_show_them_and_of_a_rigid_arm_what_models_would_bri
         assert text.index("What was wrong with this arm") < text.index("In numbers")
         trials = overview.document["joint_model_trials"]
         assert any(trial["included"] for trial in trials) is bends
-        assert text.count("<td>estimated</td>") == sum(trial["included"] for trial in trials)
+        assert text.count("<td>yes</td>") == sum(trial["included"] for trial in trials)
         for k in range(len(trials)):
             for key in ("log_evidence", "inside_mm", "elsewhere_mm"):
                 assert f'data-key="joint_model_trials/{k}/{key}"' in text

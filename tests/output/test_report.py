@@ -93,7 +93,7 @@ def test_every_number_is_that_of_the_json(path, page):
     for key, value, shown in page.numbers:
         expected = look_up(document, key.split("/"))
         assert float(value) == expected, key
-        scale = 1000.0 if key.startswith(("dh/", "leds/")) else 1.0
+        scale = 1000.0 if key.startswith(("dh/", "leds/", "T_world_base/")) else 1.0
         assert float(shown.replace("\N{MINUS SIGN}", "-")) == pytest.approx(scale * expected, rel=5.1e-3, abs=5.1e-4), (
             key
         )

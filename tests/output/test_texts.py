@@ -32,13 +32,15 @@ def test_lists_read_like_sentences():
 
 
 def said_of(
-    more, poses=30, cameras=("left",), left_out=None, size=None, moving=False, held_out=0.2, regions=0.2, **scale
-):
+    more, poses=30, cameras=("left",), left_out=None, size=None, moving=False, held_out=0.2, regions=0.2,
+    tips=("tool",), **scale
+):  # fmt: skip
     """What is said of the tip, of a result with some of its keys."""
     scale = {"tip_mm_per_permille": 0.5, "factor_sigma": None, "declared_sigma": None, **scale}
     tip = {"rms_mm": 0.21, "interval_mm": [0.1, 0.3], "more": more, "size": size}
     fit = {"poses": poses, "reduced_chi2": 4.0}
     document = {
+        "robot": {"tip_link": "tool", "tips": dict.fromkeys(tips)},
         "tip": tip,
         "regions": {"rms_mm": regions},
         "scale": scale,
@@ -93,3 +95,8 @@ def test_a_tip_error_far_beyond_what_held_out_poses_show_is_explained():
 )
 def test_what_the_error_is_conditional_on_is_said(scale, sentence):
     assert sentence in said_of(None, **scale)[2]
+
+
+def test_of_several_arms_the_one_that_is_meant_is_named():
+    assert any(text.startswith("tip 0.21 mm rms") for text in said_of(None))
+    assert any(text.startswith("tip tool 0.21 mm rms") for text in said_of(None, tips=("tool", "other")))

@@ -3,10 +3,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.robot.test_chain import TREES, read
-from urdfcal.robot.chain import Tree
+from tests.robot.test_chain import PANDA, TREES, read
+from urdfcal.robot.chain import Chain, Tree
 from urdfcal.robot.dh import PARAMETERS, DHTable
 from urdfcal.robot.kinematics import link_motions, link_poses
+from urdfcal.robot.mechanism import BASE
 from urdfcal.robot.placements import PlacementTable
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.robot.urdf.urdf import Urdf
@@ -42,6 +43,23 @@ def random_offsets(table: DHTable, seed: int) -> np.ndarray:
 def test_a_nominal_arm_keeps_its_placements_bit_for_bit(tree: Tree) -> None:
     table = rows_of(tree)
     np.testing.assert_array_equal(table.placements(np.zeros((len(table.labels), 5))), tree.placements)
+
+
+def test_each_row_follows_that_of_the_joint_above_or_its_mount(tree: Tree) -> None:
+    table = rows_of(tree)
+    for row, before in zip(table.rows, table.following, strict=True):
+        parent = tree.parents[tree.names.index(row.joint)]
+        mount = row.joint + ".mount"
+        if not row.mount and mount in table.labels:
+            assert table.labels[before - 1] == mount
+        elif parent == BASE:
+            assert before is None
+        else:
+            assert table.labels[before - 1] == tree.names[parent]
+
+
+def test_of_a_chain_nothing_is_said_of_what_follows_what() -> None:
+    assert rows_of(Chain.from_urdf(PANDA, "panda_link8")).following == ()
 
 
 def test_labels_name_joints_and_mounts(tree: Tree) -> None:

@@ -206,7 +206,8 @@ def _verdict(found: Acceptance) -> str:
     why = "too many measurements are outliers" if found.too_many_outliers else "more poses are needed"
     told = {True: limit, False: f"not {limit}", None: f"whether it is {limit} cannot be told: {why}"}
     return (
-        f"{_millimetres(found.rms)} mm rms (95 %: {low} to {high}) in {found.configurations} configurations: "
+        f"{_millimetres(found.rms)} mm rms (95 %: {low} to {high}), noise of measuring included, in "
+        f"{found.configurations} configurations: "
         f"{told[found.within]}"
     )
 

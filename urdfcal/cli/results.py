@@ -169,10 +169,15 @@ def _print_errors(path: Path, given: CommandTable, found: Compensation, before: 
     say(
         f"{path}: {len(given.q)} poses\n"
         f"distance of the calibrated tip from the nominal one: {1e3 * before:.3g} mm rms with the nominal commands, "
-        f"{1e3 * _rms_length(found.position[:, None]):.3g} mm with the corrected ones\n"
-        f"worst residual: {1e3 * found.position[worst]:.3g} mm (line {given.line(worst)}), "
-        f"{1e3 * found.angle[most_turned]:.3g} mrad (line {given.line(most_turned)})"
+        f"{_thousandths(_rms_length(found.position[:, None]))} mm with the corrected ones\n"
+        f"worst residual: {_thousandths(found.position[worst])} mm (line {given.line(worst)}), "
+        f"{_thousandths(found.angle[most_turned])} mrad (line {given.line(most_turned)})"
     )
+
+
+def _thousandths(value: float) -> str:
+    """In mm or mrad; what is below a nanometre is rounding."""
+    return f"{1e3 * value:.3g}" if value > 1e-9 else "less than 1e-6"
 
 
 def _rms_length(vectors: Floats) -> float:

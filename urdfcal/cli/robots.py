@@ -255,7 +255,7 @@ def _print_rows(table: DHTable, data: Mapping[str, Any], convention: Convention,
     scales = {name: (1e3, "mm") if name in "da" else (np.degrees(1.0), "deg") for name in order}
     rows = sheet(
         f"{table.chain.name}: {table.chain.base_link} to {table.chain.tip_link}, {convention} DH{what}",
-        ["joint", "type", *(f"{name} ({unit})" for name, (_, unit) in scales.items())],
+        ["joint", "type", *(f"{name}\n({unit})" for name, (_, unit) in scales.items())],
         texts=2,
     )
     for column in rows.columns[2:]:

@@ -91,6 +91,8 @@ def print_summary(overview: Overview, paths: Sequence[Path], remarks: Sequence[s
         line(place)
     if rows <= _MOST_ROWS and not places:
         printed += _print_corrections(calibration, console)
+    elif rows > _MOST_ROWS:
+        line(f"{rows} rows of offsets: in the report, and with --json of urdfcal dh")
     unidentifiable = [f"unidentifiable: {lost}" for lost in document["identifiability"]["lost"]]
     # What the verdict wants to have checked stands out, in print as well.
     texts = [(f"! {reason}", tone) for reason in assessment.reasons]

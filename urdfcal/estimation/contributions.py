@@ -11,6 +11,7 @@ from urdfcal.arrays import rms
 from urdfcal.estimation.blocks.arm import ArmBlock
 from urdfcal.estimation.joint_models.linear import LinearJointModel
 from urdfcal.estimation.uncertainty import aligned_motion
+from urdfcal.session.attachments import ends_of_arms
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from urdfcal.estimation.blocks.base import Block
     from urdfcal.estimation.problem import Problem
     from urdfcal.estimation.solver import Solution
+    from urdfcal.robot.mechanism import Tip
 
 GEOMETRY = "geometry"
 """What the offsets of a joint's own row are called beside the names of joint models."""
@@ -31,7 +33,7 @@ class Contribution:
     Attributes:
         joint: where.
         what: its geometry, or the name of a joint model.
-        tip: how far it moves the tip, root mean square. [m]
+        tip: how far it moves the tip, of several arms the one it moves most, root mean square. [m]
         sigma: standard deviation of that. [m]
     """
 
@@ -51,8 +53,16 @@ def contributions(problem: Problem, fit: Solution) -> tuple[Contribution, ...]:
         problem: the arm and its joint models.
         fit: the estimate.
     """
-    A = aligned_motion(problem, fit)
-    covariance, found = fit.covariance, []
+    largest: dict[tuple[str, str], Contribution] = {}
+    for tip in ends_of_arms(problem.arm.chain, problem.attachments):
+        for of in _to_one(problem, fit, tip):
+            best = largest.get((of.joint, of.what))
+            largest[of.joint, of.what] = of if best is None or of.tip > best.tip else best
+    return tuple(sorted(largest.values(), key=lambda of: -of.tip))
+
+
+def _to_one(problem: Problem, fit: Solution, tip: Tip) -> Iterator[Contribution]:
+    A, covariance = aligned_motion(problem, fit, tip=tip), fit.covariance
     for block in fit.parameters.blocks:
         where, active = fit.parameters.active_columns(block.key)
         offsets = block.local(fit.state[block.key])[0] if where.stop > where.start else np.zeros(0)
@@ -61,8 +71,7 @@ def contributions(problem: Problem, fit: Solution) -> tuple[Contribution, ...]:
             moved = A[..., columns] @ offsets[mine & active]
             variance = np.einsum("nij,jk,nik->", A[..., columns], covariance[np.ix_(columns, columns)], A[..., columns])
             size = rms(np.linalg.norm(moved, axis=1))
-            found.append(Contribution(joint, what, size, float(np.sqrt(variance / len(A)))))
-    return tuple(sorted(found, key=lambda of: -of.tip))
+            yield Contribution(joint, what, size, float(np.sqrt(variance / len(A))))
 
 
 def _causes(block: Block[Any], active: Bools) -> Iterator[tuple[str, str, Bools]]:

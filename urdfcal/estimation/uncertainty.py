@@ -156,18 +156,19 @@ def tip_rms_with(problem: Problem, fit: Solution, factor: float, seed: int = 0) 
     return float(np.sqrt(max(np.sum((A @ covariance) * A), 0.0) / _WORKSPACE))
 
 
-def aligned_motion(problem: Problem, fit: Solution, seed: int = 0) -> Floats:
+def aligned_motion(problem: Problem, fit: Solution, seed: int = 0, tip: Tip | None = None) -> Floats:
     """Compute how the tip moves over the workspace with the active parameters, the base aligned as well as can be.
 
     Args:
         problem: the arm and its joint models.
         fit: the estimate.
         seed: of the configurations.
+        tip: another link than the first tip.
 
     Returns:
         (N, 3, count) derivative at N configurations. [m per unit of the parameter]
     """
-    return _aligned(problem, fit, seed)[0]
+    return _aligned(problem, fit, seed, tip)[0]
 
 
 def tip_sensitivity(problem: Problem, state: State, parameters: Parameters, q: Floats) -> Floats:

@@ -12,8 +12,9 @@ from urdfcal.estimation.blocks.arm import LENGTHS
 from urdfcal.output.images import find_rejected
 from urdfcal.output.palette import SIGMA_LEGEND
 from urdfcal.output.scene import CalibrationScene, build_scene
-from urdfcal.output.workspace import Workspace, ends_of_arms, sample_workspace
+from urdfcal.output.workspace import Workspace, sample_workspace
 from urdfcal.robot.tree_dh import MOUNT
+from urdfcal.session.attachments import ends_of_arms
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -76,7 +77,8 @@ class Overview:
     @classmethod
     def of(cls, calibration: FittedCalibration) -> Overview:
         """Work it out."""
-        workspaces = tuple(sample_workspace(calibration, tip) for tip in ends_of_arms(calibration.session))
+        ends = ends_of_arms(calibration.chain, calibration.session.attachments)
+        workspaces = tuple(sample_workspace(calibration, tip) for tip in ends)
         return cls(calibration, calibration.to_dict(), build_scene(calibration), workspaces)
 
 
@@ -96,10 +98,12 @@ def claims(document: ResultData) -> tuple[str, ...]:
     tip, regions = document["tip"], document["regions"]
     interval = "{:.2g} to {:.2g}".format(*tip["interval_mm"])
     regions_mm = f"{regions['rms_mm']:.2g} mm where whole regions were held out"
+    robot = document["robot"]
+    tip_mm, whose = f"{tip['rms_mm']:.2g} mm rms", f"{robot['tip_link']} " if len(robot["tips"]) > 1 else ""
     across = ", across the cameras' rays" if document["cameras"] else ""
     return (
         f"that is against what was measured{across}, its noise included; {regions_mm}",
-        f"tip {tip['rms_mm']:.2g} mm rms (95 %: {interval}) expected over the workspace, without that noise",
+        f"tip {whose}{tip_mm} (95 %: {interval}) expected over the workspace, bases aligned, noise apart",
         *_larger(document),
         _condition(document["scale"]),
         *_in_left_out(document),
@@ -133,11 +137,12 @@ def residual_rows(document: ResultData) -> tuple[ResidualRow, ...]:
     """The residuals of all kinds of measurements, and those of what cameras saw triangulated."""
     fit = document["fit"]
     rows = []
+    found = any(camera["sigma"].get("intrinsics") for camera in document["cameras"].values())
     for i, each in enumerate(fit["residuals"]):
-        key = ("fit", "residuals", i)
-        rows.append(
-            ResidualRow(_SEEN.get(each["kind"], each["kind"]), each["unit"], (*key, "rms_nominal"), (*key, "rms"))
-        )
+        key, what = ("fit", "residuals", i), _SEEN.get(each["kind"], each["kind"])
+        if found and each["unit"] == "px":
+            what += ", of the nominal arm with the lenses as given"
+        rows.append(ResidualRow(what, each["unit"], (*key, "rms_nominal"), (*key, "rms")))
     if document["cameras"] and "rms_mm" in fit and all(fit["rms_mm"] != each["rms"] for each in fit["residuals"]):
         rows.append(ResidualRow(_TRIANGULATED, "mm", ("fit", "rms_nominal_mm"), ("fit", "rms_mm")))
     return tuple(rows)
@@ -155,7 +160,7 @@ def _condition(scale: ResultData) -> str:
     """What a claimed error rests on: the unit of length."""
     permille = scale["tip_mm_per_permille"]
     if not permille:
-        return "lengths are those of the nominal arm within its tolerances: nothing measured has one"
+        return "lengths are those of the nominal arm within its tolerances: nothing that was measured is a length"
     declared, factor = scale["declared_sigma"], ""
     if scale["factor_sigma"] is not None:
         whose = "the nominal arm's lengths differ by" if declared is None else "it comes out off by"
@@ -220,11 +225,16 @@ def pose_texts(overview: Overview) -> list[str]:
     """For each pose its residuals in space, and what colours and enlarged things mean."""
     scene, session = overview.scene, overview.calibration.session
     poses, names, leds = session.poses, (*session.led_names, *session.attachments.targets), scene.leds
+    in_depth = ", depth included" if scene.pixels is not None else ""
     new, old = (1e3 * np.linalg.norm(of - leds.measured, axis=1) for of in (leds.predicted, leds.nominal))
     lines: list[list[str]] = [[] for _ in poses]
+    for table in scene.tables if scene.pixels is not None else ():
+        (where, after), (_, before) = (table.rms_by(table.pose, table.by_arm[arm]) for arm in ("calibrated", "nominal"))
+        for pose, new_rms, old_rms in zip(where, after, before, strict=True):
+            lines[pose].append(f"{new_rms:.2g} {table.unit} rms, nominal {old_rms:.2g}")
     for m, (pose, led, cut) in enumerate(zip(leds.pose, leds.led, leds.outlier, strict=True)):
         taken_out = ", taken out of the fit" if cut else ""
-        lines[pose].append(f"{names[led]} {new[m]:.2f} mm off, nominal {old[m]:.2f} mm{taken_out}")
+        lines[pose].append(f"{names[led]} {new[m]:.2f} mm off{in_depth}, nominal {old[m]:.2f} mm{taken_out}")
     what = counted(overview.document).removesuffix("s").capitalize()
     legend = _LEGEND.format(enlarged=_ENLARGED.format(factor=scene.factor) if scene.factor > 1.0 else _TRUE_SIZE)
     legend += _RAYS if scene.pixels is not None else ""

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal import files
+from urdfcal.cameras.lens import COEFFICIENTS
 from urdfcal.estimation.blocks.arm import LENGTHS, ArmBlock
 from urdfcal.output.charts import SYMBOLS
 from urdfcal.output.figures import figures
@@ -116,6 +117,9 @@ def write_report(path: Path, overview: Overview, *, refused: bool = False) -> No
         rows=list(rows.items()),
         columns=[f"{SYMBOLS.get(c, c)} [{'mm' if c in LENGTHS else 'mrad'}]" for c in calibration.geometry.columns],
         is_dh=calibration.geometry is calibration.table,
+        after=calibration.table.following if calibration.geometry is calibration.table else (),
+        coefficients=COEFFICIENTS,
+        world=_world(calibration),
         tips=listed([tip.link for tip in calibration.chain.tips]),
         fastened=" ".join(fastening_sentences(calibration.session)),
         excluded=summary(calibration.session.excluded.named),
@@ -142,6 +146,13 @@ def _hardly_known(document: ResultData) -> list[str]:
         for name, led in document["leds"].items()
         if any(sigma is not None and sigma > _HARDLY_KNOWN for sigma in led["sigma"])
     ]
+
+
+def _world(calibration: FittedCalibration) -> str:
+    """Whose frame the world is."""
+    attachments = calibration.session.attachments
+    standing = [calibration.estimate.cameras[c].name for c in attachments.eye_to_hand]
+    return f"the frame of camera {standing[0]}" if standing else "the frame that was measured in"
 
 
 def _correlated_pairs(calibration: FittedCalibration) -> list[tuple[str, str, float]]:

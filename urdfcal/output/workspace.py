@@ -10,12 +10,10 @@ import numpy as np
 from urdfcal.arrays import Bools, Floats, frozen
 from urdfcal.estimation.alignment import kabsch
 from urdfcal.robot.kinematics import link_poses
-from urdfcal.robot.mechanism import BASE
 
 if TYPE_CHECKING:
     from urdfcal.result.fitted import FittedCalibration
     from urdfcal.robot.mechanism import Tip
-    from urdfcal.session.model import Setup
 
 # Enough for a map of 20 x 20 cells; drawing more takes longer and shows the same.
 _SAMPLES = 1500
@@ -81,13 +79,3 @@ def sample_workspace(calibration: FittedCalibration, tip: Tip | None = None) -> 
     measured = calibration.in_domain(chain.readings(q))
     after = calibration.tip_sigma(q, of)
     return Workspace(of.link, frozen(calibrated), frozen(before), frozen(after), measured, moved)
-
-
-def ends_of_arms(session: Setup) -> tuple[Tip, ...]:
-    """The first tip, and the end of each further branch that carries what is measured: the second arm's."""
-    chain, frames = session.chain, session.attachments
-    carrying = {frames.frames[frame] for frame in frames.carrier[frames.led]}
-    first, *others = chain.tips
-    # A link further down the same arm has no workspace of its own.
-    same = (BASE, *chain.path(first.joint))
-    return (first, *(tip for tip in others if tip.link in carrying and tip.joint not in same))

@@ -32,6 +32,7 @@ from urdfcal.rotations import matrix_to_rpy
 from urdfcal.session.moves import BASE_LINK as BASE_PART
 
 if TYPE_CHECKING:
+    from urdfcal.estimation.noise import FoundNoise
     from urdfcal.estimation.observations import Observations
     from urdfcal.result.fitted import FittedCalibration
 
@@ -127,6 +128,11 @@ def _known(value: float) -> float | None:
 
 def _of(thing: object, *names: str) -> Plain:
     return {name: getattr(thing, name) for name in names}
+
+
+def _noise(of: FoundNoise) -> Plain:
+    apart = None if of.declared is None else float(np.sqrt(of.chi2))
+    return {**_of(of, "unit", "declared", "found", "relative_sigma"), "apart": apart}
 
 
 def _robot(of: FittedCalibration) -> Plain:
@@ -349,7 +355,7 @@ def _evidence(of: FittedCalibration) -> Plain:
             "declared_sigma": scale.declared,
             "unit": scale.unit,
         },
-        "noise": {noise.name: _of(noise, "unit", "declared", "found", "relative_sigma") for noise in evidence.noise},
+        "noise": {of.name: _noise(of) for of in evidence.noise},
         "findings": [
             {
                 **_of(finding, "name", "sentence", "share", "alike"),

@@ -118,12 +118,16 @@ class ScaleSection(Section):
 
 
 class NoiseEntry(Section):
-    """The standard deviation of one kind of reading; found to that share of itself."""
+    """The standard deviation of one kind of reading; found to that share of itself.
+
+    ``apart``: how surely the residuals contradict what is declared, in standard deviations; None where nothing is.
+    """
 
     unit: str
     declared: float | None
     found: float
     relative_sigma: float
+    apart: float | None = None
 
 
 class FindingEntry(Section):

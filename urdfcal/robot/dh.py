@@ -19,6 +19,7 @@ import numpy as np
 
 from urdfcal.arrays import Bools, Floats, Ints, frozen, inverse
 from urdfcal.errors import RobotError
+from urdfcal.robot.mechanism import BASE
 from urdfcal.rotations import skew
 
 if TYPE_CHECKING:
@@ -130,6 +131,20 @@ class DHTable:
     def labels(self) -> tuple[str, ...]:
         """The names of an offsets array's rows: the joints', and those of mounts."""
         return tuple(row.joint + MOUNT * row.mount for row in self.rows)
+
+    @property
+    def following(self) -> tuple[int | None, ...]:
+        """Of joints that branch, the number from 1 of the row that each row follows, None at the base; else nothing."""
+        if not any(row.mount for row in self.rows):
+            return ()
+        numbers = {(row.joint, row.mount): k for k, row in enumerate(self.rows, 1)}
+        above = dict(zip(self.chain.names, self.chain.parents, strict=True))
+        found = []
+        for row in self.rows:
+            before = above[row.joint]
+            carrier = None if before == BASE else numbers[self.chain.names[before], False]
+            found.append(carrier if row.mount else numbers.get((row.joint, True), carrier))
+        return tuple(found)
 
     def reason(self, row: int, name: str) -> str:
         """Say why a parameter of a row is never estimated."""

@@ -10,7 +10,7 @@ import numpy as np
 from urdfcal.arrays import Floats, Ints, frozen, inverse
 from urdfcal.errors import SessionError
 from urdfcal.names import check_names
-from urdfcal.robot.mechanism import Tip  # noqa: TC001  # a field's type
+from urdfcal.robot.mechanism import BASE, Tip
 from urdfcal.session.place import check_place
 
 if TYPE_CHECKING:
@@ -118,6 +118,15 @@ class Attachments:
             None if a is None or b is None else a @ b
             for a, b in zip(self.T_cam_reference, self.T_reference_frame, strict=True)
         )
+
+
+def ends_of_arms(mechanism: Mechanism, attachments: Attachments) -> tuple[Tip, ...]:
+    """The first tip, and the end of each further branch that carries what is measured: the second arm's."""
+    carrying = {attachments.frames[frame] for frame in attachments.carrier[attachments.led]}
+    first, *others = mechanism.tips
+    # A link further down the same arm is no arm of its own.
+    same = (BASE, *mechanism.path(first.joint))
+    return (first, *(tip for tip in others if tip.link in carrying and tip.joint not in same))
 
 
 def attach(
