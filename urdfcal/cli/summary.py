@@ -92,7 +92,7 @@ def print_summary(overview: Overview, paths: Sequence[Path], remarks: Sequence[s
     if rows <= _MOST_ROWS and not places:
         printed += _print_corrections(calibration, console)
     elif rows > _MOST_ROWS:
-        line(f"{rows} rows of offsets: in the report, and with --json of urdfcal dh")
+        line(f"{rows} rows of offsets: in the report and in calibration.json")
     unidentifiable = [f"unidentifiable: {lost}" for lost in document["identifiability"]["lost"]]
     # What the verdict wants to have checked stands out, in print as well.
     texts = [(f"! {reason}", tone) for reason in assessment.reasons]
