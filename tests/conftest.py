@@ -5,6 +5,8 @@ import os
 # Workers, and the commands that they start, share the cores: threads of linear algebra would wait for each other.
 # It counts if it is there before numpy is imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# Commands that tests start would each compile all of urdfcal, which takes 0.8 s: the first keeps what it compiled.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 from functools import cache
 from pathlib import Path

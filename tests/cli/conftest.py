@@ -27,3 +27,12 @@ def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path
         return folder
 
     return make
+
+
+@pytest.fixture(scope="session")
+def small_session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A session of a dozen poses, truth included, to be calibrated where it matters not how well; made once."""
+    folder = tmp_path_factory.mktemp("small") / "session"
+    with redirect_stdout(io.StringIO()):
+        assert run(["simulate", "elbow3r", "-o", str(folder), "--poses", "12"]) == 0
+    return folder

@@ -4,6 +4,7 @@ import html
 import json
 import re
 import shutil
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
@@ -16,6 +17,7 @@ from urdfcal.errors import CalibrationError
 from urdfcal.io.writing import write_session
 from urdfcal.output.findings import Overview, pose_texts
 from urdfcal.output.recording import _banner
+from urdfcal.session.knowledge import Estimate
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -25,7 +27,8 @@ if TYPE_CHECKING:
 @pytest.fixture
 def session(simulated: Callable, tmp_path: Path) -> Path:
     """A session whose pixels have five times the noise that it declares."""
-    write_session(tmp_path / "session", simulated("elbow3r", poses=20).session)
+    arm_alone = replace(simulated("elbow3r", poses=12).session, estimate=Estimate("dh", "fixed", "fixed"))
+    write_session(tmp_path / "session", arm_alone)
     swap("session.yaml", "pixel: 0.1", "pixel: 0.02")(tmp_path / "session")
     return tmp_path / "session"
 
@@ -93,7 +96,7 @@ def test_what_is_refused_where_nothing_can_be_written_is_still_refused(
 def test_what_is_refused_says_which_poses_to_leave_out(
     tmp_path: Path, simulated: Callable, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    write_session(tmp_path / "session", slipped(simulated("ur5", poses=50), 2e-3))
+    write_session(tmp_path / "session", slipped(simulated("elbow3r", poses=50), 2e-3))
     call = ["calibrate", str(tmp_path / "session"), "-o", str(tmp_path / "out")]
     assert run(call) == 1
     said = re.search(r", or leave out these poses \(exclude: \{poses: \[(.*)\]\}\)", capsys.readouterr().err)
@@ -108,7 +111,7 @@ def test_what_is_so_wrong_that_there_are_no_numbers_is_refused_as_well(
     options: list[str], tmp_path: Path, simulated: Callable, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Images upside down and mirrored, of an arm behind the cameras."""
-    upside_down = images(simulated("ur5"), 0.0, change=lambda uv, size: size - uv)
+    upside_down = images(simulated("so101", poses=10), 0.0, change=lambda uv, size: size - uv)
     write_session(tmp_path / "session", upside_down)
     assert run(["calibrate", str(tmp_path / "session"), "-o", str(tmp_path / "out"), *options]) == 1
     said = capsys.readouterr()

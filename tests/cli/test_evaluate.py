@@ -124,15 +124,14 @@ def test_poses_outside_what_a_result_has_measured_are_counted(
     assert f"- {count} of {len(values)} poses lie outside the measured domain" in captured.err
 
 
-@pytest.mark.parametrize(("measured", "elsewhere", "limit"), [("spread", "cubes", 0.62), ("cubes", "spread", 0.53)])
 def test_an_arm_that_bends_holds_where_it_was_not_measured(
-    measured: str, elsewhere: str, limit: float, shared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    shared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A UR10 before a tracker; calibrated as if it were rigid it is 0.79 and 0.59 mm off there."""
-    assert run(["calibrate", str(shared / f"ur10_{measured}"), "-o", str(tmp_path / "out"), "--quiet"]) == 0
+    """A UR10 before a tracker; calibrated as if it were rigid it is 0.59 mm off there."""
+    assert run(["calibrate", str(shared / "ur10_cubes"), "-o", str(tmp_path / "out"), "--quiet"]) == 0
     capsys.readouterr()
-    assert run(["evaluate", str(tmp_path / "out"), str(shared / f"ur10_{elsewhere}"), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["residual_mm"]["rms"] < limit
+    assert run(["evaluate", str(tmp_path / "out"), str(shared / "ur10_spread"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["residual_mm"]["rms"] < 0.53
 
 
 def test_arguments_in_the_wrong_order_are_told(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

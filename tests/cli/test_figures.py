@@ -18,7 +18,6 @@ from urdfcal.output.palette import CALIBRATED
 from urdfcal.output.svg import Figure, figure_svg
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
 GREEN = np.array([0x5A, 0x87, 0x12])  # blue first
@@ -60,9 +59,9 @@ def test_a_pdf_has_its_fonts_and_no_date() -> None:
 
 
 def test_calibrate_writes_them_and_replaces_those_of_an_earlier_run(
-    calibrated: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    small_session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    session, out = str(calibrated("elbow3r") / "session"), tmp_path / "out"
+    session, out = str(small_session), tmp_path / "out"
     assert run(["calibrate", session, "-o", str(out), "--figures", "png"]) == 0
     assert {path.suffix for path in (out / "figures").iterdir()} == {".png"}
     (out / "figures" / "mine.txt").write_text("mine")
@@ -80,9 +79,9 @@ def test_calibrate_writes_them_and_replaces_those_of_an_earlier_run(
 
 
 def test_a_figure_that_cannot_be_drawn_leaves_the_earlier_result_whole(
-    calibrated: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    small_session: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    session, out = str(calibrated("elbow3r") / "session"), tmp_path / "out"
+    session, out = str(small_session), tmp_path / "out"
     assert run(["calibrate", session, "-o", str(out), "--figures", "svg"]) == 0
     before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
 
@@ -95,9 +94,9 @@ def test_a_figure_that_cannot_be_drawn_leaves_the_earlier_result_whole(
 
 
 def test_a_file_in_the_place_of_the_figures_is_told_and_nothing_is_written(
-    calibrated: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    small_session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    session, out = str(calibrated("elbow3r") / "session"), tmp_path / "out"
+    session, out = str(small_session), tmp_path / "out"
     out.mkdir()
     (out / "figures").write_text("mine")
     assert run(["calibrate", session, "-o", str(out), "--figures", "svg"]) == 2

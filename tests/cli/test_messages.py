@@ -143,11 +143,10 @@ def test_reasons_to_check_stand_out(
 
 def test_nothing_is_printed_in_the_spinners_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
-    calibrated: Callable[[str], Path],
+    small_session: Path,
 ) -> None:  # fmt: skip
     monkeypatch.setenv("FORCE_COLOR", "1")
-    session = calibrated("elbow3r") / "session"
-    for path in session.iterdir():
+    for path in small_session.iterdir():
         (tmp_path / path.name).write_text(path.read_text())
     table = tmp_path / "detections.csv"
     header, *rows = table.read_text().splitlines()

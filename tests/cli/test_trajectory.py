@@ -76,7 +76,7 @@ def test_pictures_and_videos_are_detected_and_calibrated(
     form: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     session, out = tmp_path / "s", tmp_path / "out"
-    rate = ["--poses", "5", "--frame-rate", "3"]
+    rate = ["--poses", "5", "--frame-rate", "1"]
     assert run(["simulate", small_rig(tmp_path / "rig"), "-o", str(session), *MOVING, *rate, form]) == 0
     assert not (session / "detections.csv").exists()
     names = {path.name for path in (session / "images").iterdir()}

@@ -110,7 +110,7 @@ def test_a_moving_arm_calibrates_as_well_as_a_still_one_and_the_time_offsets_are
     # offsets two or three of their standard deviations off make a single arm half as bad again: so rms over three.
     errors = []
     for seed in range(3):
-        moving = filmed("ur5", 30, 3.0, seed=seed)
+        moving = filmed("ur5", 20, 1.0, seed=seed)
         found, still = (
             calibrate(replace(session, estimate=ARM_ALONE), force=True) for session in (moving.session, at_rest(moving))
         )

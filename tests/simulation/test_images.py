@@ -134,7 +134,7 @@ def test_a_camera_on_the_robot_takes_images_of_leds_but_passes_no_lamps(tmp_path
 
 
 def test_a_light_arm_is_in_the_images_and_no_part_of_it_is_taken_for_an_led(tmp_path: Path) -> None:
-    simulated = simulate(read_rig(find_rig("ur5")), poses=9, seed=3)
+    simulated = simulate(read_rig(find_rig("ur5")), poses=4, seed=3)
     write_simulated_images(tmp_path / "dark", simulated, Exposure())
     write_simulated_images(tmp_path / "light", simulated, Exposure(arm=0.6))
     for path in sorted((tmp_path / "light" / "images").rglob("*.png")):

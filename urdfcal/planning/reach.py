@@ -63,6 +63,8 @@ class Reach:
             return True
         key = q.tobytes()
         if key not in self._known:
-            centres = self._scene.camera_centres(q[None])[0]
-            self._known[key] = self._checker.is_free(q) and self._checker.is_seen(q, centres)
+            # Most poses near others collide: where the cameras are is worked out for the rest alone.
+            self._known[key] = self._checker.is_free(q) and self._checker.is_seen(
+                q, self._scene.camera_centres(q[None])[0]
+            )
         return self._known[key]

@@ -42,6 +42,7 @@ MOUNT = ".mount"
 _COLUMN: dict[str, int] = {name: column for column, name in enumerate(PARAMETERS)}
 # The twist (linear, angular) that each factor of B moves along.
 _MOTIONS: dict[str, Floats] = dict(zip(PARAMETERS, frozen(np.eye(6)[[5, 2, 0, 3, 4]]), strict=True))
+_IDENTITY = frozen(np.eye(4))
 
 
 @dataclass(frozen=True, eq=False)
@@ -340,7 +341,8 @@ def parameter_twists(values: Floats, Q: Floats) -> Floats:
 def _factor(name: Parameter, value: Floats | float) -> Floats:
     """One factor of B, (..., 4, 4) of values (...)."""
     value = np.asarray(value, dtype=float)
-    T: Floats = np.broadcast_to(np.eye(4), (*value.shape, 4, 4)).copy()
+    T: Floats = np.empty((*value.shape, 4, 4))
+    T[:] = _IDENTITY
     axis = {"theta": 2, "d": 2, "a": 0, "alpha": 0, "beta": 1}[name]
     if name in ("d", "a"):
         T[..., axis, 3] = value
