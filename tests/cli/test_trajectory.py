@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 from typing import TYPE_CHECKING
 
 import pytest
 import yaml
 
+from tests.halved import halved
 from urdfcal import Calibration
 from urdfcal.cli import run
 from urdfcal.estimation.measurements import Detections
@@ -20,19 +20,6 @@ if TYPE_CHECKING:
 
 OFFSETS = {"cam0": 0.02, "cam1": -0.007}
 MOVING = ["--trajectory", "--time-offset", "0.02", "--time-offset", "-0.007"]
-
-
-def small_rig(folder: Path) -> str:
-    """The elbow arm before cameras of half the resolution: pictures take a quarter of the time."""
-    from urdfcal.io.shipped_rigs import find_rig
-
-    shutil.copytree(find_rig("elbow3r"), folder)
-    cameras = yaml.safe_load((folder / "cameras.yaml").read_text())
-    for camera in cameras.values():
-        camera["resolution"] = [side // 2 for side in camera["resolution"]]
-        camera["intrinsics"] = [value / 2.0 for value in camera["intrinsics"]]
-    (folder / "cameras.yaml").write_text(yaml.safe_dump(cameras))
-    return str(folder)
 
 
 def offsets_of(result: Path) -> dict[str, dict[str, float]]:
@@ -77,7 +64,7 @@ def test_pictures_and_videos_are_detected_and_calibrated(
 ) -> None:
     session, out = tmp_path / "s", tmp_path / "out"
     rate = ["--poses", "5", "--frame-rate", "1"]
-    assert run(["simulate", small_rig(tmp_path / "rig"), "-o", str(session), *MOVING, *rate, form]) == 0
+    assert run(["simulate", str(halved("elbow3r", tmp_path / "rig")), "-o", str(session), *MOVING, *rate, form]) == 0
     assert not (session / "detections.csv").exists()
     names = {path.name for path in (session / "images").iterdir()}
     assert names == ({"cam0", "cam1"} if form == "--images" else {"cam0.mp4", "cam1.mp4"})
@@ -94,7 +81,9 @@ def test_a_video_that_lost_pictures_is_refused_and_nothing_is_written(
 ) -> None:
     session = tmp_path / "s"
     rate = ["--poses", "4", "--frame-rate", "1"]
-    assert run(["simulate", small_rig(tmp_path / "rig"), "-o", str(session), *MOVING, *rate, "--video"]) == 0
+    assert (
+        run(["simulate", str(halved("elbow3r", tmp_path / "rig")), "-o", str(session), *MOVING, *rate, "--video"]) == 0
+    )
     rows = (session / "frames.csv").read_text().splitlines()
     count = sum(row.startswith("cam0") for row in rows)
     rows.remove(next(row for row in reversed(rows) if row.startswith("cam0")))
@@ -128,7 +117,7 @@ def test_wrong_calls_say_what_is_wrong(
 
 
 def test_a_rolling_shutter_is_found_with_the_arm(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    rig = small_rig(tmp_path / "rig")
+    rig = str(halved("elbow3r", tmp_path / "rig"))
     cameras = yaml.safe_load((tmp_path / "rig" / "cameras.yaml").read_text())
     cameras["cam0"]["line_time"] = 4.0e-5
     (tmp_path / "rig" / "cameras.yaml").write_text(yaml.safe_dump(cameras))

@@ -230,13 +230,15 @@ class DHTable:
         Returns:
             G (6 n, p), rows as the columns of Pinocchio's joint kinematic regressor.
         """
+        parameters = list(parameters)
+        if not parameters:  # of the nominal arm, which trials are of
+            return np.zeros((6 * len(self.chain.joints), 0))
         own, shape = self._split(offsets)
         # To the right of a row's factors are the next joint's zero offset and K; the last row's Q is not used.
         Q = self.ends @ np.roll(row_transform(own) @ self.K, -1, axis=0)
         xi = parameter_twists(self.nominal + shape, Q)  # of each row's parameters, in the placement that holds them
         motions = np.array([_MOTIONS[name] for _, name in self.zeros])
         xi[self._own] = _through(motions, self.K[[i for i, _ in self.zeros]])
-        parameters = list(parameters)
         G = np.zeros((len(self.chain.joints), 6, len(parameters)))
         for column, (i, name) in enumerate(parameters):
             held = i if name == self.rows[i].variable else i + 1

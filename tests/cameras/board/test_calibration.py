@@ -51,41 +51,38 @@ def renderers() -> list[BoardRenderer]:
     return [BoardRenderer(camera) for camera in PAIR.cameras]
 
 
-@pytest.mark.parametrize(("board", "seeds"), [(CHESSBOARD, [0]), (CHARUCO, [1, 2])], ids=["chessboard", "charuco"])
+@pytest.mark.parametrize(("board", "seed"), [(CHESSBOARD, 0), (CHARUCO, 1)], ids=["chessboard", "charuco"])
 def test_cameras_from_rendered_pictures_are_within_three_sigma_of_the_truth(
-    board: Board, seeds: list[int], renderers: list[BoardRenderer]
+    board: Board, seed: int, renderers: list[BoardRenderer]
 ) -> None:
-    chi2 = []
-    for seed in seeds:
-        rng = np.random.default_rng(seed)
-        poses = held(PAIR, board, 9, rng, far=0.6)
-        uv = np.full((2, len(poses), len(board.corners), 2), np.nan)
-        for v, T in enumerate(poses):
-            for c in range(2):
-                image = renderers[c].render(board, PAIR.T_cam_world[c] @ T, blur=0.8, noise=2.0, rng=rng)
-                if (corners := detect_board(image, board)) is not None:
-                    uv[c, v] = corners.uv
-        found = calibrate_cameras(as_views(PAIR, uv), board)
-        assert [len(camera.distortion) for camera in found.rig.cameras] == [4, 4]
-        error = errors(found.rig, PAIR)
-        deviation = error / np.sqrt(np.diag(found.covariance))
-        assert np.abs(deviation).max() < 3.5, dict(zip(found.names, deviation.round(1), strict=True))
-        chi2.append(error @ np.linalg.solve(found.covariance, error))
-        assert all(q.sigma < 0.02 for q in found.qualities)
-    assert 8.0 < np.mean(chi2) < 45.0  # 22 parameters
+    rng = np.random.default_rng(seed)
+    poses = held(PAIR, board, 9, rng, far=0.6)
+    uv = np.full((2, len(poses), len(board.corners), 2), np.nan)
+    for v, T in enumerate(poses):
+        for c in range(2):
+            image = renderers[c].render(board, PAIR.T_cam_world[c] @ T, blur=0.8, noise=2.0, rng=rng)
+            if (corners := detect_board(image, board)) is not None:
+                uv[c, v] = corners.uv
+    found = calibrate_cameras(as_views(PAIR, uv), board)
+    assert [len(camera.distortion) for camera in found.rig.cameras] == [4, 4]
+    error = errors(found.rig, PAIR)
+    deviation = error / np.sqrt(np.diag(found.covariance))
+    assert np.abs(deviation).max() < 3.5, dict(zip(found.names, deviation.round(1), strict=True))
+    assert all(q.sigma < 0.02 for q in found.qualities)
+    assert 8.0 < error @ np.linalg.solve(found.covariance, error) < 45.0  # 22 parameters
 
 
 def test_standard_deviations_are_true() -> None:
     chi2, deviations = [], []
-    for seed in range(10):
+    for seed in range(6):
         found = calibrate_cameras(seen(PAIR, CHESSBOARD, 12, seed, 0.05), CHESSBOARD)
         if any(len(camera.distortion) == 5 for camera in found.rig.cameras):
             continue  # k3 by chance, one in a few hundred
         error = errors(found.rig, PAIR)
         deviations.append(error / np.sqrt(np.diag(found.covariance)))
         chi2.append(error @ np.linalg.solve(found.covariance, error))
-    assert len(chi2) >= 8
-    # 22 degrees of freedom: the mean of 10 has a standard deviation of 2.1
+    assert len(chi2) >= 5
+    # 22 degrees of freedom: the mean of 6 has a standard deviation of 2.7
     assert 16.0 < np.mean(chi2) < 29.0
     assert 0.85 < np.sqrt(np.mean(np.square(deviations))) < 1.15
     assert found.names[:4] == ("left.fx", "left.fy", "left.cx", "left.cy")
@@ -305,7 +302,7 @@ def test_a_focal_length_known_badly_is_a_warning_and_refused_where_it_is_open(
 def test_views_that_contradict_each_other_widen_the_standard_deviations() -> None:
     """A sheet of paper that hangs differently bent in every picture: its corners err together."""
     deviations = []
-    for seed in range(6):
+    for seed in range(4):
         rng = np.random.default_rng(seed)
         poses = held(PAIR, CHESSBOARD, 16, rng)
         middle = CHESSBOARD.corners.mean(axis=0)

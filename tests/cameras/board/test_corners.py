@@ -182,11 +182,11 @@ def test_one_detector_after_the_other_is_tried(monkeypatch: pytest.MonkeyPatch) 
 @pytest.mark.parametrize("shape", [(8, 6), (7, 5), (9, 5), (11, 8)])
 def test_another_size_is_named_and_no_part_of_it_taken(shape: tuple[int, int]) -> None:
     other = Board("chessboard", *shape, 0.03)
-    for T, _ in images(CHESSBOARD, 2):
-        image = LENS.render(CHESSBOARD, T, noise=2.0, rng=np.random.default_rng(0))
-        assert detect_board(image, other) is None
-        expected = f"a board of 9 x 6 inner corners was found, {shape[0]} x {shape[1]} asked for"
-        assert what_is_seen(image, other) == expected
+    T, _ = images(CHESSBOARD, 1)[0]
+    image = LENS.render(CHESSBOARD, T, noise=2.0, rng=np.random.default_rng(0))
+    assert detect_board(image, other) is None
+    expected = f"a board of 9 x 6 inner corners was found, {shape[0]} x {shape[1]} asked for"
+    assert what_is_seen(image, other) == expected
 
 
 def test_another_kind_of_board_is_named() -> None:
