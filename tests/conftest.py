@@ -26,6 +26,14 @@ if TYPE_CHECKING:
     from urdfcal.simulation.simulate import Simulated
 
 
+@pytest.hookimpl(optionalhook=True)  # without xdist there is nothing to hand out
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
+    """Give each worker a stretch of the tests, as neighbours share fixtures, and who is done some of the others'."""
+    from xdist.scheduler import WorkStealingScheduling
+
+    return WorkStealingScheduling(config, log)
+
+
 @pytest.fixture(scope="session")
 def shared() -> Path:
     """The folder of measured data; tests that need it skip where it is absent."""

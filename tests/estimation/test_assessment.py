@@ -243,7 +243,7 @@ def test_a_camera_far_from_its_place_on_its_link(simulated: Callable) -> None:
 
 
 def test_noise_declared_too_small_is_a_failure_in_the_library_too(simulated: Callable) -> None:
-    session = simulated("ur5").session
+    session = simulated("elbow3r", poses=15).session
     detections = session.find(Detections)
     session = replace(session, estimate=ARM_ONLY, measurements=(replace(detections, sigma=0.2 * detections.sigma),))
     with pytest.raises(CalibrationError, match="times the declared noise: the model does not explain them"):

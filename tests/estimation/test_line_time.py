@@ -92,7 +92,7 @@ def test_points_of_a_board_at_several_rows_of_an_image_and_coarse_encoders_do_no
 
 
 def test_what_is_known_is_used_and_not_estimated() -> None:
-    simulated = filmed("elbow3r", 6, 8.0, sigma=0.0)
+    simulated = filmed("elbow3r", 6, 4.0, sigma=0.0)
     offsets = simulated.truth.time_offsets
     fixed = replace(simulated.session, estimate=Estimate(time_offset="fixed"))
     free = calibrate(simulated.session)
@@ -101,7 +101,7 @@ def test_what_is_known_is_used_and_not_estimated() -> None:
     assert abs(camera["time_offset"]["value"] - offsets[0]) < 4.0 * camera["time_offset"]["sigma"]
     known = set_in_motion(
         simulate(read_rig(find_rig("elbow3r")), poses=6, seed=0),
-        MotionSettings(frame_rate=8.0, time_offsets=(0.0, 0.0)),
+        MotionSettings(frame_rate=4.0, time_offsets=(0.0, 0.0)),
     )
     assert "line_time" not in calibrate(known.session).to_dict()["cameras"]["cam0"]
     problem = Problem.of(fixed, rows_of(fixed.chain))

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from urdfcal.session.model import Session
 
 
+@cache
 def calibrated(session: Session) -> FittedCalibration:
     return calibrate(replace(session, estimate=Estimate("dh", "fixed")), force=True)
 
