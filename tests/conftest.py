@@ -62,3 +62,9 @@ def simulated() -> Callable[..., Simulated]:
 def true_state() -> Callable[..., State]:
     """The true state of a simulated session; values of joint models by name."""
     return true_state_of
+
+
+@pytest.fixture
+def no_trials(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What would mend a session that does not fit is not looked for, which takes seconds: for tests of other things."""
+    monkeypatch.setattr("urdfcal.estimation.evidence.suspect", lambda *_: None)

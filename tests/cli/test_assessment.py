@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 @pytest.fixture
-def session(simulated: Callable, tmp_path: Path) -> Path:
+def session(simulated: Callable, no_trials: None, tmp_path: Path) -> Path:
     """A session whose pixels have five times the noise that it declares."""
     arm_alone = replace(simulated("elbow3r", poses=12).session, estimate=Estimate("dh", "fixed", "fixed"))
     write_session(tmp_path / "session", arm_alone)
@@ -93,6 +93,7 @@ def test_what_is_refused_where_nothing_can_be_written_is_still_refused(
     assert "shows it" not in said
 
 
+@pytest.mark.usefixtures("no_trials")
 def test_what_is_refused_says_which_poses_to_leave_out(
     tmp_path: Path, simulated: Callable, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -106,6 +107,7 @@ def test_what_is_refused_says_which_poses_to_leave_out(
     assert not (tmp_path / "out" / "refused").exists()
 
 
+@pytest.mark.usefixtures("no_trials")
 @pytest.mark.parametrize("options", [[], ["--force"]])
 def test_what_is_so_wrong_that_there_are_no_numbers_is_refused_as_well(
     options: list[str], tmp_path: Path, simulated: Callable, capsys: pytest.CaptureFixture[str]

@@ -46,6 +46,7 @@ def test_tables_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert json.loads(capsys.readouterr().out)["residual_px"]["rms"] < 0.2
 
 
+@pytest.mark.usefixtures("no_trials")
 def test_offsets_that_are_fixed_are_zero_and_do_not_explain_the_motion(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -116,6 +117,7 @@ def test_wrong_calls_say_what_is_wrong(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.usefixtures("no_trials")
 def test_a_rolling_shutter_is_found_with_the_arm(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rig = str(halved("elbow3r", tmp_path / "rig"))
     cameras = yaml.safe_load((tmp_path / "rig" / "cameras.yaml").read_text())

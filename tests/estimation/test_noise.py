@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from urdfcal.result.fitted import FittedCalibration
     from urdfcal.session.model import Session
 
+pytestmark = pytest.mark.usefixtures("no_trials")
+
 
 @cache
 def calibrated(session: Session) -> FittedCalibration:

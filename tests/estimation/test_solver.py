@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from urdfcal.session.model import Session
     from urdfcal.simulation.simulate import Simulated
 
+pytestmark = pytest.mark.usefixtures("no_trials")
+
 
 def noise_free(data: Simulated, true_state: Callable) -> Session:
     """The session's detections replaced by what the true robot shows, with true joint readings."""

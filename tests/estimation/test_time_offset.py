@@ -126,6 +126,7 @@ def test_a_moving_arm_calibrates_as_well_as_a_still_one_and_the_time_offsets_are
     assert moved < 1.3 * rested
 
 
+@pytest.mark.usefixtures("no_trials")
 def test_without_the_offsets_the_arm_would_be_wrong() -> None:
     moving = filmed("elbow3r", 12, 15.0)
     found, fixed = (

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from urdfcal.result.fitted import FittedCalibration
     from urdfcal.session.model import Session
 
+pytestmark = pytest.mark.usefixtures("no_trials")
 EFFECTS = {
     "panda_joint2: harmonic 1": (partial(harmonic, share=0.2, order=1), 1.5e-3, r"angle, 1\.[3-7] mrad, once a turn"),
     "panda_joint3: harmonic 2": (partial(harmonic, share=0.33, order=2), 1.5e-3, r"angle, 1\.[3-7] mrad, twice a turn"),
