@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from urdfcal.estimation.state import State
-    from urdfcal.simulation.simulate import Simulated
+    from urdfcal.simulation.truth import Simulated
 
 
 @pytest.hookimpl(optionalhook=True)  # without xdist there is nothing to hand out

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from urdfcal.arrays import Floats
     from urdfcal.result.calibration import Calibration
     from urdfcal.session.model import Session
-    from urdfcal.simulation.simulate import Simulated
+    from urdfcal.simulation.truth import Simulated
 
 
 def measured_too(session: Session, simulated: Simulated, q: Floats, seed: int) -> Session:

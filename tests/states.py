@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from urdfcal.estimation.observations import Observations
     from urdfcal.estimation.problem import Problem
     from urdfcal.session.model import Session
-    from urdfcal.simulation.simulate import Simulated
+    from urdfcal.simulation.truth import Simulated
 
 
 def state_of(

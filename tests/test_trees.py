@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from urdfcal.result.fitted import FittedCalibration
-    from urdfcal.simulation.simulate import Simulated
+    from urdfcal.simulation.truth import Simulated
 
 TREES = ["tiago", "tiago_dual", "ur5_handeye"]
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from urdfcal.arrays import Floats
     from urdfcal.estimation.state import State
     from urdfcal.session.model import Session
-    from urdfcal.simulation.simulate import Simulated
+    from urdfcal.simulation.truth import Simulated
 
 EVENT = 30
 """The pose from which on something is otherwise."""

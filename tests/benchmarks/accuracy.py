@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -42,7 +43,10 @@ from urdfcal.robot.dh import DHTable
 from urdfcal.robot.kinematics import tip_motion
 from urdfcal.rotations import skew
 from urdfcal.session.knowledge import Estimate
-from urdfcal.simulation.simulate import Simulated, draw_offsets, simulate
+from urdfcal.simulation.simulate import draw_offsets, simulate
+
+if TYPE_CHECKING:
+    from urdfcal.simulation.truth import Simulated
 
 WORKSPACE = 500
 # Draws of a robot that give the spreads to 1 %.

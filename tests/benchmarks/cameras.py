@@ -40,12 +40,13 @@ from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.pipeline import calibrate
 from urdfcal.session.knowledge import Estimate
 from urdfcal.simulation.images import TRUTH, Exposure, write_simulated_images
-from urdfcal.simulation.simulate import Simulated, simulate
+from urdfcal.simulation.simulate import simulate
 
 if TYPE_CHECKING:
     from urdfcal.cameras.rig import Rig
     from urdfcal.result.fitted import FittedCalibration
     from urdfcal.session.model import Session
+    from urdfcal.simulation.truth import Simulated
 
 BOARD = ("--board", "charuco", "10x7", "--square", "0.03", "--marker", "0.022", "--dictionary", "DICT_5X5_100")
 

@@ -58,7 +58,7 @@ if TYPE_CHECKING:
     from urdfcal.arrays import Floats
     from urdfcal.result.fitted import FittedCalibration
     from urdfcal.session.model import Session
-    from urdfcal.simulation.simulate import Simulated
+    from urdfcal.simulation.truth import Simulated
 
 WORKSPACE = 500
 SPREAD_DRAWS = 1000

@@ -30,7 +30,8 @@ from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.planning.planner import Planner
 from urdfcal.robot.urdf.urdf import package_roots
 from urdfcal.simulation.images import Exposure, write_simulated_images
-from urdfcal.simulation.simulate import Simulated, simulate
+from urdfcal.simulation.simulate import simulate
+from urdfcal.simulation.truth import Simulated
 
 SAMPLES, RANDOM = 200, 100
 TABLE, CAMERA = -0.03, 0.04

@@ -21,10 +21,11 @@ from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.pipeline import calibrate
 from urdfcal.session.combine import combine
-from urdfcal.simulation.simulate import Simulated, simulate
+from urdfcal.simulation.simulate import simulate
 
 if TYPE_CHECKING:
     from urdfcal.session.model import Session
+    from urdfcal.simulation.truth import Simulated
 
 
 def tip_error(session: Session, data: Simulated) -> float:

@@ -62,7 +62,7 @@ from urdfcal.estimation.start import first_state
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.robot.dh import DHTable
-from urdfcal.simulation.simulate import Simulated, simulate
+from urdfcal.simulation.simulate import simulate
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -71,6 +71,7 @@ if TYPE_CHECKING:
     from urdfcal.estimation.state import State
     from urdfcal.session.knowledge import Freedom
     from urdfcal.session.model import Session
+    from urdfcal.simulation.truth import Simulated
 
 POSES, COPIES = 500, (1, 10, 100)
 KINDS = ("pixels", "points")

@@ -46,7 +46,8 @@ from urdfcal.pipeline import calibrate
 from urdfcal.session.knowledge import Estimate
 from urdfcal.session.trajectory import AT_REST
 from urdfcal.simulation.motion import MotionSettings, set_in_motion
-from urdfcal.simulation.simulate import Simulated, simulate
+from urdfcal.simulation.simulate import simulate
+from urdfcal.simulation.truth import Simulated
 
 if TYPE_CHECKING:
     from urdfcal.result.fitted import FittedCalibration

@@ -32,10 +32,11 @@ from urdfcal.estimation.start import first_state
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.robot.tree_dh import rows_of
-from urdfcal.simulation.simulate import Simulated, simulate
+from urdfcal.simulation.simulate import simulate
 
 if TYPE_CHECKING:
     from urdfcal.estimation.state import State
+    from urdfcal.simulation.truth import Simulated
 
 RIGS = ("tiago", "tiago_dual", "ur5_handeye")
 NEW_POSES = 200

@@ -69,7 +69,7 @@ if TYPE_CHECKING:
     from urdfcal.arrays import Floats
     from urdfcal.result.calibration import Calibration
     from urdfcal.session.model import Session
-    from urdfcal.simulation.simulate import Simulated
+    from urdfcal.simulation.truth import Simulated
 
 POSES = 50
 CLEAN_RIGS = ("ur5", "panda", "so101", "stanford", "elbow3r")

@@ -21,7 +21,7 @@ from urdfcal.simulation.simulate import simulate
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from urdfcal.simulation.simulate import Simulated
+    from urdfcal.simulation.truth import Simulated
 
 
 @pytest.fixture

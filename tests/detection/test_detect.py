@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from urdfcal.session.model import Positions
-    from urdfcal.simulation.simulate import Simulated
+    from urdfcal.simulation.truth import Simulated
 
 POSES = 14
 AWAY = np.array([3.0, 60.0])

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from urdfcal.estimation.parameters import Parameters
     from urdfcal.estimation.state import State
-    from urdfcal.simulation.simulate import Simulated
+    from urdfcal.simulation.truth import Simulated
 
 # Two cameras with eight parameters each, and the second one's pose: all errors correlated.
 COUNT = 22

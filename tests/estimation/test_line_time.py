@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from urdfcal.result.fitted import FittedCalibration
-    from urdfcal.simulation.simulate import Simulated
+    from urdfcal.simulation.truth import Simulated
 
 LINE, SIGMA = 2.2e-5, 4e-6
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from urdfcal.result.fitted import FittedCalibration
     from urdfcal.session.model import Session
-    from urdfcal.simulation.simulate import Simulated
+    from urdfcal.simulation.truth import Simulated
 
 
 def tracked(session: Session) -> Session:

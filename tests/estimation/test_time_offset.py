@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from urdfcal.result.fitted import FittedCalibration
     from urdfcal.session.model import Session
-    from urdfcal.simulation.simulate import Simulated
+    from urdfcal.simulation.truth import Simulated
 
 OFFSETS = (0.02, -0.007)
 ARM_ALONE = Estimate("dh", "fixed", "fixed")

@@ -25,7 +25,7 @@ from urdfcal.simulation.simulate import simulate
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from urdfcal.simulation.simulate import Simulated
+    from urdfcal.simulation.truth import Simulated
 
 LINKS = ["--tip", "tool0", "--base", "base_link"]
 T_TRACKER_BASE = np.eye(4)

@@ -18,7 +18,7 @@ from urdfcal.session.knowledge import Estimate, Tolerances
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from urdfcal.simulation.simulate import Simulated
+    from urdfcal.simulation.truth import Simulated
 
 
 @pytest.fixture(scope="module")

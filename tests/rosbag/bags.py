@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from pathlib import Path
 
-    from urdfcal.simulation.simulate import Simulated
+    from urdfcal.simulation.truth import Simulated
 
 KINDS = ("ros1", "sqlite3", "mcap")
 # A day in 2023; nothing in it is a multiple of a power of ten.

@@ -20,13 +20,14 @@ from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.session.knowledge import Led
 from urdfcal.simulation.images import TRUTH, Exposure, write_simulated_images
 from urdfcal.simulation.motion import MotionSettings, set_in_motion
+from urdfcal.simulation.moving import pixels_by_row
 from urdfcal.simulation.simulate import simulate
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from urdfcal.session.rig_description import RigDescription
-    from urdfcal.simulation.simulate import Simulated
+    from urdfcal.simulation.truth import Simulated
 
 
 @pytest.fixture(scope="module")
@@ -152,12 +153,46 @@ def test_a_light_arm_is_in_the_images_and_no_part_of_it_is_taken_for_an_led(tmp_
         Exposure(arm=1.5)
 
 
-def test_images_of_a_bent_print_are_refused(tmp_path: Path) -> None:
+def misses(session: Path) -> np.ndarray:
+    """How far (S, 2) what is found in a session's images is from where it truly is, in deviations. [px / px]."""
+    truth, seen = truth_of(session), detect(session)
+    found, names = seen.detections, seen.positions
+    assert len(found) > 0.7 * len(truth)
+    at = [
+        truth[names.label(pose), names.rig.names[camera], names.led_names[point]]
+        for pose, camera, point in zip(found.pose, found.camera, found.led, strict=True)
+    ]
+    return (found.uv - np.array(at)) / np.asarray(found.sigma)[:, None]
+
+
+@pytest.mark.parametrize("changes", [{"flatness": 2e-3}, {"scale_sigma": 2e-2}], ids=["bent", "of another size"])
+def test_a_print_is_in_the_images_as_it_came_out(changes: dict[str, float], tmp_path: Path) -> None:
     rig = read_rig(find_rig("ur5_charuco"))
-    bent = replace(rig, targets=tuple(replace(target, flatness=1e-3) for target in rig.targets))
-    with pytest.raises(SessionError, match=r"targets.board.flatness: images of a print that is not flat cannot be"):
-        write_simulated_images(tmp_path / "s", simulate(bent, poses=3, seed=0), Exposure())
-    assert not (tmp_path / "s").exists()
+    printed = replace(rig, targets=tuple(replace(target, **changes) for target in rig.targets))
+    simulated = simulate(printed, poses=3, seed=0)
+    (of,) = simulated.truth.prints
+    assert not of.as_given
+    write_simulated_images(tmp_path / "s", simulated, Exposure())
+    said = json.loads((tmp_path / "s" / "truth.json").read_text())["prints"]
+    assert said == {"board": {"too_long": of.too_long, "bends": of.bends.tolist()}}
+    off = misses(tmp_path / "s")
+    assert 0.5 < np.sqrt(np.mean(off**2)) < 2.0
+    # As it should have been printed it would be elsewhere by far more.
+    flat = replace(simulated.truth, leds=simulate(rig, poses=3, seed=0).truth.leds)
+    elsewhere = simulated.truth.pixels(simulated.truth.q) - flat.pixels(simulated.truth.q)
+    assert np.nanmax(np.abs(elsewhere)) > 1.0
+
+
+def test_of_a_rolling_shutter_what_moves_is_where_it_was_when_its_row_was_taken(tmp_path: Path) -> None:
+    rig = read_rig(find_rig("so101_apriltag"))
+    cameras = tuple(replace(camera, line_time=4e-5) for camera in rig.rig.cameras)
+    rolling = replace(rig, rig=replace(rig.rig, cameras=cameras))
+    moving = set_in_motion(simulate(rolling, poses=3, seed=1), MotionSettings(speed=1.0, frame_rate=3.0))
+    write_simulated_images(tmp_path / "s", moving, Exposure())
+    off = misses(tmp_path / "s")
+    assert 0.3 < np.sqrt(np.mean(off**2)) < 2.5
+    at_once = moving.truth.pixels(moving.truth.q)[:, 0] - pixels_by_row(moving.truth, moving.truth.moving)
+    assert np.nanmax(np.abs(at_once)) > 2.0  # where everything is taken at once
 
 
 def test_images_never_join_an_older_session(still: Simulated, tmp_path: Path) -> None:

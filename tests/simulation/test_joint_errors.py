@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from urdfcal.arrays import Floats
-    from urdfcal.simulation.simulate import Simulated
+    from urdfcal.simulation.truth import Simulated
 
 UR5_JOINT = 2  # the elbow
 RANGES = {"compliance": (1e-5, 7e-5), "backlash": (1e-4, 1e-3), "lag": (1e-4, 5e-4), "gain": (2e-4, 7e-4)}

@@ -10,7 +10,8 @@ import pytest
 from urdfcal.errors import SessionError
 from urdfcal.estimation.measurements import Detections
 from urdfcal.simulation import motion as simulated_motion
-from urdfcal.simulation.motion import MotionSettings, _is_free, _Path, _tour, set_in_motion
+from urdfcal.simulation.motion import MotionSettings, _is_free, _tour, set_in_motion
+from urdfcal.simulation.moving import JointPath
 from urdfcal.simulation.planning import load_collision_checker
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ def test_the_arm_moves_smoothly_within_its_limits_and_clear_of_itself(rig: str, 
 
 def test_legs_are_ridden_at_full_speed_and_short_ones_no_more_steeply() -> None:
     lengths = np.array([0.01, 0.3, 0.6, 2.0])
-    path = _Path.through(np.concatenate([[0.0], np.cumsum(lengths)])[:, None] * [[1.0, -0.5]], 0.5)
+    path = JointPath.through(np.concatenate([[0.0], np.cumsum(lengths)])[:, None] * [[1.0, -0.5]], 0.5)
     step = 1e-3
     values = path.at(np.arange(0.0, path.end + 1.0, step))
     velocity = np.diff(values, axis=0) / step

@@ -70,7 +70,12 @@ class Target:
 
 def bends_of(points: Floats) -> Floats:
     """How far (M, 3) points (M, 3) of a print are off its plane per unit of its bends: 1 at its rim at most. [m]."""
-    middle = 0.5 * (points[:, :2].max(axis=0) + points[:, :2].min(axis=0))
-    half = max(float(0.5 * np.ptp(points[:, :2], axis=0).max()), 1e-9)
+    middle, half = rim_of(points)
     u, v = ((points[:, :2] - middle) / half).T
     return np.stack([u * u, u * v, v * v], axis=1)
+
+
+def rim_of(points: Floats) -> tuple[Floats, float]:
+    """The middle (2,) of a print with points (M, 3), and half of its longer side: its bends are counted from there."""
+    middle: Floats = 0.5 * (points[:, :2].max(axis=0) + points[:, :2].min(axis=0))
+    return middle, max(float(0.5 * np.ptp(points[:, :2], axis=0).max()), 1e-9)

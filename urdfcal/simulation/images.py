@@ -16,6 +16,7 @@ from urdfcal.io.folder import IMAGES
 from urdfcal.io.writing import write_table
 from urdfcal.session.trajectory import Trajectory
 from urdfcal.simulation.bright_arm import bright_arms
+from urdfcal.simulation.moving import pixels_by_row
 from urdfcal.simulation.render import Light, Scenery, Sensor
 from urdfcal.simulation.scene import any_direction
 from urdfcal.simulation.simulate import write_simulated
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from urdfcal.arrays import Bools, Floats
     from urdfcal.images.files import Image
     from urdfcal.simulation.scene import Scene
-    from urdfcal.simulation.simulate import Simulated
+    from urdfcal.simulation.truth import Simulated, Truth
 
 TRUTH = "truth_detections.csv"
 
@@ -122,8 +123,8 @@ def write_simulated_images(
         The number of images.
 
     Raises:
-        SessionError: lamps are to be before an eye-in-hand camera, a shutter rolls, a print is bent, or a video is to
-            show several LEDs, which would all be lit, or an arm at rest.
+        SessionError: lamps are to be before an eye-in-hand camera, or a video is to show several LEDs, which would all
+            be lit, or an arm at rest.
         CameraError: this OpenCV encodes no videos.
         OutputError: the folder holds a session or a truth already, or cannot be written.
     """
@@ -137,23 +138,11 @@ def write_simulated_images(
             where="simulate",
             remedy="Leave --distractors out.",
         )
-    if isinstance(motion, Trajectory) and any(camera.rolling for camera in scene.cameras):
-        raise SessionError(
-            "images of rolling shutters cannot be rendered",
-            where="simulate",
-            remedy="Leave --images and --video out, or line_time in the rig's camera file.",
-        )
-    if bent := [target.name for target in session.targets if target.flatness is not None]:
-        raise SessionError(
-            "images of a print that is not flat cannot be rendered",
-            where=f"targets.{bent[0]}.flatness",
-            remedy="Leave --images out, or flatness.",
-        )
     stage_seed, view_seed, target_seed = np.random.SeedSequence((simulated.truth.seed, _STREAM)).spawn(3)
     sensors = [Sensor(camera.resolution, exposure.bits, exposure.electrons_per_count) for camera in scene.cameras]
     sceneries = _sceneries(scene, exposure, np.random.default_rng(stage_seed))
     outshone = [of.background > sensor.full_well for of, sensor in zip(sceneries, sensors, strict=True)]
-    views = _views(scene, simulated.truth.q, exposure, outshone, view_seed) if session.leds else []
+    views = _views(simulated.truth, exposure, outshone, view_seed) if session.leds else []
     if isinstance(motion, Trajectory):  # a frame is taken by one camera
         views = [view for view in views if view.camera == motion.camera[view.pose]]
     count = len(views)
@@ -232,14 +221,18 @@ def _lamps(scene: Scene, exposure: Exposure, rng: np.random.Generator) -> list[t
     return lights
 
 
-def _views(
-    scene: Scene, q: Floats, exposure: Exposure, outshone: Sequence[Bools], seed: np.random.SeedSequence
-) -> list[_View]:
-    """Draw every image: each pose, each camera, each LED.
+def _views(scene: Truth, exposure: Exposure, outshone: Sequence[Bools], seed: np.random.SeedSequence) -> list[_View]:
+    """Draw every image: each pose, each camera, each LED; of a rolling shutter each light in the row that takes it.
 
     ``outshone`` are for each camera the pixels (height, width) before a lamp that saturates the sensor by itself.
     """
+    q = scene.q
     direct, mirrored, distance = scene.pixels(q), scene.pixels(q, mirrored=True), scene.distances(q)
+    if scene.rolling is not None:
+        each, camera = np.arange(len(q)), scene.rolling.camera
+        by_row = pixels_by_row(scene, scene.rolling)
+        mirrored[each, camera] += by_row - direct[each, camera]
+        direct[each, camera] = by_row
     views = []
     for pose, of_pose in enumerate(seed.spawn(len(q))):
         rng = np.random.default_rng(of_pose)

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from urdfcal.arrays import Floats
     from urdfcal.estimation.joint_models.linear import LinearJointModel
     from urdfcal.session.knowledge import ErrorSizes
-    from urdfcal.simulation.simulate import Simulated
+    from urdfcal.simulation.truth import Simulated
 
 # Keeps the joints' random numbers apart from all others.
 _STREAM = 6

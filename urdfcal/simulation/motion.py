@@ -12,29 +12,23 @@ from urdfcal.errors import SessionError
 from urdfcal.estimation.measurements import Detections
 from urdfcal.session.trajectory import JointLog, Trajectory
 from urdfcal.simulation.joint_errors import true_joint_values
+from urdfcal.simulation.moving import REST, JointPath, Moving, pixels_by_row
 from urdfcal.simulation.planning import load_collision_checker
 from urdfcal.simulation.scene import noisy_values, simulate_detections
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from urdfcal.arrays import Ints
     from urdfcal.cameras.camera import Camera
     from urdfcal.simulation.planning import CollisionChecker
-    from urdfcal.simulation.simulate import Simulated
+    from urdfcal.simulation.truth import Simulated
 
 # Keeps the motion's random numbers apart from the session's.
 _STREAM = 5
-# From rest to full speed, and back: at 0.5 rad/s by up to 0.75 rad/s^2, half of what a UR's movej takes unasked. [s]
-_RAMP = 1.0
-# The joints' log begins this long before the arm moves and ends this long after; cameras film a little less. [s]
-_REST, _DARK = 0.5, 0.25
+# Cameras film a little less than the joints' log is long. [s]
+_DARK = 0.25
 # A path is checked for collisions this often. [rad or m]
 _STRIDE = 0.1
 # What the time offsets of cameras are within if nobody says. [s]
 _OFFSET = 0.03
-# After which the row is known to 1e-4 px.
-_STEPS = 3
 
 
 @dataclass(frozen=True)
@@ -86,8 +80,8 @@ def set_in_motion(simulated: Simulated, settings: MotionSettings) -> Simulated:
     time_offsets = np.array(settings.time_offsets or offset_rng.uniform(-_OFFSET, _OFFSET, count))
 
     checker, _ = load_collision_checker(truth.without_flexures(), session)
-    path = _Path.through(_tour(truth.readings, checker), settings.speed)
-    log_time = np.arange(0.0, path.end + _REST, 1.0 / settings.joint_rate)
+    path = JointPath.through(_tour(truth.readings, checker), settings.speed)
+    log_time = np.arange(0.0, path.end + REST, 1.0 / settings.joint_rate)
     taken = [np.arange(_DARK + p / rate, path.end + _DARK, 1.0 / rate) for p in phase_rng.random(count)]
     camera = np.repeat(np.arange(count), [len(of) for of in taken])
     time = np.concatenate(taken)
@@ -106,76 +100,19 @@ def set_in_motion(simulated: Simulated, settings: MotionSettings) -> Simulated:
         motion=trajectory,
     )
     q = true_joint_values(exact, truth.joint_errors)
-    truth = replace(truth, cameras=tuple(_true_shutter(camera, offset_rng) for camera in truth.cameras))
-
-    def seen(late: Floats) -> Floats:
-        """Where (N, L, 2) each LED is seen if everything is taken that much (N,) later than its frame. [px]."""
-        later = replace(exact, q=path.at(time + late))
-        pixels: Floats = truth.pixels(true_joint_values(later, truth.joint_errors))[np.arange(len(time)), camera]
-        return pixels
-
-    uv = _by_rows(truth.cameras, camera, seen) if any(one.rolling for one in truth.cameras) else None
+    cameras, past = tuple(_true_shutter(one, offset_rng) for one in truth.cameras), Moving(path, exact, time, camera)
+    moved = replace(truth, cameras=cameras, q=frozen(q), time_offsets=frozen(time_offsets), moving=past)
+    uv = None if moved.rolling is None else pixels_by_row(moved, moved.rolling)[:, None]
     noise, share = (truth.pixel, session.noise.of(Detections)), truth.outlier_share
-    detections, outliers = simulate_detections(truth, q, camera[:, None], noise, share, noise_rng, outlier_rng, uv)
+    detections, outliers = simulate_detections(moved, q, camera[:, None], noise, share, noise_rng, outlier_rng, uv)
     moving = exact.measured((detections,), q=trajectory.values(np.zeros(count)))
-    moved = replace(truth, q=frozen(q), outliers=frozen(outliers, np.intp), time_offsets=frozen(time_offsets))
-    return replace(simulated, session=moving, truth=moved)
+    return replace(simulated, session=moving, truth=replace(moved, outliers=frozen(outliers, np.intp)))
 
 
 def _true_shutter(camera: Camera, rng: np.random.Generator) -> Camera:
     if not camera.rolling:
         return camera
     return replace(camera, line_time=camera.line_time + camera.line_time_sigma * rng.standard_normal())
-
-
-def _by_rows(cameras: Sequence[Camera], camera: Ints, seen: Callable[[Floats], Floats]) -> Floats:
-    """Where (N, 1, L, 2) cameras see LEDs that are in a row when it is taken, found in a few steps. [px]."""
-    line = np.array([one.line_time for one in cameras])[camera]
-    middle = np.array([(one.resolution[1] - 1) / 2.0 for one in cameras])[camera]
-    uv = seen(np.zeros(len(camera)))
-    # An LED at 1,000 px/s moves 1e-3 of the rows that pass meanwhile: each step wins two digits.
-    for _ in range(_STEPS):
-        for led in range(uv.shape[1]):
-            late = line * np.nan_to_num(uv[:, led, 1] - middle)
-            uv[:, led] = seen(late)[:, led]
-    return uv[:, None]
-
-
-@dataclass(frozen=True, eq=False)
-class _Path:
-    """Legs between poses, each from rest to rest: times (L + 1,) at the poses (L + 1, n)."""
-
-    times: Floats
-    poses: Floats
-
-    @classmethod
-    def through(cls, poses: Floats, speed: float) -> _Path:
-        cruise = np.abs(np.diff(poses, axis=0)).max(axis=1) / speed
-        # Of a leg too short for full speed the ramps are shorter, and no steeper.
-        ramp = np.minimum(_RAMP, np.sqrt(_RAMP * cruise))
-        return cls(_REST + np.concatenate([[0.0], np.cumsum(ramp + np.maximum(cruise, ramp))]), poses)
-
-    @property
-    def end(self) -> float:
-        return float(self.times[-1])
-
-    def at(self, time: Floats) -> Floats:
-        """Return the joint values (N, n) at times (N,)."""
-        leg = np.clip(np.searchsorted(self.times, time, side="right") - 1, 0, len(self.times) - 2)
-        duration = self.times[leg + 1] - self.times[leg]
-        since, ramp = np.clip(time - self.times[leg], 0.0, duration), np.minimum(_RAMP, duration / 2.0)
-        cruised = np.clip(since, ramp, duration - ramp) - ramp
-        ramped = ramp * (0.5 + _ramped(since / ramp) - _ramped((duration - since) / ramp))
-        way = (ramped + cruised) / (duration - ramp)
-        result: Floats = self.poses[leg] + way[:, None] * (self.poses[leg + 1] - self.poses[leg])
-        return result
-
-
-def _ramped(part: Floats) -> Floats:
-    """Integrate the speed up to a part (N,) of a ramp: it rises as 3 part^2 - 2 part^3, with no jump in its slope."""
-    part = np.minimum(part, 1.0)
-    result: Floats = part**3 * (1.0 - part / 2.0)
-    return result
 
 
 def _tour(q: Floats, checker: CollisionChecker | None) -> Floats:

@@ -28,6 +28,8 @@ WHITE, BLACK, WALL = 200.0, 30.0, 90.0
 
 # Rays between these are interpolated by cubic splines: at 16 px, radtan of a 75 degree lens is met to 1e-7 px. [px]
 _RAY_SPACING = 16
+# Each meeting of a ray with a bulging print leaves a hundredth of the error of the one before.
+_MEETINGS = 4
 # Radius of a dot over its grid's spacing; an asymmetric grid's nearest neighbours are sqrt(2) of it apart.
 _DOT = 0.3
 
@@ -98,6 +100,88 @@ class DotPrint(Print):
         (left, top), (right, bottom) = self.paper
         on_paper = (x > left) & (x < right) & (y > top) & (y < bottom)
         return np.where(on_paper, WHITE + (BLACK - WHITE) * ink, np.float32(WALL))
+
+
+@dataclass(frozen=True, eq=False)
+class Bulge:
+    """How a piece of a target bulges because the target is not flat.
+
+    Attributes:
+        T_target_print: (4, 4) of the piece. [m]
+        bends: (3,) of the target, along x, twisted, along y, at its rim. [m]
+        middle: (2,) of the target. [m]
+        half: of its longer side. [m]
+    """
+
+    T_target_print: Floats
+    bends: Floats
+    middle: Floats
+    half: float
+
+    def height(self, x: NDArray[np.float32], y: NDArray[np.float32]) -> NDArray[np.float32]:
+        """How far off the target's plane (h, w) the piece is at places of its own. [m]."""
+        T, (a, b, c) = self.T_target_print, self.bends
+        u, v = ((T[i, 0] * x + T[i, 1] * y + (T[i, 3] - self.middle[i])) / self.half for i in range(2))
+        return np.asarray(a * u * u + b * u * v + c * v * v, dtype=np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedPrint:
+    """A piece of a print before a camera.
+
+    Attributes:
+        T_cam_print: (4, 4), or (height, 4, 4) for each row of an image that a rolling shutter takes; of a print that is
+            larger than it should be the axes are as much longer. [m]
+        piece: what is printed.
+        bulge: how it bulges; None where it is flat.
+    """
+
+    T_cam_print: Floats
+    piece: Print
+    bulge: Bulge | None = None
+
+    def at(self, rows: slice, repeats: int) -> Floats:
+        """Return T_cam_print (1 or h, 4, 4) of some rows, each so many times."""
+        return self.T_cam_print[None] if self.T_cam_print.ndim == 2 else np.repeat(self.T_cam_print[rows], repeats, 0)
+
+    def outline(self) -> Floats:
+        """Return places (K, 3) along the paper's rim in the camera's frame, of each of its poses. [m]."""
+        (left, top), (right, bottom) = self.piece.paper
+        along = np.linspace(0.0, 1.0, 33)
+        x, y = left + (right - left) * along, top + (bottom - top) * along
+        edges = ((x, top), (x, bottom), (left, y), (right, y))
+        places = np.concatenate([np.stack(np.broadcast_arrays(*edge, 0.0), axis=1) for edge in edges])
+        if self.bulge is not None:
+            places += self.bulge.height(places[:, 0], places[:, 1])[:, None] * self.bulge.T_target_print[2, :3]
+        T = self.at(slice(None, None, max(len(self.T_cam_print) // 8, 1)), 1)
+        result: Floats = (places @ np.swapaxes(T[:, :3, :3], 1, 2) + T[:, None, :3, 3]).reshape(-1, 3)
+        return result
+
+    def met(
+        self, rays: NDArray[np.float32], rows: slice, repeats: int
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+        """Where (x, y) on the print, and at which 1 / depth (negative behind the camera), rays (h, w, 2) meet it."""
+        T = self.at(rows, repeats)
+        # A point (x, y, 0) of the print is seen along H (x, y, 1); the last component is then 1 / depth.
+        H = np.linalg.inv(T[:, :3, [0, 1, 3]]).astype(np.float32)[:, :, :, None]
+        x, y, inverse_depth = (H[:, i, 0] * rays[..., 0] + H[:, i, 1] * rays[..., 1] + H[:, i, 2] for i in range(3))
+        nearness = np.where(inverse_depth > 0.0, inverse_depth, np.float32(np.inf)).astype(np.float32)
+        x, y = x / nearness, y / nearness
+        if self.bulge is None:
+            return x, y, inverse_depth
+        # The same with the plane where the print was met, a few times: a bulge is a hundredth of the print at most.
+        normal = np.cross(T[:, :3, 0], T[:, :3, 1])
+        M = np.linalg.inv(np.stack([T[:, :3, 0], T[:, :3, 1], normal], axis=-1)).astype(np.float32)[..., None]
+        up = (T[:, :3, :3] @ self.bulge.T_target_print[2, :3]).astype(np.float32)[..., None]
+        t, n = T[:, :3, 3].astype(np.float32)[..., None], normal.astype(np.float32)[..., None]
+        slope = n[:, 0] * rays[..., 0] + n[:, 1] * rays[..., 1] + n[:, 2]
+        for _ in range(_MEETINGS):
+            height = self.bulge.height(x, y)
+            px, py, pz = (t[:, i] + up[:, i] * height for i in range(3))
+            depth = (n[:, 0] * px + n[:, 1] * py + n[:, 2] * pz) / slope
+            off = depth * rays[..., 0] - px, depth * rays[..., 1] - py, depth - pz
+            x, y = (M[:, i, 0] * off[0] + M[:, i, 1] * off[1] + M[:, i, 2] * off[2] for i in range(2))
+        return x, y, np.float32(1.0) / depth
 
 
 def prints_of(pattern: Pattern) -> list[tuple[Floats, Print]]:
@@ -184,12 +268,12 @@ class PrintRenderer:
     oversampling: int = 2
 
     def expected(
-        self, prints: Sequence[tuple[Floats, Print]], blur: float = 0.8, smear: tuple[float, float] = (0.0, 0.0)
+        self, prints: Sequence[PlacedPrint], blur: float = 0.8, smear: tuple[float, float] = (0.0, 0.0)
     ) -> NDArray[np.float32]:
         """Compute the image without noise.
 
         Args:
-            prints: T_cam_print (4, 4) and print of each piece; a nearer one hides what is behind it. [m]
+            prints: what is before the camera; a nearer piece hides what is behind it.
             blur: standard deviation of the point spread. [px]
             smear: way of the image during the exposure. [px]
 
@@ -201,7 +285,7 @@ class PrintRenderer:
         width, height = self.camera.resolution
         image = np.full((height, width), WALL, dtype=np.float32)
         reach = int(np.ceil(5.0 * blur + np.hypot(*smear))) + 2
-        windows = [self._window(piece, T, reach) for T, piece in prints]
+        windows = [self._window(shown, reach) for shown in prints]
         if not windows:
             return image
         low, high = np.min([of[0] for of in windows], axis=0), np.max([of[1] for of in windows], axis=0)
@@ -225,14 +309,9 @@ class PrintRenderer:
             kernel[y, x] += 1.0 / len(parts)
         return kernel
 
-    def _window(self, piece: Print, T_cam_print: Floats, reach: int) -> tuple[Ints, Ints]:
+    def _window(self, shown: PlacedPrint, reach: int) -> tuple[Ints, Ints]:
         """First and last pixel (u, v) that the paper can be in, and ``reach`` px around them."""
-        (left, top), (right, bottom) = piece.paper
-        along = np.linspace(0.0, 1.0, 33)
-        x, y = left + (right - left) * along, top + (bottom - top) * along
-        edges = ((x, top), (x, bottom), (left, y), (right, y))
-        outline = np.concatenate([np.stack(np.broadcast_arrays(*edge, 0.0), axis=1) for edge in edges])
-        uv = self.camera.project(outline @ T_cam_print[:3, :3].T + T_cam_print[:3, 3])
+        uv = self.camera.project(shown.outline())
         size = np.array(self.camera.resolution)
         if np.isnan(uv).any():
             return np.zeros(2, dtype=np.intp), size
@@ -252,23 +331,18 @@ class PrintRenderer:
         rays = self.camera.unproject(np.stack([u, v], axis=-1))
         return np.stack([RectBivariateSpline(*knots, rays[..., i])(*fine).astype(np.float32) for i in (0, 1)], axis=-1)
 
-    def _sampled(self, prints: Sequence[tuple[Floats, Print]], low: Ints, high: Ints) -> NDArray[np.float32]:
+    def _sampled(self, prints: Sequence[PlacedPrint], low: Ints, high: Ints) -> NDArray[np.float32]:
         """The part of the image before any blur, at the samples."""
         first, last = self.oversampling * low, self.oversampling * high
         rays = self._rays[first[1] : last[1], first[0] : last[0]]
         values = np.full(rays.shape[:2], WALL, dtype=np.float32)
         nearest = np.zeros(rays.shape[:2], dtype=np.float32)
-        for T_cam_print, piece in prints:
-            # A point (x, y, 0) of the print is seen along H (x, y, 1); the last component is then 1 / depth.
-            H = np.linalg.inv(T_cam_print[:3, [0, 1, 3]]).astype(np.float32)
-            x, y, inverse_depth = (H[i, 0] * rays[..., 0] + H[i, 1] * rays[..., 1] + H[i, 2] for i in range(3))
-            in_front = inverse_depth > 0.0
-            depth = 1.0 / np.where(in_front, inverse_depth, np.float32(np.inf))
-            x, y = x * depth, y * depth
-            (left, top), (right, bottom) = piece.paper
-            shown = in_front & (x > left) & (x < right) & (y > top) & (y < bottom) & (inverse_depth > nearest)
-            values = np.where(shown, piece.shades(x, y), values)
-            nearest = np.where(shown, inverse_depth, nearest)
+        for shown in prints:
+            x, y, inverse_depth = shown.met(rays, slice(low[1], high[1]), self.oversampling)
+            (left, top), (right, bottom) = shown.piece.paper
+            inside = (inverse_depth > nearest) & (x > left) & (x < right) & (y > top) & (y < bottom)
+            values = np.where(inside, shown.piece.shades(x, y), values)
+            nearest = np.where(inside, inverse_depth, nearest)
         return values
 
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -21,18 +21,18 @@ from urdfcal.robot.dh import PARAMETERS
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.robot.urdf.origins import origins_of, rewrite_origins
 from urdfcal.session.model import MIN_POSES, Positions
-from urdfcal.simulation.joint_errors import draw_joint_errors, joint_errors_to_dicts, true_joint_values
+from urdfcal.simulation.joint_errors import draw_joint_errors, true_joint_values
 from urdfcal.simulation.planning import load_collision_checker, sample_poses
 from urdfcal.simulation.scene import Scene, look_at, noisy_values, simulate_detections
 from urdfcal.simulation.touching import touch_places
+from urdfcal.simulation.true_prints import draw_prints, printed
+from urdfcal.simulation.truth import Simulated, Truth, truth_to_dict
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Sequence
 
-    from urdfcal.arrays import Ints
     from urdfcal.estimation.measurements import Measurement
     from urdfcal.robot.dh import DHRow, DHTable
-    from urdfcal.session.model import Session
     from urdfcal.session.rig_description import RigDescription
 
 _URDF, _JSON = "truth.urdf", "truth.json"
@@ -54,55 +54,6 @@ _BETA_PARALLEL = 1.5e-3
 _ZERO_ANGLE = (1e-3, 5e-3)
 # What a homing switch repeats to.
 _ZERO_LENGTH = (0.2e-3, 0.8e-3)
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Truth(Scene):
-    """The true robot and cameras behind a simulated session, which calibration never reads, and how they were drawn.
-
-    Attributes:
-        seed: of all that is random.
-        arm_seed: of the robot alone.
-        pixel: noise of the detections, one standard deviation. [px]
-        error_scale: factor on the offsets.
-        outlier_share: of the detections, as asked for.
-        offsets: (n, 5) of the DH rows, columns as ``PARAMETERS``. [rad, m]
-        q: (N, n) joint values, of flexures too where links bend. [rad or m]
-        readings: (N, n) what perfect encoders say of them; of an arm that moves, in the poses that it moves through.
-            [rad or m]
-        joint_errors: parameters (k,) of the joint models that lie between, by name.
-        outliers: (K,) rows of the session's detections that are outliers.
-        urdf: the true robot's description: the nominal one with other ``<origin>`` values.
-        time_offsets: (C,) of the cameras' clocks, t_robot = t_camera + offset; empty where the arm stood still. [s]
-        places: (3,) of each place that was touched, in the base link's frame. [m]
-    """
-
-    seed: int
-    arm_seed: int
-    pixel: float
-    error_scale: float
-    outlier_share: float
-    offsets: Floats
-    q: Floats
-    readings: Floats
-    joint_errors: Mapping[str, Floats]
-    outliers: Ints
-    urdf: bytes
-    time_offsets: Floats = field(default_factory=lambda: np.zeros(0))
-    places: Mapping[str, Floats] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, eq=False)
-class Simulated:
-    """A session and the truth behind it.
-
-    Attributes:
-        session: as measured; its ``warnings`` say what could not be checked.
-        truth: what it was measured on.
-    """
-
-    session: Session
-    truth: Truth
 
 
 def simulate(
@@ -168,7 +119,8 @@ def simulate(
         targets=_true_targets(rig, nominal, led_rng),
         T_cam_frame=_true_mounts(rig, nominal.T_cam_frame, led_rng),
     )
-    true = replace(true, leds=_bent(rig, true.leds, led_rng))
+    prints = draw_prints(rig.targets, led_rng)
+    true = replace(true, leds=printed(rig, true.leds, prints))
 
     outlined = nominal.outlined()
     checker, warnings = load_collision_checker(outlined, rig)
@@ -205,6 +157,7 @@ def simulate(
         q=frozen(q),
         readings=planned.q,
         joint_errors=joint_errors,
+        prints=prints,
         outliers=frozen(outlying, np.intp),
         places=rig.places,
         urdf=b"" if rig.urdf is None else rewrite_origins(rig.urdf, origins_of(rig.urdf, rig.chain, origins)),
@@ -231,53 +184,7 @@ def write_simulated(folder: str | Path, simulated: Simulated, *, detections: boo
         raise OutputError(f"the nominal robot's file is itself called {_URDF}", where=str(folder), remedy="Rename it.")
     write_session(folder, session if detections else session.unmeasured())
     write_bytes(folder / _URDF, simulated.truth.urdf)
-    write_text(folder / _JSON, json.dumps(_truth_to_dict(simulated), indent=1) + "\n")
-
-
-def _truth_to_dict(simulated: Simulated) -> dict[str, Any]:
-    session, truth = simulated.session, simulated.truth
-    table, cameras, leds = rows_of(session.chain), session.rig.names, session.led_names
-    targets = [target.name for target in session.targets]
-    offsets = dict(zip(cameras, truth.time_offsets.tolist(), strict=False))
-    lines = {camera.name: camera.line_time for camera in truth.cameras if camera.rolling and offsets}
-    detections = session.find(Detections)
-    places = {name: place.tolist() for name, place in truth.places.items()}
-    return {
-        "seed": truth.seed,
-        "arm_seed": truth.arm_seed,
-        "poses": len(session.poses),
-        "error_scale": truth.error_scale,
-        "outlier_share": truth.outlier_share,
-        "noise": {"pixel": truth.pixel, "joint": session.noise.reading},
-        "dh": [
-            {
-                "joint": label,
-                "parameter": name,
-                "unit": "m" if name in ("d", "a") else "rad",
-                "nominal": value + 0.0,  # no "-0.0"
-                "offset": float(offset),
-            }
-            for label, row, row_offsets in zip(table.labels, table.nominal.tolist(), truth.offsets, strict=True)
-            for name, value, offset in zip(PARAMETERS, row, row_offsets, strict=True)
-        ],
-        "T_world_base": truth.T_world_base.tolist(),
-        "leds": dict(zip(leds[: truth.led_count], truth.leds.tolist(), strict=False)),
-        **({"targets": dict(zip(targets, truth.targets.tolist(), strict=True))} if targets else {}),
-        "T_cam_frame": dict(zip(cameras, truth.T_cam_frame.tolist(), strict=True)),
-        **({"time_offsets": offsets} if offsets else {}),
-        **({"line_times": lines} if lines else {}),
-        **({"places": places} if places else {}),
-        **({"joint_errors": joint_errors_to_dicts(session, truth.joint_errors)} if truth.joint_errors else {}),
-        "outliers": [
-            {
-                "pose": session.label(int(detections.pose[row])),
-                "camera": cameras[detections.camera[row]],
-                "led": leds[detections.led[row]],
-            }
-            for row in truth.outliers
-            if detections is not None
-        ],
-    }
+    write_text(folder / _JSON, json.dumps(truth_to_dict(simulated), indent=1) + "\n")
 
 
 def _check_arguments(seed: int, poses: int, pixel: float | None, error_scale: float, outliers: float) -> None:
@@ -290,15 +197,6 @@ def _check_arguments(seed: int, poses: int, pixel: float | None, error_scale: fl
     ):
         if not good:
             raise SessionError(what, where="simulate", remedy=remedy)
-
-
-def _bent(rig: RigDescription, points: Floats, rng: np.random.Generator) -> Floats:
-    """Return LEDs and targets' points (L + M, 3) with prints as flat as the rig says. [m]."""
-    points, attachments = points.copy(), rig.attachments
-    for k, target in enumerate(rig.targets, attachments.first_target):
-        if target.flatness is not None:
-            points[attachments.led == k, 2] += target.bends @ rng.normal(0.0, target.flatness, 3)
-    return points
 
 
 def nominal_scene(rig: RigDescription) -> Scene:

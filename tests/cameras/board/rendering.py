@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from urdfcal.simulation.prints import PrintRenderer, board_print
+from urdfcal.simulation.prints import PlacedPrint, PrintRenderer, board_print
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -41,7 +41,7 @@ class BoardRenderer(PrintRenderer):
         Returns:
             (height, width) grey levels.
         """
-        image = self.expected([(T_cam_board, board_print(board))], blur, smear)
+        image = self.expected([PlacedPrint(T_cam_board, board_print(board))], blur, smear)
         if noise > 0.0:
             if rng is None:
                 raise ValueError("noise needs a random generator")

@@ -22,7 +22,7 @@ from urdfcal.session.pattern import (
     TagPlace,
 )
 from urdfcal.session.target import Target
-from urdfcal.simulation.prints import PrintRenderer, prints_of
+from urdfcal.simulation.prints import PlacedPrint, PrintRenderer, prints_of
 
 CAMERA = Camera("cam", (640, 512), (900.0, 905.0, 320.0, 250.0), "radtan", (-0.1, 0.08, 0.0004, -0.0003))
 CORNER = TagPlace(np.array([0.12, 0.0, 0.03]), np.array([0.0, -0.7, 0.3]))
@@ -50,7 +50,7 @@ def place(pattern: Pattern, rng: np.random.Generator, distance: float = 0.55) ->
 def picture(
     pattern: Pattern, T: np.ndarray, seed: int = 0, light: float = 1.0, noise: float = 1.5, **how: object
 ) -> np.ndarray:
-    image = light * RENDERER.expected([(T @ of, piece) for of, piece in prints_of(pattern)], **how)
+    image = light * RENDERER.expected([PlacedPrint(T @ of, piece) for of, piece in prints_of(pattern)], **how)
     image = image + noise * np.random.default_rng(seed).standard_normal(image.shape)
     return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 

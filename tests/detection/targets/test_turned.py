@@ -13,10 +13,11 @@ from urdfcal.errors import SessionError
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.session.pattern import ChessboardPattern, CirclesPattern, Pattern
-from urdfcal.simulation.simulate import Simulated, simulate
+from urdfcal.simulation.simulate import simulate
 
 if TYPE_CHECKING:
     from urdfcal.session.model import Positions
+    from urdfcal.simulation.truth import Simulated
 
 POSES = 12
 

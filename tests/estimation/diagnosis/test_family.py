@@ -12,12 +12,13 @@ from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.urdf.urdf import Urdf
-from urdfcal.simulation.simulate import Simulated, simulate
+from urdfcal.simulation.simulate import simulate
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from urdfcal.session.model import Session
+    from urdfcal.simulation.truth import Simulated
 
 
 @pytest.fixture(scope="module")

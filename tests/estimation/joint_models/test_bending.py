@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from urdfcal.result.fitted import FittedCalibration
-    from urdfcal.simulation.simulate import Simulated
+    from urdfcal.simulation.truth import Simulated
 
 
 @pytest.fixture(scope="module")
