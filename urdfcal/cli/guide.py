@@ -13,6 +13,7 @@ TOPICS = {
     "boards": "Boards and tags for LEDs, and how true a print is.",
     "no-camera": "A ball and sockets, a table, a ball bar, a tracker.",
     "moving-arm": "Film the arm while it moves; recordings of ROS.",
+    "session": "Every file and key of a session, and imports.",
     "my-stack": "MoveIt, MuJoCo, LeRobot, controllers, your program.",
 }
 # What a terminal cannot show.
@@ -22,7 +23,7 @@ _PICTURE = re.compile(r"^!\[.*\n+", re.MULTILINE)
 @click.command("guide")
 @click.argument("topic", type=click.Choice(list(TOPICS)), required=False)
 def command(topic: str | None) -> None:
-    """Show one of six short how-tos; without TOPIC, which there are."""
+    """Show one of some short how-tos; without TOPIC, which there are."""
     from rich.markdown import Markdown
 
     from urdfcal.cli.console import terminal
