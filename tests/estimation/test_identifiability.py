@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from urdfcal.errors import CalibrationError
 from urdfcal.estimation.blocks.arm import no_offsets
+from urdfcal.estimation.blocks.base_pose import BASE
 from urdfcal.estimation.blocks.leds import LEDS
 from urdfcal.estimation.identifiability import _observability, _sentence, identify
 from urdfcal.estimation.joint_models.time_offset import TIME_OFFSETS
@@ -51,6 +53,16 @@ def test_gauge_freedoms_are_named(simulated: Callable) -> None:
     assert unidentifiable == tuple(
         f"{what} cannot be distinguished from {other}: it is fixed at its nominal value" for what, other in expected
     )
+
+
+def test_a_state_with_an_led_behind_a_camera_is_refused(simulated: Callable) -> None:
+    data = simulated("elbow3r")
+    calibration = calibrate(data.session)
+    state = calibration.fit.state
+    turned = np.array(state[BASE]) @ np.diag([1.0, -1.0, -1.0, 1.0])
+    turned[:3, 3] *= -1.0
+    with pytest.raises(CalibrationError, match="the nominal arm puts an LED behind a camera"):
+        identify(calibration.problem, state.replace({BASE: turned}), calibration.fit.parameters)
 
 
 def test_an_led_on_the_last_axis_identifies_less(simulated: Callable) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.arrays import one_blas_thread
+from urdfcal.errors import CalibrationError
 from urdfcal.estimation.linearize import Tangent, fulfilled
 
 if TYPE_CHECKING:
@@ -72,6 +73,9 @@ def identify(problem: Problem, state: State, parameters: Parameters) -> Identifi
     cameras, then the base. It is fixed at its nominal value unless several parameters with tolerances share the
     direction: their tolerances then say more together than one nominal value. Nor is the scale, which one camera cannot
     identify, fixed where a length has a tolerance, be it one alone: how well it is known is what that tolerance says.
+
+    Raises:
+        CalibrationError: an LED is behind a camera there.
     """
     with one_blas_thread():
         problem = problem.spread(_ENOUGH)
@@ -80,6 +84,9 @@ def identify(problem: Problem, state: State, parameters: Parameters) -> Identifi
     columns = np.flatnonzero(parameters.active)
     owners = [parameters.owner(int(column)) for column in columns]
     R = R * parameters.scales(state)[columns]
+    if not np.isfinite(R).all():
+        remedy = "Check the cameras' order and places, the units of the joint readings, and the tip link."
+        raise CalibrationError("the nominal arm puts an LED behind a camera", remedy=remedy)
     norms = np.linalg.norm(R, axis=0)
     R = R / np.maximum(norms, _LEAST_NORM * norms.max())
     order = sorted(range(len(columns)), key=lambda k: _priority(parameters, *owners[k]))
