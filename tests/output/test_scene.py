@@ -1,13 +1,17 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pinocchio as pin
 import pytest
 
 from urdfcal.arrays import inverse
 from urdfcal.estimation.blocks.base_pose import BASE
+from urdfcal.estimation.blocks.leds import LEDS
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
+from urdfcal.output.findings import Overview, pose_texts
 from urdfcal.output.palette import by_sigma
 from urdfcal.output.placing import joint_frames, link_frames, place_rows
 from urdfcal.output.recording import viewpoint
@@ -103,8 +107,34 @@ def test_the_arm_and_its_leds_fill_the_view_at_first(rig):
     assert max(filled) > 0.7
 
 
-def test_the_ghost_is_the_nominal_arm_where_it_fits_the_sightings_best():
-    calibration = calibrate(simulate(read_rig(find_rig("elbow3r")), seed=0, poses=15).session)
+@pytest.fixture(scope="module")
+def calibration():
+    return calibrate(simulate(read_rig(find_rig("elbow3r")), seed=0, poses=15).session)
+
+
+def test_where_base_and_leds_went_astray_together_the_ghost_is_laid_over_the_arm(calibration):
+    scene, comparison, far = build_scene(calibration), calibration.comparison, np.array([0.0, 0.2, 0.0])
+    assert scene.apart == 0.0
+    of = comparison.nominal_arm
+    T = of.fit.state[BASE].copy()
+    T[:3, 3] += T[:3, :3] @ far
+    astray = of.fit.state.replace({BASE: T, LEDS: of.fit.state[LEDS] - far})
+    trial = replace(of, fit=replace(of.fit, state=astray))
+    moved = replace(calibration, comparison=replace(comparison, nominal_arm=trial))
+    over = build_scene(moved)
+    assert over.apart == pytest.approx(0.2, abs=0.01)
+    off = (over.ghost - over.frames)[..., :3, 3] / over.factor
+    assert np.linalg.norm(off, axis=-1).max() < 0.02
+    np.testing.assert_allclose(off.mean(axis=(0, 1)), 0.0, atol=1e-9)
+    (said, *_), (unsaid, *_) = (
+        pose_texts(replace(Overview.of(calibration), scene=each, calibration=of))
+        for each, of in ((over, moved), (scene, calibration))
+    )
+    assert f"it is {1e3 * over.apart:.3g} mm away" in said
+    assert "laid over" not in unsaid
+
+
+def test_the_ghost_is_the_nominal_arm_where_it_fits_the_sightings_best(calibration):
     scene = build_scene(calibration)
     chain, q = calibration.chain, calibration.session.q
     T_base_world = inverse(calibration.estimate.T_world_base)

@@ -32,7 +32,7 @@ MOUNTS = (
     "first joint axis."
 )
 _LEGEND = f"""\
-Solid arm, or green where it has no meshes: **calibrated**. Blue ghost: **nominal**, placed to fit best.
+Solid arm, or green where it has no meshes: **calibrated**. Blue ghost: **nominal**, {{placed}}.
 {{enlarged}}
 
 LED: white as measured, green by the calibrated arm, blue by the nominal one. Arrows from measured to predicted, thin at
@@ -45,6 +45,11 @@ Long lines: the cameras' rays. Along them a place is known several times worse t
 _BARS = "Bars: corrections and their 95 % intervals; amber: tolerances, within which two in three were expected.\n"
 _ENLARGED = "Its deviation and the residual arrows are enlarged **{factor:g} times**."
 _TRUE_SIZE = "Its deviation and the residual arrows are large enough to be seen as they are."
+_PLACED = "placed to fit best"
+_LAID_OVER = (
+    "laid over the calibrated one; to fit best it is {apart:.3g} mm away, its LEDs or cameras as far the other way on "
+    "their links: these poses tell only the two together"
+)
 _SEEN = {"detections": "in the images"}
 _TRIANGULATED = "triangulated, depth included"
 # A tip error so many times that of held-out poses is no matter of noise. Motoman's is 13 times, simulated rigs' 0.4.
@@ -236,7 +241,9 @@ def pose_texts(overview: Overview) -> list[str]:
         taken_out = ", taken out of the fit" if cut else ""
         lines[pose].append(f"{names[led]} {new[m]:.2f} mm off{in_depth}, nominal {old[m]:.2f} mm{taken_out}")
     what = counted(overview.document).removesuffix("s").capitalize()
-    legend = _LEGEND.format(enlarged=_ENLARGED.format(factor=scene.factor) if scene.factor > 1.0 else _TRUE_SIZE)
+    enlarged = _ENLARGED.format(factor=scene.factor) if scene.factor > 1.0 else _TRUE_SIZE
+    placed = _LAID_OVER.format(apart=1e3 * scene.apart) if scene.apart else _PLACED
+    legend = _LEGEND.format(enlarged=enlarged, placed=placed)
     legend += _RAYS if scene.pixels is not None else ""
     if find_rejected(session):
         legend += "\nIn images orange: lights that detection rejected; a click tells why.\n"

@@ -9,6 +9,7 @@ import numpy as np
 
 from urdfcal.arrays import Bools, Floats, Ints, inverse
 from urdfcal.cameras.rig import Rig
+from urdfcal.estimation.alignment import kabsch
 from urdfcal.estimation.linearize import Tangent
 from urdfcal.estimation.whitening import joint_noise
 from urdfcal.output.placing import PlacedRows, RobotPoses
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 
 MOST_ARROWS = 500
 """Residuals over one image, or in space: thousands of frames of a moving arm would hide each other."""
+# Base and LEDs that differ from the calibrated ones by so many times what the arms do have gone astray together.
+_ASTRAY = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,6 +176,9 @@ class CalibrationScene:
         factor: how many times deviations and residuals in space are enlarged.
         pixel_factor: how many times residuals of the nominal arm are enlarged in the images.
         field_factor: how many times those of the calibrated arm are.
+        apart: how far LEDs or cameras lie from the calibrated ones on the nominal arm's links where that is far more
+            than the arms differ by: its base is as far off then, and the ghost is laid over the calibrated arm; 0 of
+            other calibrations. [m]
     """
 
     frames: Floats
@@ -186,6 +192,7 @@ class CalibrationScene:
     factor: float
     pixel_factor: float
     field_factor: float
+    apart: float
 
 
 def build_scene(calibration: FittedCalibration) -> CalibrationScene:
@@ -212,8 +219,13 @@ def build_scene(calibration: FittedCalibration) -> CalibrationScene:
     order = np.argsort(columns[0], kind="stable")
     order = order[np.isfinite(columns[2][order]).all(axis=1)]  # not where the lens model has no ray for the pixel
     leds = LedTable(*(column[order] for column in columns))
-    apart = np.linalg.norm(nominal[..., :3, 3] - poses.frames[..., :3, 3], axis=-1).mean(axis=0).max()
-    factor = magnification(max(float(apart), _typical(leds.nominal - leds.measured)), 0.1 * calibration.chain.reach)
+    over = _laid_over(other.frames, poses.frames)
+    on_links = _moved_on_links(calibration, nominal_arm)
+    apart = on_links if on_links > _ASTRAY * _deviation(over, poses.frames) else 0.0
+    nominal = over if apart else nominal
+    factor = magnification(
+        max(_deviation(nominal, poses.frames), _typical(leds.nominal - leds.measured)), 0.1 * calibration.chain.reach
+    )
     width = float(np.mean([camera.resolution[0] for camera in arm.cameras])) if pixels else 0.0
     return CalibrationScene(
         frames=poses.frames,
@@ -227,7 +239,31 @@ def build_scene(calibration: FittedCalibration) -> CalibrationScene:
         factor=factor,
         pixel_factor=magnification(_typical(pixels.nominal - pixels.measured), 0.05 * width) if pixels else 1.0,
         field_factor=magnification(_typical(pixels.predicted - pixels.measured), 0.03 * width) if pixels else 1.0,
+        apart=apart,
     )
+
+
+def _laid_over(frames: Floats, onto: Floats) -> Floats:
+    """Frames of an arm (N, K, 4, 4), moved as one to where their origins lie nearest to another arm's."""
+    result: Floats = kabsch(*(of[..., :3, 3].reshape(-1, 3) for of in (frames, onto))) @ frames
+    return result
+
+
+def _deviation(frames: Floats, others: Floats) -> float:
+    """How far the frame of two arms (N, K, 4, 4) that differs most lies apart, in the mean of all poses. [m]."""
+    return float(np.linalg.norm(frames[..., :3, 3] - others[..., :3, 3], axis=-1).mean(axis=0).max())
+
+
+def _moved_on_links(calibration: FittedCalibration, other: Snapshot) -> float:
+    """How far LEDs, targets and cameras lie on their links from where another estimate has them, at most. [m]."""
+    arm, fastened = calibration.estimate, calibration.session.attachments
+    moved = [(arm.leds - other.leds)[fastened.led[: len(arm.leds)] != 0]]
+    for mine, others, frames in (
+        (arm.targets, other.targets, [carrier for _, carrier in fastened.carried]),
+        ([*map(inverse, arm.T_cam_frame)], [*map(inverse, other.T_cam_frame)], fastened.camera),
+    ):
+        moved += [(T - T_other)[None, :3, 3] for T, T_other, frame in zip(mine, others, frames, strict=False) if frame]
+    return float(np.linalg.norm(np.concatenate(moved), axis=1).max(initial=0.0))
 
 
 def exaggerated(T_base_here: Floats, T_base_there: Floats, factor: float) -> Floats:
