@@ -205,6 +205,32 @@ def test_residuals_before_and_after_are_in_one_scale_beside_an_arrow_of_a_known_
     assert np.std(after) < 0.5 * np.std(nominal)
 
 
+def test_what_was_seen_outside_of_the_image_is_told_and_the_first_row_belongs_to_it(calibration):
+    """Pixel 0 reaches from -0.5 to 0.5; and what lies beyond the image is no share of it."""
+    overview = Overview.of(calibration)
+    pixels = overview.scene.pixels
+
+    def drawn(measured):
+        moved = replace(pixels, measured=measured, predicted=measured + 0.1)
+        return figures(replace(overview, scene=replace(overview.scene, pixels=moved)))
+
+    at_the_top = pixels.measured.copy()
+    at_the_top[:, 1] = -0.26
+    for chart in drawn(at_the_top)["magnitudes"].rows[0]:
+        assert chart.y.high == pytest.approx(0.0), "no cell stands on top of the image"
+        assert "outside" not in chart.title
+    wide = pixels.measured.copy()
+    first = np.flatnonzero(pixels.camera == 0)
+    wide[first[: len(first) // 2], 0] += 1e4
+    found = drawn(wide)
+    share = 100.0 * (len(first) // 2) / len(first)
+    assert found["magnitudes"].rows[0][0].title.endswith(f"; {share:.2g} % outside")
+    assert "outside" not in found["magnitudes"].rows[0][1].title
+    for name in ("fields", "magnitudes"):
+        one, other = found[name].rows[0][:2]
+        assert (one.x, one.y) == (other.x, other.y), "images of one size are in one scale"
+
+
 def test_tolerances_stand_beside_the_corrections(calibration):
     for chart in parameter_charts(calibration):
         marks = {mark.name: mark for mark in chart.marks}

@@ -8,8 +8,11 @@ import pytest
 
 from tests.worlds import sagging
 from urdfcal.estimation.alignment import kabsch
+from urdfcal.output.charts import error_colors, workspace_charts
 from urdfcal.output.figures import workspace_maps
+from urdfcal.output.findings import Overview
 from urdfcal.output.palette import UNMEASURED
+from urdfcal.output.report import write_report
 from urdfcal.output.workspace import MOVED, sample_workspace
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.kinematics import tip_poses
@@ -53,7 +56,38 @@ def test_the_map_is_grey_where_nothing_was_measured(calibration):
     assert len(grey.x) > 0 < len(known.x) == len(known.color)
     assert np.mean(grey.y) > np.mean(known.y)
     assert nominal.colors == calibrated.colors
-    assert all(len(of.marks[1].x) == 0 for of in workspace_maps(replace(below, measured=np.zeros(len(inside), bool))))
+    # Where all would be grey the colours tell what is expected there.
+    none = workspace_maps(replace(below, measured=np.zeros(len(inside), bool)))
+    every = workspace_maps(replace(below, measured=np.ones(len(inside), bool)))
+    for of, all_known in zip(none, every, strict=True):
+        assert len(of.marks[0].x) == 0
+        np.testing.assert_array_equal(of.marks[1].color, all_known.marks[1].color)
+
+
+def test_shares_of_several_arms_are_told_apart_and_in_one_range(calibration):
+    one = sample_workspace(calibration)
+    (alone,) = workspace_charts((one,))
+    both = workspace_charts((one, replace(one, link="other", before=100.0 * one.before)))
+    assert [chart.title for chart in (alone, *both)] == [
+        "% of the workspace below",
+        f"{one.link}: % below",
+        "other: % below",
+    ]
+    assert [of.title for of in workspace_maps(one)] == ["nominal [mm]", "calibrated [mm]"]
+    assert workspace_maps(one, named=True)[0].title == f"nominal, {one.link} [mm]"
+    assert both[0].x == both[1].x
+    assert both[0].x.high > 100.0 * alone.x.high / 2.0
+    assert (both[0].colors, both[1].colors) == (error_colors((one, replace(one, before=100.0 * one.before))), None)
+
+
+def test_the_page_says_where_all_of_the_map_is_extrapolated(calibration, tmp_path):
+    overview = Overview.of(calibration)
+    nowhere = replace(overview.workspace, measured=np.zeros(len(overview.workspace.tip), bool))
+    for of, said in ((overview, False), (replace(overview, workspaces=(nowhere,)), True)):
+        write_report(tmp_path / "report.html", of)
+        text = (tmp_path / "report.html").read_text()
+        assert ("None of it lies in the measured domain" in text) == said
+        assert ("of the workspace lies" in text) != said
 
 
 def test_of_a_rigid_arm_nothing_is_said_of_joint_models(calibration):

@@ -250,33 +250,29 @@ def convergence_charts(calibration: FittedCalibration) -> list[Chart]:
     return charts
 
 
-def workspace_chart(workspace: Workspace) -> Chart:
-    """The share of the workspace that has a tip error below a value."""
-    share = np.linspace(0.0, 100.0, len(workspace.tip))
-    return Chart(
-        "shares",
-        "% of the workspace below",
-        Scale.holding(*(1e3 * error for error in workspace.errors.values()), logarithmic=True),
-        Scale(0.0, 100.0),
-        [
-            Mark("lines", name, 1e3 * np.sort(error), share, palette.OF_ARM.get(name, palette.ACCENT))
-            for name, error in workspace.errors.items()
-        ],
-        x_label="tip error [mm]",
-        legend=tuple(workspace.errors),
-    )
-
-
 def workspace_charts(workspaces: Sequence[Workspace]) -> list[Chart]:
-    """The same of each arm, the first beside what the colours of the recording's clouds stand for."""
-    found = []
-    for k, of in enumerate(workspaces):
-        chart = workspace_chart(of)
-        name = f"{chart.name} {k + 1}" if k else chart.name
-        title = f"{chart.title}, {of.link}" if len(workspaces) > 1 else chart.title
-        colors = None if k else error_colors(workspaces)
-        found.append(replace(chart, name=name, title=title, colors=colors))
-    return found
+    """The share of each arm's workspace that has a tip error below a value, in one range of errors.
+
+    The first stands beside what the colours of the recording's clouds stand for.
+    """
+    errors = Scale.holding(*(1e3 * error for of in workspaces for error in of.errors.values()), logarithmic=True)
+    share = np.linspace(0.0, 100.0, len(workspaces[0].tip))
+    return [
+        Chart(
+            f"shares {k + 1}" if k else "shares",
+            f"{of.link}: % below" if len(workspaces) > 1 else "% of the workspace below",
+            errors,
+            Scale(0.0, 100.0),
+            [
+                Mark("lines", name, 1e3 * np.sort(error), share, palette.OF_ARM.get(name, palette.ACCENT))
+                for name, error in of.errors.items()
+            ],
+            x_label="tip error [mm]",
+            legend=tuple(of.errors),
+            colors=None if k else error_colors(workspaces),
+        )
+        for k, of in enumerate(workspaces)
+    ]
 
 
 def error_colors(workspaces: Sequence[Workspace]) -> Scale:

@@ -11,9 +11,10 @@ from urdfcal.arrays import evenly
 from urdfcal.estimation.projection import projection_sigma
 from urdfcal.output import palette
 from urdfcal.output.chart import Chart, Mark, Scale, reference_length
-from urdfcal.output.charts import by_pose, convergence_charts, parameter_charts, spread, workspace_chart
+from urdfcal.output.charts import by_pose, convergence_charts, parameter_charts, spread, workspace_charts
 from urdfcal.output.joint_charts import contribution_chart, joint_model_charts
 from urdfcal.output.scene import MOST_ARROWS, image_range
+from urdfcal.output.stream import CORNER
 from urdfcal.output.svg import Figure
 
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ def figures(overview: Overview) -> dict[str, Figure]:
     cost, _, step, *_ = convergence_charts(calibration)
     found = {
         "residuals": Figure([[by_pose(table), spread(table)]], 230),
-        "workspace": Figure([row for of in overview.workspaces for row in _workspace(of)], 250),
+        "workspace": Figure(_workspace(overview.workspaces), 250),
         "joints": Figure([[_joint_ranges(calibration)]], 60),
         "convergence": Figure([[cost, step]], 180),
     }
@@ -70,15 +71,19 @@ def figures(overview: Overview) -> dict[str, Figure]:
     return found
 
 
-def _workspace(workspace: Workspace) -> list[Sequence[Chart]]:
-    """Maps, and shares beside two or below three."""
-    return _in_rows([*workspace_maps(workspace), workspace_chart(workspace)], 3)
+def _workspace(workspaces: Sequence[Workspace]) -> list[Sequence[Chart]]:
+    """Each arm's maps, and shares beside two or below three."""
+    shares = [replace(chart, colors=None) for chart in workspace_charts(workspaces)]
+    return [
+        row for of, chart in zip(workspaces, shares, strict=True) for row in _in_rows([*workspace_maps(of), chart], 3)
+    ]
 
 
-def workspace_maps(workspace: Workspace) -> list[Chart]:
+def workspace_maps(workspace: Workspace, *, named: bool = False) -> list[Chart]:
     """The median tip error over distance from the base's axis and height, nominal and calibrated, in one scale.
 
-    Where there are joint models, also how far they move the tip.
+    Where there are joint models, also how far they move the tip. Cells without a measured place are grey, unless all
+    are: then the colours tell what is expected there. Titles name the link if they shall.
     """
     radius, height = np.hypot(workspace.tip[:, 0], workspace.tip[:, 1]), workspace.tip[:, 2]
     size = max(np.ptp(radius), np.ptp(height)) / _CELLS
@@ -90,20 +95,20 @@ def workspace_maps(workspace: Workspace) -> list[Chart]:
         name: np.array([1e3 * np.median(group) for group in np.split(error[order], ends)])
         for name, error in workspace.errors.items()
     }
-    known = np.bincount(cell, workspace.measured) > 0
+    known = np.bincount(cell, workspace.measured if workspace.measured.any() else None) > 0
     colors = Scale.holding(*(of[known] for of in median.values()), logarithmic=True, room=0.0)
     x, y = radius.min() + (cells[:, 0] + 0.5) * size, height.min() + (cells[:, 1] + 0.5) * size
     return [
         Chart(
             name,
-            f"{name}, {workspace.link} [mm]",
+            f"{name}, {workspace.link} [mm]" if named else f"{name} [mm]",
             Scale(float(x.min() - size), float(x.max() + size)),
             Scale(float(y.min() - size), float(y.max() + size)),
             [
                 Mark("cells", "not measured", x[~known], y[~known], palette.UNMEASURED, size),
                 Mark("cells", "error", x[known], y[known], _shades(colors, of[known]), size),
             ],
-            x_label="from the z axis [m]",
+            x_label="\u2192 radius, \u2191 height [m]",
             equal=True,
             colors=colors,
         )
@@ -142,11 +147,11 @@ def _images(scene: CalibrationScene, pixels: ResidualTable, cameras: Sequence[Ca
     factor, enlarged = scene.pixel_factor, scene.field_factor
     fields = {
         "fields": [
-            _field(pixels, c, camera, name, factor) for name in ("nominal", "calibrated") for c, camera in _all(cameras)
+            _field(pixels, cameras, c, name, factor) for name in ("nominal", "calibrated") for c in range(len(cameras))
         ]
     }
     if enlarged > _TWICE * factor:
-        fields["enlarged"] = [_field(pixels, c, camera, "calibrated", enlarged) for c, camera in _all(cameras)]
+        fields["enlarged"] = [_field(pixels, cameras, c, "calibrated", enlarged) for c in range(len(cameras))]
     fields["magnitudes"] = _magnitudes(pixels, cameras)
     columns = max(min(3, len(cameras)), 2)
     shape = max((field.y.high - field.y.low) / (field.x.high - field.x.low) for field in fields["fields"])
@@ -172,8 +177,9 @@ def _in_rows(charts: Sequence[Chart], columns: int) -> list[Sequence[Chart]]:
     return [charts[first : first + columns] for first in range(0, len(charts), columns)]
 
 
-def _field(pixels: ResidualTable, c: int, camera: Camera, name: str, factor: float) -> Chart:
+def _field(pixels: ResidualTable, cameras: Sequence[Camera], c: int, name: str, factor: float) -> Chart:
     """A camera's residuals as arrows over its image, with one of a known length: a bent field means a wrong lens."""
+    camera = cameras[c]
     mine, expected = pixels.camera == c, pixels.by_arm[name]
     used, cut = mine & pixels.used & np.isfinite(expected[:, 0]), pixels.measured[mine & pixels.outlier]
     residual = (expected - pixels.measured)[used]
@@ -182,7 +188,9 @@ def _field(pixels: ResidualTable, c: int, camera: Camera, name: str, factor: flo
     start, residual = pixels.measured[some], (expected - pixels.measured)[some]
     size = pixels.size_nominal if name == "nominal" else pixels.size
     colors = (0.8 * palette.by_sigma(size[some])).astype(np.uint8)
-    (left, right), (top, bottom) = image_range(camera.resolution, pixels.measured[mine])
+    # Cameras with images of one size are drawn in one scale.
+    alike = [k for k, other in _all(cameras) if other.resolution == camera.resolution]
+    (left, right), (top, bottom) = image_range(camera.resolution, pixels.measured[np.isin(pixels.camera, alike)])
     length = reference_length(_REFERENCE * camera.resolution[0] / factor)
     beneath = bottom + 0.06 * (right - left)
     arrows = _arrows(start, factor * residual)
@@ -224,22 +232,32 @@ def _magnitudes(pixels: ResidualTable, cameras: Sequence[Camera]) -> list[Chart]
     for c, camera in _all(cameras):
         used = (pixels.camera == c) & pixels.used & np.isfinite(pixels.predicted[:, 0])
         size = max(camera.resolution) / _IMAGE_CELLS
-        cells, cell = np.unique(pixels.measured[used] // size, axis=0, return_inverse=True)
+        place = pixels.measured[used] + CORNER
+        outside = ((place < 0.0) | (place >= camera.resolution)).any(axis=1)
+        cells, cell = np.unique(place // size, axis=0, return_inverse=True)
         square = np.sum((pixels.predicted - pixels.measured)[used] ** 2, axis=1)
         rms = np.sqrt(np.bincount(cell.ravel(), square, len(cells)) / np.maximum(np.bincount(cell.ravel()), 1))
-        found.append((camera, size, cells, rms))
-    colors = Scale.holding(*(rms for *_, rms in found), logarithmic=True, room=0.0)
+        found.append((camera, size, cells, rms, 100.0 * np.mean(outside) if outside.any() else 0.0))
+    colors = Scale.holding(*(rms for *_, rms, _ in found), logarithmic=True, room=0.0)
     charts = []
-    for camera, size, cells, rms in found:
+    for camera, size, cells, rms, outside in found:
         (width, height), border = camera.resolution, _border(camera)
-        x, y, half = (cells[:, 0] + 0.5) * size, -(cells[:, 1] + 0.5) * size, size / 2
-        share = len(cells) / (np.ceil(width / size) * np.ceil(height / size))
+        x, y = (cells[:, 0] + 0.5) * size, -(cells[:, 1] + 0.5) * size
+        # Images of one size are drawn in one scale.
+        every = np.concatenate([of for other, _, of, *_ in found if other.resolution == camera.resolution])
+        (left, top), (right, bottom) = (
+            size * every.min(axis=0, initial=0.0),
+            size * (every.max(axis=0, initial=0.0) + 1),
+        )
+        most = np.ceil(np.divide(camera.resolution, size))
+        share = np.all((cells >= 0) & (cells < most), axis=1).sum() / most.prod()
+        beyond = f"; {outside:.2g} % outside" if outside else ""
         charts.append(
             Chart(
                 f"{camera.name} magnitude",
-                f"{camera.name}: rms [px], in {100 * share:.0f} % of the image",
-                Scale(float(np.min(x - half, initial=0.0)), float(np.max(x + half, initial=width))),
-                Scale(float(np.min(y - half, initial=-height)), float(np.max(y + half, initial=0.0))),
+                f"{camera.name}: rms [px], in {100 * share:.0f} % of the image{beyond}",
+                Scale(float(left), float(max(right, width))),
+                Scale(-float(max(bottom, height)), -float(top)),
                 [
                     Mark("cells", "rms", x, y, _shades(colors, rms), size),
                     Mark("hairlines", "border", border[:, 0], border[:, 1], palette.FAINT),

@@ -248,7 +248,7 @@ def _workspace(overview: Overview) -> rrb.Container:
 def _clouds(workspace: Workspace, *, further: bool) -> list[rrb.View]:
     """The workspace of the first tip or of a further one: nominal, calibrated, and what joint models move."""
     middle = (workspace.tip.min(axis=0) + workspace.tip.max(axis=0)) / 2
-    far = 1.1 * float(np.linalg.norm(workspace.tip - middle, axis=1).max()) / np.tan(_HALF_VIEW)
+    far = 1.1 * float(np.linalg.norm(workspace.tip - middle, axis=1).max()) / np.sin(_HALF_VIEW)
     eye = middle + far * np.array([0.8, -1.0, 0.5]) / np.linalg.norm([0.8, -1.0, 0.5])
     folder = f"workspace/{rr.escape_entity_path_part(workspace.link)}" if further else "workspace"
     views = []
