@@ -8,7 +8,7 @@ import pytest
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.output.chart import Scale
-from urdfcal.output.charts import all_charts, by_pose, parameter_charts, residual_charts
+from urdfcal.output.charts import all_charts, by_pose, convergence_charts, parameter_charts, residual_charts, spread
 from urdfcal.output.findings import Overview
 from urdfcal.output.scene import measurements_of
 from urdfcal.pipeline import calibrate
@@ -83,6 +83,34 @@ def test_thousands_of_frames_are_no_carpet(overview):
     assert chart.title == f"rms of {1 + (len(many) - 1) // 250} poses each [{table.unit}]"
     np.testing.assert_allclose(np.median(chart.marks[2].y), np.sqrt(np.mean(by_pose(table).marks[2].y ** 2)), rtol=0.3)
     assert by_pose(table).title == f"rms of each pose [{table.unit}]"
+
+
+def test_what_is_beyond_the_chart_is_said_of_each_arm_that_has_any(overview):
+    (table,) = overview.scene.tables
+    nominal, calibrated = (np.abs(table.sigmas(of)) for of in (table.nominal, table.predicted))
+    assert not (calibrated > 6.0).any()
+    assert spread(table).x_label == f"residual / noise ({100 * np.mean(nominal > 6.0):.0f} % of nominal beyond)"
+    assert spread(replace(table, nominal=table.predicted)).x_label == "residual / noise"
+
+
+def test_residuals_have_their_unit_and_what_they_are_drawn_over(overview):
+    found = {chart.name: chart for chart in residual_charts(overview)}
+    joint = overview.calibration.chain.joints[0]
+    assert (found["joint 1"].title, found["joint 1"].x_label) == (
+        f"{joint.name}: residual [noise]",
+        f"{joint.name} [rad]",
+    )
+    assert found["distance"].x_label == "distance to the camera [m]"
+
+
+def test_cost_falls_from_that_of_the_nominal_arm(overview):
+    cost, damping, step, *of_joints = convergence_charts(overview.calibration)
+    calibration = overview.calibration
+    expected = [calibration.nominal_fit.cost, *(each.cost for each in calibration.fit.history)]
+    for mark in cost.marks:
+        np.testing.assert_array_equal(mark.x, np.arange(len(expected)))
+        np.testing.assert_array_equal(mark.y, expected)
+    assert cost.x == damping.x == step.x == of_joints[0].x
 
 
 def test_a_joint_that_rests_has_no_chart(overview):

@@ -17,10 +17,13 @@ from urdfcal.estimation.measurements import Detections, Points
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.output import arms
+from urdfcal.output.chart import Chart, Mark, Scale
+from urdfcal.output.charts import parameter_charts
+from urdfcal.output.entities import chart_view
 from urdfcal.output.findings import Overview, headline
 from urdfcal.output.images import arm_in_images, compressed, overlays
 from urdfcal.output.palette import CALIBRATED
-from urdfcal.output.recording import write_recording
+from urdfcal.output.recording import layout, write_recording
 from urdfcal.output.scene import build_scene
 from urdfcal.output.stream import CORNER
 from urdfcal.pipeline import calibrate
@@ -306,7 +309,7 @@ def test_verdict_table_and_workspace_are_there(calibration, recorded):
     (banner,) = recorded.static("/base/banner", "Points2D:labels")
     assert calibration.assessment.sentence in banner
     assert headline(overview.document) in banner
-    (table,) = recorded.static("/base/texts/parameters", "TextDocument:text")
+    (table,) = recorded.static("/base/texts/rows", "TextDocument:text")
     for lost in calibration.identifiability.unidentifiable:
         assert lost in table
     assert table.count("±") == np.isfinite(calibration.sigmas()).sum()
@@ -314,6 +317,23 @@ def test_verdict_table_and_workspace_are_there(calibration, recorded):
         tips = recorded.static(f"/base/workspace/{name}", "Points3D:positions")
         np.testing.assert_allclose(tips, overview.workspace.tip, atol=1e-6)
     assert recorded.static("/base/texts/poses", "poses").tolist() == list(calibration.session.poses)
+
+
+def test_every_bar_has_its_name_and_the_rows_a_tab_of_their_own(calibration, recorded):
+    for chart in parameter_charts(calibration):
+        labels = recorded.static(f"/base/charts/{chart.name}/ticks", "Points2D:labels")
+        assert set(chart.y.names.values()) <= set(labels)
+    tabs = layout(Overview.of(calibration)).root_container.contents
+    assert [tab.name for tab in tabs][3:6] == ["Joints", "Parameters", "DH rows"]
+
+
+def test_a_tick_is_not_cut_at_the_edge_of_its_view():
+    marks = [Mark("dots", "dots", [1.0, 2.0], [1e-4, 1e-8], CALIBRATED)]
+    small = Chart("small", "small", Scale(0.0, 3.0), Scale(1e-8, 1e-4, logarithmic=True), marks)
+    short = replace(small, y=Scale(0.0, 5.0))
+    left = [chart_view(chart, "base").properties["VisualBounds2D"].range for chart in (small, short)]
+    left = [bounds.as_arrow_array().to_pylist()[0]["x_range"][0] for bounds in left]
+    assert left[0] < left[1] < 0.0
 
 
 def test_whole_placements_are_recorded_too(tmp_path):

@@ -14,7 +14,7 @@ from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.output.findings import Overview, pose_texts
 from urdfcal.output.palette import by_sigma
 from urdfcal.output.placing import joint_frames, link_frames, place_rows
-from urdfcal.output.recording import viewpoint
+from urdfcal.output.recording import around, viewpoint
 from urdfcal.output.scene import build_scene, exaggerated, magnification
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.dh import PARAMETERS, DHTable
@@ -105,6 +105,18 @@ def test_the_arm_and_its_leds_fill_the_view_at_first(rig):
     # The arm and its LEDs fill the view: cameras do not push it into a corner of it.
     filled = [np.ptp((points - eye) @ along / (half * depth)) / 2 for along in (up, right / 1.2)]
     assert max(filled) > 0.7
+
+
+def test_a_cloud_is_in_the_view_from_any_side():
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(200, 3)) * [1.0, 2.0, 0.5] + [3.0, 0.0, 1.0]
+    for towards in rng.normal(size=(20, 3)):
+        eye, middle = around(points, towards)
+        forward = (middle - eye) / np.linalg.norm(middle - eye)
+        np.testing.assert_allclose(forward, -towards / np.linalg.norm(towards))
+        away = points - eye
+        angle = np.arccos(away @ forward / np.linalg.norm(away, axis=1))
+        assert np.radians(14) < angle.max() < np.radians(55 / 2)
 
 
 @pytest.fixture(scope="module")

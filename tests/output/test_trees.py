@@ -189,7 +189,7 @@ def test_overlay_and_report_are_written(calibration, overview, recorded, tmp_pat
         np.testing.assert_allclose(own, overview.workspaces[1].tip, atol=1e-6)
     else:
         assert len(overview.workspaces) == 1
-    (table,) = recorded.static("/base/texts/parameters", "TextDocument:text")
+    (table,) = recorded.static("/base/texts/rows", "TextDocument:text")
     assert table.count("±") == np.isfinite(calibration.sigmas()).sum()
 
 

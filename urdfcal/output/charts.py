@@ -37,7 +37,8 @@ RESIDUALS = """\
 Against distance and joints: calibrated, in units of the declared noise; {parts}. Lines are means of bins: noise keeps
 them near zero, a trend is an effect that the model lacks.
 """
-_COURSES = {"cost": "cost", "damping": "damping", "step": "step, in standard deviations of the estimate"}
+_COURSES = {"cost": "cost", "damping": "damping", "step": "step [std. dev.]"}
+PARAMETERS = "Corrections (bars) and their 95 % intervals; amber: tolerances, within which two in three were expected."
 PART_COLORS = ("light blue", "orange", "violet")
 WORKSPACE = """\
 **Workspace.** Each dot is a place that the tip reaches, at joint values at random within the limits. Its colour is how
@@ -54,8 +55,9 @@ white one is as long as the number beside it. {sigmas}. Purple: taken out of the
 are noise; arrows that turn together are a wrong lens.
 """
 CONVERGENCE = """\
-**Convergence**, iteration by iteration (0: nominal). Each joint's offsets in mm and mrad; light blue: theta, dark
-blue: d, red: a, orange: alpha, violet: beta. Hairlines: the estimate minus and plus one standard deviation.
+**Convergence**, iteration by iteration (0: nominal). The step is in standard deviations of the estimate.
+Each joint's offsets in mm and mrad; light blue: theta, dark blue: d, red: a, orange: alpha, violet: beta. Hairlines:
+the estimate minus and plus one standard deviation.
 
 The cost may rise where outliers are cut and weights are renewed: it is another sum then. Damping grows while a step
 does not lower the cost; a large one at the end says that rounding alone is left.
@@ -88,13 +90,13 @@ def residual_charts(overview: Overview) -> list[Chart]:
     if scene.pixels is not None:
         charts.insert(1, _by_camera(scene.pixels, [camera.name for camera in calibration.estimate.cameras]))
         distance = np.linalg.norm(scene.rays[:, 1] - scene.rays[:, 0], axis=1)
-        charts.append(_against("distance", "Distance to the camera [m]", distance, scene.pixels))
+        charts.append(_against("distance", "distance", "distance to the camera [m]", distance, scene.pixels))
     for j, joint in enumerate(calibration.chain.joints):
         unit = "m" if joint.prismatic else "rad"
         value = calibration.session.q[table.pose, j]
         if np.ptp(value) < _AT_REST:
             continue
-        charts.append(_against(f"joint {j + 1}", f"{joint.name} [{unit}]", value, table))
+        charts.append(_against(f"joint {j + 1}", joint.name, f"{joint.name} [{unit}]", value, table))
     return charts
 
 
@@ -140,24 +142,26 @@ def spread(table: ResidualTable) -> Chart:
     edges, x = np.linspace(-_SIGMAS, _SIGMAS, 49), np.linspace(-_SIGMAS, _SIGMAS, 121)
     bell = np.exp(-(x**2) / 2) / np.sqrt(2 * np.pi)
     marks = [Mark("lines", "declared", x, bell, palette.INK)]
-    tallest = float(bell.max())
+    tallest, label = float(bell.max()), "residual / noise"
     for name, predicted in table.by_arm.items():
         sigmas = table.sigmas(predicted).ravel()
         share = np.histogram(sigmas, edges)[0] / max(len(sigmas), 1) / np.diff(edges)
         marks.append(Mark("lines", name, np.repeat(edges, 2)[1:-1], np.repeat(share, 2), palette.OF_ARM[name]))
         tallest = max(tallest, float(share.max()))
+        beyond = 100.0 * np.mean(~(np.abs(sigmas) <= _SIGMAS)) if len(sigmas) else 0.0
+        label += f" ({beyond:.0f} % of {name} beyond)" if beyond >= 0.5 else ""
     return Chart(
         "spread",
-        "Spread [declared noise]",
+        "Density of residuals",
         Scale(-_SIGMAS, _SIGMAS),
         Scale(0.0, 1.1 * tallest),
         marks,
-        x_label="residual / declared standard deviation",
+        x_label=label,
         breadth=2.0,
     )
 
 
-def _against(name: str, title: str, value: Floats, table: ResidualTable) -> Chart:
+def _against(name: str, over: str, label: str, value: Floats, table: ResidualTable) -> Chart:
     """Residuals over something they should not depend on, and the means of bins of equal number."""
     known = np.isfinite(value[table.used])
     value, sigmas = value[table.used][known], table.sigmas(table.predicted)[known]
@@ -170,7 +174,8 @@ def _against(name: str, title: str, value: Floats, table: ResidualTable) -> Char
     means = [[np.mean(sigmas[b, k]) for b in bins] for k in components]
     marks += [Mark("lines", f"mean {k}", centre, means[k], palette.COMPONENTS[k]) for k in components]
     reach = float(np.clip(np.nanpercentile(np.abs(sigmas), 99), 3.0, 100.0))
-    return Chart(name, title, Scale.holding(value), Scale(-reach, reach), marks)
+    y = Scale(-reach, reach)
+    return Chart(name, f"{over}: residual [noise]", Scale.holding(value), y, marks, x_label=label)
 
 
 def parameter_charts(calibration: FittedCalibration) -> list[Chart]:
@@ -231,10 +236,12 @@ def convergence_charts(calibration: FittedCalibration) -> list[Chart]:
     charts, history, courses = [], calibration.fit.history, paths(calibration)
     number = np.arange(0.0, len(courses))
     for name, title in _COURSES.items():
-        values = [getattr(step, name) for step in history]
-        line = Mark("lines", "line", number[1:], values, palette.CALIBRATED)
+        # The nominal arm has a cost, and comes before the first step.
+        values = np.array([getattr(step, name) for step in history])
+        values = np.append(calibration.nominal_fit.cost if name == "cost" else np.nan, values)
+        line = Mark("lines", "line", number, values, palette.CALIBRATED)
         marks = [line, replace(line, kind="dots", name="dots")]
-        x, y = Scale.holding(number[1:], whole=True), Scale.holding(values, logarithmic=True)
+        x, y = Scale.holding(number, whole=True), Scale.holding(values, logarithmic=True)
         charts.append(Chart(name, title, x, y, marks, x_label="iteration"))
     sigmas, columns = 1e3 * calibration.sigmas(), calibration.geometry.columns
     for i, joint in enumerate(calibration.geometry.labels):
@@ -246,7 +253,8 @@ def convergence_charts(calibration: FittedCalibration) -> list[Chart]:
             marks.append(Mark("lines", columns[k], number, courses[:, i, k], color))
         if marks:
             y = Scale.holding(*(mark.y for mark in marks))
-            charts.append(Chart(f"path of {joint}", f"{joint} [mm, mrad]", Scale.holding(number, whole=True), y, marks))
+            x = Scale.holding(number, whole=True)
+            charts.append(Chart(f"path of {joint}", joint, x, y, marks, x_label="iteration"))
     return charts
 
 

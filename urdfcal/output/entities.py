@@ -14,6 +14,7 @@ from urdfcal.output import arms, palette
 from urdfcal.output.chart import Chart, Scale, reference_length
 from urdfcal.output.charts import (
     CONVERGENCE,
+    PARAMETERS,
     PART_COLORS,
     PIXELS,
     RESIDUALS,
@@ -43,9 +44,13 @@ if TYPE_CHECKING:
 _WIDTH, _HEIGHT = 150.0, 105.0
 # Rows with names need so much height each, lest the names overlap; beyond the limit they had better.
 _ROW, _TALLEST = 12.0, 230.0
+# Of more of them than this every second or third is written.
+_MOST_NAMES = 40
 # Room for tick labels: numbers and names to the left, and right, above and below.
 _NUMBERS, _NAMES, _RIGHT, _ABOVE, _BELOW, _LABEL = 24.0, 75.0, 8.0, 6.0, 16.0, 12.0
 _LETTER = 4.2
+# Half the height of a label beside a chart, which is small among others, and beside one with names, which is large.
+_HALF_LABEL, _HALF_NAME = 6.5, 3.5
 # A bar of colours beside a chart: how far, how thick, in how many steps, and the room that it needs with its numbers.
 _APART, _THICK, _STEPS, _BAR = 6.0, 5.0, 24, 32.0
 # rerun takes negative radii as points on the screen instead of metres.
@@ -299,9 +304,9 @@ def log_chart(parent: Layer, chart: Chart) -> None:
     frame = [[0.0, 0.0], [0.0, height], [_WIDTH, height]]
     layer.at("frame").fixed(rr.LineStrips2D([frame], colors=palette.FAINT, radii=_HAIR))
     # rerun writes labels centred below their points.
-    # Of more names than have room beside them every second or third is written; the table has them all.
-    y = dict(list(y.items())[:: 1 + int(_ROW * len(chart.y.names or ()) / (_TALLEST + 1.0))])
-    ticks = [*([u, height] for u in x), *([-beside / 2, v - 5.0] for v in y)]
+    y = dict(list(y.items())[:: 1 + (len(y) - 1) // _MOST_NAMES if chart.y.names else 1])
+    half = _HALF_NAME if chart.y.names else _HALF_LABEL
+    ticks = [*([u, height] for u in x), *([-beside / 2, v - half] for v in y)]
     names = [*x.values(), *y.values()]
     if chart.x_label:
         ticks, names = [*ticks, [_WIDTH / 2, height + _LABEL]], [*names, chart.x_label]
@@ -313,7 +318,7 @@ def log_chart(parent: Layer, chart: Chart) -> None:
         layer.at("colours").fixed(bar)
         values = chart.colors.ticks()
         place = height * (1.0 - chart.colors.share(list(values)))
-        ticks += [[_WIDTH + _APART + 0.4 * _BAR, v - 5.0] for v in place.tolist()]
+        ticks += [[_WIDTH + _APART + 0.4 * _BAR, v - _HALF_LABEL] for v in place.tolist()]
         names += values.values()
     layer.at("ticks").fixed(rr.Points2D(ticks, radii=_NONE, labels=names, colors=palette.INK, show_labels=True))
     for order, mark in enumerate(chart.marks):
@@ -324,9 +329,9 @@ def log_chart(parent: Layer, chart: Chart) -> None:
 
 def _room(chart: Chart) -> tuple[float, float]:
     """The width of the names beside a chart, and its height."""
+    longest = max(map(len, chart.y.ticks().values()), default=0)
     if chart.y.names is None:
-        return _NUMBERS, _HEIGHT
-    longest = max(map(len, chart.y.names.values()), default=0)
+        return max(_NUMBERS, 10.0 + _LETTER * longest), _HEIGHT
     return max(_NAMES, _LETTER * longest), max(_HEIGHT, min(_ROW * len(chart.y.names), _TALLEST))
 
 
@@ -340,7 +345,8 @@ def _log_texts(base: Layer, overview: Overview) -> None:
     colored = zip(PART_COLORS, overview.scene.tables[0].components, strict=False)
     parts = ", ".join(f"{color}: {name}" for color, name in colored)
     for name, text in (
-        ("parameters", parameter_text(overview.document)),
+        ("parameters", PARAMETERS),
+        ("rows", parameter_text(overview.document)),
         ("residuals", RESIDUALS.format(parts=parts)),
         ("pixels", PIXELS.format(sigmas=palette.SIGMA_LEGEND.capitalize())),
         ("convergence", CONVERGENCE),

@@ -42,7 +42,6 @@ measurement, enlarged alike. Curves: residual of each pose, in the arms' colours
 _RAYS = """
 Long lines: the cameras' rays. Along them a place is known several times worse than across; mm here hold both.
 """
-_BARS = "Bars: corrections and their 95 % intervals; amber: tolerances, within which two in three were expected.\n"
 _ENLARGED = "Its deviation and the residual arrows are enlarged **{factor:g} times**."
 _TRUE_SIZE = "Its deviation and the residual arrows are large enough to be seen as they are."
 _PLACED = "placed to fit best"
@@ -275,7 +274,7 @@ def parameter_text(document: ResultData) -> str:
     for number, first in enumerate(range(0, len(entries), len(names)), start=1):
         row = entries[first : first + len(names)]
         lines.append(f"| {number} | {row[0]['joint']} | {' | '.join(map(_cell, row))} |")
-    identifiability, text = document["identifiability"], "\n".join([_BARS, *lines])
+    identifiability, text = document["identifiability"], "\n".join(lines)
     text += f"\n\n{MOUNTS}" if any(entry["joint"].endswith(MOUNT) for entry in entries) else ""
     fixed = [f"{', '.join(which)}: {why}" for why, which in fixed_parameters(document)]
     for title, sentences in (("Unidentifiable", identifiability["lost"]), ("Not estimated", fixed)):

@@ -44,7 +44,7 @@ def contribution_chart(calibration: FittedCalibration) -> Chart | None:
     geometry = np.array([of.what == GEOMETRY for of in shown])
     return Chart(
         "contributions",
-        "tip error by cause [mm]",
+        "Tip error by cause",
         Scale(0.0, 1.05 * float(ends.max())),
         height,
         [
@@ -52,6 +52,7 @@ def contribution_chart(calibration: FittedCalibration) -> Chart | None:
             Mark("bars", "joint models", along[~geometry], across[~geometry], palette.ACCENT),
             Mark("lines", "intervals", ends, np.stack([y, y], axis=-1), palette.INK),
         ],
+        x_label="how far it moves the tip, rms [mm]",
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -190,12 +191,12 @@ def layout(overview: Overview, active: int = 0) -> rrb.Blueprint:
     if scene.pixels is not None:
         views = _images(images, overview, scene.pixels)
         grid = rrb.Grid(*views, grid_columns=len(views) // len(images))
-        text = rrb.TextDocumentView(origin=f"{ROOT}/texts/pixels", name="How to read this")
-        tabs.append(rrb.Vertical(grid, text, row_shares=[6, 1], name="Pixels"))
+        tabs.append(_above("pixels", grid, 6))
     tabs += [
         _grid("convergence", charts.convergence_charts(calibration)),
-        *([_grid("joints", joints)] if (joints := charts.joint_charts(calibration)) else []),
-        _parameters(overview),
+        *([_above("joints", _charts(joints), 6)] if (joints := charts.joint_charts(calibration)) else []),
+        *_parameters(calibration),
+        _rows(overview),
         _grid("residuals", charts.residual_charts(overview)),
         _workspace(overview),
     ]
@@ -217,39 +218,50 @@ def _banner(overview: Overview) -> rrb.View:
     )
 
 
-def _parameters(overview: Overview) -> rrb.Container:
-    table = overview.calibration.table
-    rows = [f"{ROOT}/dh/rows/{name}{i + 1}" for i in range(len(table.labels)) for name in "da"]
-    reach = table.chain.reach
-    towards = viewpoint(overview.scene)[0] - viewpoint(overview.scene)[1]
-    target = overview.scene.frames[0, :, :3, 3].mean(axis=0)
+def _parameters(calibration: FittedCalibration) -> list[rrb.Container]:
+    bars = [chart_view(chart, ROOT) for chart in charts.parameter_charts(calibration)]
+    return [_above("parameters", rrb.Horizontal(*bars), 14)] if bars else []
+
+
+def _rows(overview: Overview) -> rrb.Container:
+    """The DH rows drawn to scale beside their table."""
+    table, scene = overview.calibration.table, overview.scene
+    lengths = [f"{ROOT}/dh/rows/{name}{i + 1}" for i in range(len(table.labels)) for name in "da"]
+    eye, target = viewpoint(scene)
+    points = scene.rows.corners.reshape(-1, 3)
     arm = _space(
         "DH rows to scale: d blue, a red",
         ["+ $origin/dh/**", "+ $origin/led/predicted"],
-        target + 1.7 * reach * towards / np.linalg.norm(towards),
-        target,
-        overrides={row: rr.LineStrips3D.from_fields(show_labels=True) for row in rows},
+        *around(points, eye - target),
+        overrides={row: rr.LineStrips3D.from_fields(show_labels=True) for row in lengths},
     )
-    bars = [chart_view(chart, ROOT) for chart in charts.parameter_charts(overview.calibration)]
-    text = rrb.TextDocumentView(origin=f"{ROOT}/texts/parameters", name="DH rows: nominal, offset ± deviation")
-    return rrb.Horizontal(
-        arm, rrb.Vertical(rrb.Horizontal(*bars), text, row_shares=[3, 2]), column_shares=[1, 2], name="Parameters"
-    )
+    text = rrb.TextDocumentView(origin=f"{ROOT}/texts/rows", name="Nominal, offset ± standard deviation")
+    return rrb.Horizontal(arm, text, column_shares=[2, 3], name="DH rows")
+
+
+def around(points: Floats, towards: Floats) -> tuple[Floats, Floats]:
+    """Find a place in a direction from which all points (N, 3) are in the view. [m].
+
+    Returns:
+        The eye and the point it looks at, (3,) each. [m]
+    """
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    far = 1.05 * float(np.linalg.norm(points - middle, axis=1).max()) / np.sin(_HALF_VIEW)
+    return middle + far * towards / np.linalg.norm(towards), middle
 
 
 def _workspace(overview: Overview) -> rrb.Container:
     rows = [rrb.Horizontal(*_clouds(of, further=k > 0)) for k, of in enumerate(overview.workspaces)]
-    shares = [chart_view(chart, ROOT) for chart in charts.workspace_charts(overview.workspaces)]
-    text = rrb.TextDocumentView(origin=f"{ROOT}/texts/workspace", name="How to read this")
-    below = rrb.Horizontal(*shares, text)
+    first, *others = charts.workspace_charts(overview.workspaces)
+    first = replace(first, title=f"{first.title}; bar: colours of all clouds [mm]")
+    shares = [chart_view(chart, ROOT) for chart in (first, *others)]
+    below = rrb.Horizontal(*shares, _text("workspace"))
     return rrb.Vertical(*rows, below, row_shares=[*([6 // len(rows)] * len(rows)), 4], name="Workspace")
 
 
 def _clouds(workspace: Workspace, *, further: bool) -> list[rrb.View]:
     """The workspace of the first tip or of a further one: nominal, calibrated, and what joint models move."""
-    middle = (workspace.tip.min(axis=0) + workspace.tip.max(axis=0)) / 2
-    far = 1.1 * float(np.linalg.norm(workspace.tip - middle, axis=1).max()) / np.sin(_HALF_VIEW)
-    eye = middle + far * np.array([0.8, -1.0, 0.5]) / np.linalg.norm([0.8, -1.0, 0.5])
+    eye, middle = around(workspace.tip, np.array([0.8, -1.0, 0.5]))
     folder = f"workspace/{rr.escape_entity_path_part(workspace.link)}" if further else "workspace"
     views = []
     what_of = {"nominal": "off", "calibrated": "standard deviation", MOVED: "moved"}
@@ -268,8 +280,20 @@ def _clouds(workspace: Workspace, *, further: bool) -> list[rrb.View]:
 
 
 def _grid(name: str, shown: list[Chart]) -> rrb.Container:
-    text = rrb.TextDocumentView(origin=f"{ROOT}/texts/{name}", name="How to read this")
-    return rrb.Grid(*(chart_view(chart, ROOT) for chart in shown), text, name=name.capitalize())
+    return rrb.Grid(*(chart_view(chart, ROOT) for chart in shown), _text(name), name=name.capitalize())
+
+
+def _above(name: str, shown: rrb.Container, times: int) -> rrb.Container:
+    """Views above their text, so many times as high as it."""
+    return rrb.Vertical(shown, _text(name), row_shares=[times, 1], name=name.capitalize())
+
+
+def _charts(shown: list[Chart]) -> rrb.Container:
+    return rrb.Grid(*(chart_view(chart, ROOT) for chart in shown))
+
+
+def _text(name: str) -> rrb.View:
+    return rrb.TextDocumentView(origin=f"{ROOT}/texts/{name}", name="How to read this")
 
 
 def _images(images: list[str], overview: Overview, pixels: ResidualTable) -> list[rrb.View]:
