@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -51,9 +52,20 @@ def test_each_pose_says_what_it_brings(plan: Plan, recorded: Recorded) -> None:
         (text,) = said[k]
         if rank >= 0:
             before, after = 1e3 * plan.errors[rank : rank + 2]
-            assert f"goes from {before:.3g} to {after:.3g} mm" in text
+            change = f"goes from {before:.3g} to {after:.3g} mm"
+            assert (change if f"{before:.3g}" != f"{after:.3g}" else f"stays {after:.3g} mm") in text
+            assert f": to be measured.\n\nOf the {plan.count} it is number {rank + 1} by" in text
         else:
-            assert ("check the calibration" if plan.check[k] else "nothing is measured") in text
+            assert ("check the calibration" if plan.check[k] else "nothing is to be measured") in text
+        assert "Green dots: where the tip is in the poses to be measured; white: in those to check by" in text
+
+
+def test_what_changes_nothing_does_not_go_from_itself_to_itself(plan: Plan, tmp_path: Path) -> None:
+    still = replace(plan, errors=np.full_like(plan.errors, plan.errors[0]))
+    write_plan(tmp_path / "plan.rrd", still)
+    said = Recorded(tmp_path / "plan.rrd").rows("/base/texts/about", "TextDocument:text")
+    measured = [said[k][0] for k in np.flatnonzero(plan.rank >= 0)]
+    assert all(f"error stays {1e3 * plan.errors[0]:.3g} mm" in text for text in measured)
 
 
 def test_the_tips_error_is_that_of_the_plan(plan: Plan) -> None:

@@ -17,7 +17,7 @@ from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.study import monte_carlo
 from urdfcal.study.charts import study_charts
 from urdfcal.study.monte_carlo import Outcome, Run, Variation, present, run_one, settings_of, varied_rig
-from urdfcal.study.results import as_csv, rows
+from urdfcal.study.results import as_csv, rows, write_study
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -150,6 +150,16 @@ def test_where_no_arm_can_be_simulated_the_reason_is_written() -> None:
     assert as_csv([failed]).splitlines()[1] == "leds,3,50,0,,,,,no pose shows them"
     assert rows([failed]) == [("leds 3", "50", "", "", "", "", "0")]
     assert study_charts(read_rig(UR5), [failed]) == ()
+
+
+def test_one_arm_in_ten_is_said_of_ten_arms_and_the_recording_says_what_dots_are(tmp_path: Path) -> None:
+    few, many = (Outcome(Variation("leds", 3), 50, 1e-3, 2e-3, 1.5e-3, 5e-3, (1e-3,) * count, ()) for count in (9, 10))
+    assert [row[3] for row in rows([few, many])] == ["", "2"]
+    write_study(tmp_path, read_rig(UR5), [many], 0)
+    (text,) = Recorded(tmp_path / "study.rrd").static("/base/texts/table", "TextDocument:text")
+    assert "Dots: the tip's error of each arm; green: their rms" in text
+    assert "expected (mm)" in text
+    assert [chart.title for chart in study_charts(read_rig(UR5), [many])] == ["Tip error by LEDs [mm]"]
 
 
 @pytest.mark.parametrize(

@@ -75,7 +75,9 @@ def _workspace(workspaces: Sequence[Workspace]) -> list[Sequence[Chart]]:
     """Each arm's maps, and shares beside two or below three."""
     shares = [replace(chart, colors=None) for chart in workspace_charts(workspaces)]
     return [
-        row for of, chart in zip(workspaces, shares, strict=True) for row in _in_rows([*workspace_maps(of), chart], 3)
+        row
+        for of, chart in zip(workspaces, shares, strict=True)
+        for row in _in_rows([*workspace_maps(of, named=len(workspaces) > 1), chart], 3)
     ]
 
 

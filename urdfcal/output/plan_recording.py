@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,8 +31,14 @@ _DOT, _SMALL_DOT, _THIN = -4.0, -2.0, -0.8
 _FROM = np.array([0.8, -1.0, 0.5])
 _BOX = (*palette.FAINT, 90)
 _ABOUT = """\
-**How to read this.** Each dot is a place of the workspace that the plan is for; its colour is the tip's expected rms
-error there, before and after, in mm, as in the bar. Blue: by what is measured so far; green: with the planned poses.
+Each dot is a place of the workspace that the plan is for; its colour is the tip's expected rms error there, before and
+after, in mm, as in the bar. Blue: by what is measured so far; green: with the planned poses.
+"""
+_LEGEND = """
+
+Green dots: where the tip is in the poses to be measured; white: in those to check by, and the LEDs in this pose. Lines:
+the tip's way from pose to pose, and the cameras' rays to the LEDs. Curves, by how many poses are measured: the tip's
+expected rms error over the workspace (green), and what nine arms in ten stay below (blue).
 """
 
 
@@ -116,26 +123,29 @@ def _log_workspace(base: Layer, plan: Plan) -> None:
 def _log_texts(base: Layer, plan: Plan) -> None:
     """Log what each pose is for, and how to read the workspace."""
     texts, markdown = base.at("texts"), rr.MediaType.MARKDOWN
-    texts.at("about").each(rr.TextDocument, {"text": [*map(_said, *_rows(plan))]}, media_type=markdown)
+    said = [f"{_said(plan, *row)}{_LEGEND}" for row in zip(*_rows(plan), strict=True)]
+    texts.at("about").each(rr.TextDocument, {"text": said}, media_type=markdown)
     texts.at("workspace").fixed(rr.TextDocument(_ABOUT, media_type=markdown))
 
 
 def _rows(plan: Plan) -> tuple[list[str], list[int], list[str]]:
     """Label, rank, and what it brings, of each pose."""
-    steps = [f"{1e3 * a:.3g} to {1e3 * b:.3g} mm" for a, b in zip(plan.errors, plan.errors[1:], strict=False)]
+    errors = [f"{1e3 * error:.3g}" for error in plan.errors]
+    # The first poses alone may only place the base and the LEDs.
+    steps = [f"stays {a} mm" if a == b else f"goes from {a} to {b} mm" for a, b in pairwise(errors)]
     rank = plan.rank.tolist()
     return labels(plan), rank, [steps[k] if k >= 0 else "" for k in rank]
 
 
-def _said(label: str, rank: int, brings: str) -> str:
+def _said(plan: Plan, label: str, rank: int, brings: str) -> str:
     if rank >= 0:
         return (
-            f"**Pose {label}** is measured.\n\nThe {rank + 1}. by what it brings: with those before it, the tip's "
-            f"expected rms error goes from {brings}."
+            f"**Pose {label}**: to be measured.\n\nOf the {plan.count} it is number {rank + 1} by what it brings: with "
+            f"those before it, the tip's expected rms error {brings}. (The timeline counts in the order of the moves.)"
         )
     if label.startswith("check"):
-        return f"**Pose {label}** is measured to check the calibration by, and left out of it."
-    return f"**Pose {label}** only leads around something: nothing is measured."
+        return f"**Pose {label}**: to be measured to check the calibration by, and left out of it."
+    return f"**Pose {label}** only leads around something: nothing is to be measured."
 
 
 def _course(plan: Plan) -> Chart:
@@ -147,8 +157,8 @@ def _course(plan: Plan) -> Chart:
         Mark("lines", "expected", number, error, palette.CALIBRATED),
         Mark("dots", "poses", number, error, palette.CALIBRATED),
     ]
-    title = "Tip's expected rms by poses, and at most in 9 of 10 [mm]"
-    return Chart("course", title, Scale.holding(number, whole=True), Scale.holding(error, likely), marks, "poses")
+    x, y = Scale.holding(number, whole=True), Scale.holding(error, likely)
+    return Chart("course", "Tip's expected error [mm]", x, y, marks, "poses measured")
 
 
 def _shares(plan: Plan) -> Chart:
@@ -161,8 +171,8 @@ def _shares(plan: Plan) -> Chart:
             ("after", plan.outlook.after, palette.CALIBRATED),
         )
     ]
-    title = "% of the workspace below an expected error [mm]"
-    return Chart("shares", title, colors, Scale(0.0, 100.0), marks, "mm", colors=colors)
+    title = "% of the workspace below; bar: colours of both clouds [mm]"
+    return Chart("shares", title, colors, Scale(0.0, 100.0), marks, "expected error [mm]", colors=colors)
 
 
 def _colors(plan: Plan) -> Scale:

@@ -49,5 +49,5 @@ def _chart(rig: RigDescription, name: Varied, table: Sequence[Outcome], errors: 
         Mark("lines", "rms", values, [1e3 * one.error for one in rows], palette.CALIBRATED),
     ]
     x = Scale.holding(values, whole=name in ("poses", "cameras", "leds"))
-    title = f"Tip's error by {name} [mm]"
+    title = f"Tip error by {'LEDs' if name == 'leds' else name} [mm]"
     return Chart(f"study {name}", title, x, errors, marks, _LABELS[name], legend=("each arm", "expected", "rms"))

@@ -30,8 +30,11 @@ if TYPE_CHECKING:
 
 TABLE, REPORT, RECORDING = "study.csv", "study.html", "study.rrd"
 """Files, in the folder of the results."""
-HEADS = ("setting", "poses", "tip (mm rms)", "1 in 10 above", "expected", "nominal", "arms")
+HEADS = ("setting", "poses", "tip, rms (mm)", "1 in 10 above (mm)", "expected (mm)", "nominal (mm)", "arms")
 """Of a table for people."""
+# Fewer arms have no tenth.
+_TEN = 10
+_CURVES = "Dots: the tip's error of each arm; green: their rms; blue: expected, from the noise and the tolerances."
 # Charts beside each other on a page, and how high they are there.
 _ROW, _HEIGHT = 2, 220.0
 
@@ -78,7 +81,10 @@ def rows(table: Sequence[Outcome]) -> list[tuple[str, ...]]:
         (
             str(one.setting),
             str(one.poses),
-            *(_mm(of) if one.arms else "" for of in (one.error, one.worst, one.expected, one.nominal)),
+            *(
+                _mm(of) if len(one.arms) >= least else ""
+                for of, least in ((one.error, 1), (one.worst, _TEN), (one.expected, 1), (one.nominal, 1))
+            ),
             str(len(one.arms)),
         )
         for one in table
@@ -108,9 +114,9 @@ def _page(rig: RigDescription, table: Sequence[Outcome], charts: Sequence[Chart]
 
 def _write_recording(path: Path, rig: RigDescription, table: Sequence[Outcome], charts: Sequence[Chart]) -> None:
     lines = ["| " + " | ".join(row) + " |" for row in (HEADS, ("---",) * len(HEADS), *rows(table))]
-    text = "\n".join([*lines, "", *(f"- {why}" for why in failures(table))])
+    text = "\n".join([*lines, "", _CURVES, "", *(f"- {why}" for why in failures(table))])
     views = [chart_view(chart, ROOT) for chart in charts]
-    document = rrb.TextDocumentView(origin=f"{ROOT}/texts/table", name="Settings; green: rms, blue: expected")
+    document = rrb.TextDocumentView(origin=f"{ROOT}/texts/table", name="Settings")
     grid = rrb.Grid(document, *views, grid_columns=int(np.ceil(np.sqrt(len(views) + 1))))
     layout = rrb.Blueprint(grid, collapse_panels=True)
     with recorded(path, layout, f"{rig.chain.name}, studied") as stream:
