@@ -8,7 +8,15 @@ import pytest
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.output.chart import Scale
-from urdfcal.output.charts import all_charts, by_pose, convergence_charts, parameter_charts, residual_charts, spread
+from urdfcal.output.charts import (
+    all_charts,
+    by_pose,
+    convergence_charts,
+    frame_times,
+    parameter_charts,
+    residual_charts,
+    spread,
+)
 from urdfcal.output.findings import Overview
 from urdfcal.output.scene import measurements_of
 from urdfcal.pipeline import calibrate
@@ -83,6 +91,20 @@ def test_thousands_of_frames_are_no_carpet(overview):
     assert chart.title == f"rms of {1 + (len(many) - 1) // 250} poses each [{table.unit}]"
     np.testing.assert_allclose(np.median(chart.marks[2].y), np.sqrt(np.mean(by_pose(table).marks[2].y ** 2)), rtol=0.3)
     assert by_pose(table).title == f"rms of each pose [{table.unit}]"
+
+
+def test_frames_of_an_arm_that_moved_are_drawn_over_their_time_whatever_camera_took_them(overview):
+    (table,) = overview.scene.tables
+    # The second camera's frames come after the first one's.
+    times = 100.0 + np.concatenate([np.arange(13.0), np.arange(12.0)])
+    chart = by_pose(table, times)
+    assert (chart.title, chart.x_label) == (f"rms over time [{table.unit}]", "time [s]")
+    for mark in chart.marks[1:]:
+        np.testing.assert_allclose(mark.x, 100.0 + np.arange(13.0), atol=0.05)
+    both = np.isin(table.pose, [1, 14]) & table.used
+    square = np.sum((table.predicted - table.measured)[both] ** 2, axis=1)
+    assert chart.marks[2].y[1] == pytest.approx(np.sqrt(np.mean(square)))
+    assert frame_times(overview.calibration) is None
 
 
 def test_what_is_beyond_the_chart_is_said_of_each_arm_that_has_any(overview):

@@ -336,6 +336,21 @@ def test_a_tick_is_not_cut_at_the_edge_of_its_view():
     assert left[0] < left[1] < 0.0
 
 
+def test_the_curves_of_an_arm_that_moved_are_seen_from_the_first_frame_to_the_last(calibration, monkeypatch):
+    def axis():
+        arm = layout(Overview.of(calibration)).root_container.contents[0]
+        curves = arm.contents[1].contents[1].contents[1]
+        return curves.name, curves.properties.get("TimeAxis")
+
+    assert axis() == ("rms of each pose [px]", None)
+    times = np.linspace(3.0, 8.0, POSES)
+    monkeypatch.setattr("urdfcal.output.charts.frame_times", lambda _: times)
+    name, shown = axis()
+    assert name == "rms of each frame [px]"
+    assert "3000000000" in str(shown.view_range.as_arrow_array())
+    assert "8000000000" in str(shown.view_range.as_arrow_array())
+
+
 def test_whole_placements_are_recorded_too(tmp_path):
     full = calibrate(make_session(estimate=Estimate(geometry="full")), force=True)
     assert write_recording(tmp_path / "full.rrd", Overview.of(full)) == ()

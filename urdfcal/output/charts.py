@@ -12,6 +12,7 @@ from urdfcal.estimation.blocks.arm import LENGTHS, ArmBlock
 from urdfcal.output import palette
 from urdfcal.output.chart import Chart, Mark, Scale, bars
 from urdfcal.output.joint_charts import contribution_chart, joint_model_charts
+from urdfcal.session.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -86,7 +87,7 @@ def joint_charts(calibration: FittedCalibration) -> list[Chart]:
 def residual_charts(overview: Overview) -> list[Chart]:
     """Residuals by pose and camera, against the declared noise, the distance, and every joint."""
     scene, calibration, table = overview.scene, overview.calibration, overview.scene.tables[0]
-    charts = [by_pose(table), spread(table)]
+    charts = [by_pose(table, frame_times(calibration)), spread(table)]
     if scene.pixels is not None:
         charts.insert(1, _by_camera(scene.pixels, [camera.name for camera in calibration.estimate.cameras]))
         distance = np.linalg.norm(scene.rays[:, 1] - scene.rays[:, 0], axis=1)
@@ -100,23 +101,36 @@ def residual_charts(overview: Overview) -> list[Chart]:
     return charts
 
 
-def by_pose(table: ResidualTable) -> Chart:
-    """The rms residual of each pose, nominal and calibrated."""
-    # Thousands of frames would be a carpet: so many are one dot.
-    run = 1 + int(table.pose.max(initial=0)) // _DOTS
-    rms = {name: table.rms_by(table.pose // run, predicted) for name, predicted in table.by_arm.items()}
-    pose = run * rms["nominal"][0] + (run - 1) / 2
-    x = Scale.holding(pose + 1, whole=True)
+def frame_times(calibration: FittedCalibration) -> Floats | None:
+    """When each frame (N,) of an arm that moved was taken; None where it stood still in poses. [s]."""
+    session = calibration.session
+    return session.time if isinstance(session.motion, Trajectory) else None
+
+
+def by_pose(table: ResidualTable, times: Floats | None = None) -> Chart:
+    """The rms residual of each pose, nominal and calibrated; of an arm that moved over its frames' times (N,), in s."""
+    # Thousands would be a carpet: so many are one dot.
+    if times is None:
+        run = 1 + int(table.pose.max(initial=0)) // _DOTS
+        part, step, first, label = table.pose // run, float(run), 1 + (run - 1) / 2, "pose"
+        title = f"rms of {'each pose' if run == 1 else f'{run} poses each'} [{table.unit}]"
+    else:
+        step = max(float(np.ptp(times)), 1e-3) / _DOTS
+        part = ((times[table.pose] - times.min()) // step).astype(np.intp)
+        first, label, title = float(times.min()) + step / 2, "time [s]", f"rms over time [{table.unit}]"
+    rms = {name: table.rms_by(part, predicted) for name, predicted in table.by_arm.items()}
+    at = first + step * rms["nominal"][0]
+    x = Scale.holding(at, whole=times is None)
     return Chart(
         "by pose",
-        f"rms of {'each pose' if run == 1 else f'{run} poses each'} [{table.unit}]",
+        title,
         x,
         Scale.holding(*(of_pose for _, of_pose in rms.values()), table.noise, logarithmic=True),
         [
             Mark("lines", "declared", [x.low, x.high], [table.noise, table.noise], palette.INK),
-            *(Mark("dots", name, pose + 1, of_pose, palette.OF_ARM[name]) for name, (_, of_pose) in rms.items()),
+            *(Mark("dots", name, at, of_pose, palette.OF_ARM[name]) for name, (_, of_pose) in rms.items()),
         ],
-        x_label="pose",
+        x_label=label,
         legend=("nominal", "calibrated", "declared"),
         breadth=3.0,
     )

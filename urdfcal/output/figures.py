@@ -11,7 +11,14 @@ from urdfcal.arrays import evenly
 from urdfcal.estimation.projection import projection_sigma
 from urdfcal.output import palette
 from urdfcal.output.chart import Chart, Mark, Scale, reference_length
-from urdfcal.output.charts import by_pose, convergence_charts, parameter_charts, spread, workspace_charts
+from urdfcal.output.charts import (
+    by_pose,
+    convergence_charts,
+    frame_times,
+    parameter_charts,
+    spread,
+    workspace_charts,
+)
 from urdfcal.output.joint_charts import contribution_chart, joint_model_charts
 from urdfcal.output.scene import MOST_ARROWS, image_range
 from urdfcal.output.stream import CORNER
@@ -51,7 +58,7 @@ def figures(overview: Overview) -> dict[str, Figure]:
     corrections = parameter_charts(calibration)
     cost, _, step, *_ = convergence_charts(calibration)
     found = {
-        "residuals": Figure([[by_pose(table), spread(table)]], 230),
+        "residuals": Figure([[by_pose(table, frame_times(calibration)), spread(table)]], 230),
         "workspace": Figure(_workspace(overview.workspaces), 250),
         "joints": Figure([[_joint_ranges(calibration)]], 60),
         "convergence": Figure([[cost, step]], 180),

@@ -24,7 +24,6 @@ from urdfcal.output.stream import POSE, TIME, recorded
 from urdfcal.output.viewer import RECORDING
 from urdfcal.output.workspace import MOVED
 from urdfcal.result.calibration import FILE_NAME, Calibration, corrected_name
-from urdfcal.session.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -166,7 +165,7 @@ def layout(overview: Overview, active: int = 0) -> rrb.Blueprint:
         active: the tab to open with.
     """
     scene, calibration = overview.scene, overview.calibration
-    moved = isinstance(calibration.session.motion, Trajectory)
+    times = charts.frame_times(calibration)
     images = [
         f"{ROOT}/cameras/{rr.escape_entity_path_part(camera.name)}/image" for camera in calibration.estimate.cameras
     ]
@@ -179,7 +178,8 @@ def layout(overview: Overview, active: int = 0) -> rrb.Blueprint:
         rrb.TextDocumentView(origin=f"{ROOT}/texts/about", name="What you see"),
         rrb.TimeSeriesView(
             origin=f"{ROOT}/plots/residual_{unit}",
-            name=f"rms of each pose [{unit}]",
+            name=f"rms of each {'pose' if times is None else 'frame'} [{unit}]",
+            axis_x=None if times is None else _all_of(times),
             plot_legend=rrb.PlotLegend(visible=False),  # it would cover the curves
         ),
         row_shares=[5, 2],
@@ -203,10 +203,16 @@ def layout(overview: Overview, active: int = 0) -> rrb.Blueprint:
     return rrb.Blueprint(
         rrb.Tabs(*tabs, active_tab=active),
         # Poses one by one, twice a second; an arm that moved as it did.
-        rrb.TimePanel(state="collapsed", timeline=TIME if moved else POSE, play_state="paused", fps=2.0),
+        rrb.TimePanel(state="collapsed", timeline=POSE if times is None else TIME, play_state="paused", fps=2.0),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
     )
+
+
+def _all_of(times: Floats) -> rrb.archetypes.TimeAxis:
+    """An axis from the first to the last of the times (N,). [s]."""
+    ends = (rr.TimeRangeBoundary.absolute(seconds=float(of)) for of in (times.min(), times.max()))
+    return rrb.archetypes.TimeAxis(view_range=rr.TimeRange(*ends))
 
 
 def _banner(overview: Overview) -> rrb.View:
