@@ -405,8 +405,18 @@ def test_rejected_lights_are_marked_with_the_reason(calibration, tmp_path):
     assert [k for k, row in found.items() if len(row)] == [4]
     np.testing.assert_allclose(found[4], [[668 + CORNER, 1022 + CORNER]])
     assert recorded.rows(entity, "Points2D:labels")[4].tolist() == ["larger than an LED"]
-    (text,) = recorded.rows("/base/texts/about", "TextDocument:text")[0]
+    (text,) = recorded.static("/base/texts/pixels", "TextDocument:text")
     assert "lights that detection rejected" in text
+
+
+def test_without_rejected_lights_nothing_is_said_of_them_and_lines_leave_the_arrows_to_be_seen(recorded):
+    (text,) = recorded.static("/base/texts/pixels", "TextDocument:text")
+    assert "rejected" not in text
+    nominal, arrows = (
+        -recorded.static(f"/base/cameras/cam0/image/{name}", component)[0]
+        for name, component in (("arm/nominal", "LineStrips2D:radii"), ("field", "Arrows2D:radii"))
+    )
+    assert nominal <= 2.0 * arrows
 
 
 def test_dark_photographs_are_brightened(tmp_path):

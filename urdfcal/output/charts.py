@@ -55,6 +55,7 @@ arm, by its joint readings alone. Arrows: residuals of all poses, detected to pr
 white one is as long as the number beside it. {sigmas}. Purple: taken out of the fit. Arrows in random directions
 are noise; arrows that turn together are a wrong lens.
 """
+LIGHTS = "\nOrange: lights that detection rejected; a click tells why.\n"
 CONVERGENCE = """\
 **Convergence**, iteration by iteration (0: nominal). The step is in standard deviations of the estimate.
 Each joint's offsets in mm and mrad; light blue: theta, dark blue: d, red: a, orange: alpha, violet: beta. Hairlines:

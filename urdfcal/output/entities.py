@@ -14,6 +14,7 @@ from urdfcal.output import arms, palette
 from urdfcal.output.chart import Chart, Scale, reference_length
 from urdfcal.output.charts import (
     CONVERGENCE,
+    LIGHTS,
     PARAMETERS,
     PART_COLORS,
     PIXELS,
@@ -87,9 +88,9 @@ def _log_cameras(base: Layer, calibration: FittedCalibration, scene: Calibration
     pictures, rejected = find_pictures(calibration.session), find_rejected(calibration.session)
     fastened = calibration.session.attachments
     told = calibration.problem.told(calibration.session.q)
-    # The calibrated arm, thinner, lies on the nominal one.
+    # The calibrated arm, thinner, lies on the nominal one in the space's view of the images.
     lines = [
-        ("nominal", arm_in_images(calibration, calibration.nominal, told), 2 * _LINE),
+        ("nominal", arm_in_images(calibration, calibration.nominal, told), 2 * _THIN),
         ("calibrated", arm_in_images(calibration, calibration.estimate, calibration.true_q), _THIN),
     ]
     for index, camera in enumerate(calibration.estimate.cameras):
@@ -348,7 +349,10 @@ def _log_texts(base: Layer, overview: Overview) -> None:
         ("parameters", PARAMETERS),
         ("rows", parameter_text(overview.document)),
         ("residuals", RESIDUALS.format(parts=parts)),
-        ("pixels", PIXELS.format(sigmas=palette.SIGMA_LEGEND.capitalize())),
+        (
+            "pixels",
+            PIXELS.format(sigmas=palette.SIGMA_LEGEND.capitalize()) + (LIGHTS if find_rejected(session) else ""),
+        ),
         ("convergence", CONVERGENCE),
         ("joints", JOINTS + (MODELS if joint_model_charts(overview.calibration) else "")),
         ("workspace", WORKSPACE),

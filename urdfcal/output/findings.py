@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from urdfcal.estimation.blocks.arm import LENGTHS
-from urdfcal.output.images import find_rejected
 from urdfcal.output.palette import SIGMA_LEGEND
 from urdfcal.output.scene import CalibrationScene, build_scene
 from urdfcal.output.workspace import Workspace, sample_workspace
@@ -244,8 +243,6 @@ def pose_texts(overview: Overview) -> list[str]:
     placed = _LAID_OVER.format(apart=1e3 * scene.apart) if scene.apart else _PLACED
     legend = _LEGEND.format(enlarged=enlarged, placed=placed)
     legend += _RAYS if scene.pixels is not None else ""
-    if find_rejected(session):
-        legend += "\nIn images orange: lights that detection rejected; a click tells why.\n"
     if fastened := fastening_sentences(session):
         legend += "\n" + " ".join(fastened) + "\n"
     if reasons := to_check(overview.calibration):

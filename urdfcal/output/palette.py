@@ -30,6 +30,8 @@ GRID = (48, 50, 54)
 UNMEASURED = (205, 205, 205)
 """Of cells on paper where nothing was measured."""
 BACKGROUND = (13, 14, 16)
+SPACE = (50, 53, 58)
+"""Behind the arm, whose links may be black."""
 COMPONENTS = ((90, 200, 250), (255, 170, 80), (200, 140, 255))
 """u and v, or x, y and z."""
 PARAMETER_COLORS = {

@@ -188,7 +188,7 @@ def _layout(plan: Plan) -> rrb.Blueprint:
     def space(name: str, contents: list[str], eye: Floats = eye, target: Floats = middle) -> rrb.View:
         controls = rrb.EyeControls3D(position=eye, look_target=target, eye_up=[0, 0, 1])
         return rrb.Spatial3DView(
-            origin=ROOT, contents=contents, name=name, eye_controls=controls, background=palette.BACKGROUND
+            origin=ROOT, contents=contents, name=name, eye_controls=controls, background=palette.SPACE
         )
 
     arm = joint_frames(plan.chain, plan.scene.placements, plan.q)[..., :3, 3].reshape(-1, 3)

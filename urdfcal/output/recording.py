@@ -17,7 +17,7 @@ from urdfcal.output.entities import chart_view, log_overview
 from urdfcal.output.exports.names import exported
 from urdfcal.output.figure_files import FOLDER, earlier_figures, write_figures
 from urdfcal.output.findings import HEADLINE, Overview, headline
-from urdfcal.output.palette import BACKGROUND, VERDICT_COLORS
+from urdfcal.output.palette import BACKGROUND, SPACE, VERDICT_COLORS
 from urdfcal.output.report import write_report
 from urdfcal.output.scene import CalibrationScene, ResidualTable, image_range
 from urdfcal.output.stream import POSE, TIME, recorded
@@ -182,9 +182,9 @@ def layout(overview: Overview, active: int = 0) -> rrb.Blueprint:
             axis_x=None if times is None else _all_of(times),
             plot_legend=rrb.PlotLegend(visible=False),  # it would cover the curves
         ),
-        row_shares=[5, 2],
+        row_shares=[4, 1],
     )
-    both = rrb.Horizontal(arm, beside, column_shares=[3, 1])
+    both = rrb.Horizontal(arm, beside, column_shares=[5, 2])
     tabs: list[rrb.Container | rrb.View] = [
         rrb.Vertical(_banner(overview), both, row_shares=[1, 13], name="Arm"),
     ]
@@ -226,7 +226,7 @@ def _banner(overview: Overview) -> rrb.View:
 
 def _parameters(calibration: FittedCalibration) -> list[rrb.Container]:
     bars = [chart_view(chart, ROOT) for chart in charts.parameter_charts(calibration)]
-    return [_above("parameters", rrb.Horizontal(*bars), 14)] if bars else []
+    return [_above("parameters", rrb.Horizontal(*bars), 9)] if bars else []
 
 
 def _rows(overview: Overview) -> rrb.Container:
@@ -242,7 +242,7 @@ def _rows(overview: Overview) -> rrb.Container:
         overrides={row: rr.LineStrips3D.from_fields(show_labels=True) for row in lengths},
     )
     text = rrb.TextDocumentView(origin=f"{ROOT}/texts/rows", name="Nominal, offset ± standard deviation")
-    return rrb.Horizontal(arm, text, column_shares=[2, 3], name="DH rows")
+    return rrb.Horizontal(arm, text, column_shares=[1, 2], name="DH rows")
 
 
 def around(points: Floats, towards: Floats) -> tuple[Floats, Floats]:
@@ -335,9 +335,7 @@ def _images(images: list[str], overview: Overview, pixels: ResidualTable) -> lis
 
 def _space(name: str, contents: list[str], eye: Floats, target: Floats, **more: Any) -> rrb.View:
     controls = rrb.EyeControls3D(position=eye, look_target=target, eye_up=[0, 0, 1])
-    return rrb.Spatial3DView(
-        origin=ROOT, contents=contents, name=name, eye_controls=controls, background=BACKGROUND, **more
-    )
+    return rrb.Spatial3DView(origin=ROOT, contents=contents, name=name, eye_controls=controls, background=SPACE, **more)
 
 
 def viewpoint(scene: CalibrationScene) -> tuple[Floats, Floats]:
