@@ -277,6 +277,9 @@ def test_an_arm_with_meshes_has_its_picture_with_rods_for_those_that_cannot_be_r
     before = cv2.connectedComponentsWithStats(opaque.astype(np.uint8))[2]
     tallest, whole = (max(of[1:, cv2.CC_STAT_HEIGHT]) for of in (stats, before))
     assert tallest > 0.8 * whole, "no hand hangs in the air"
+    monkeypatch.setattr("urdfcal.output.portrait._MOST_TRIANGLES", 500)
+    _, _, stats, _ = cv2.connectedComponentsWithStats((drawn()[..., 3] > 128).astype(np.uint8))
+    assert max(stats[1:, cv2.CC_STAT_HEIGHT]) > 0.6 * whole, "an arm of too fine meshes is drawn by rods"
 
 
 def test_the_page_needs_nothing_else(path, page):

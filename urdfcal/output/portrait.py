@@ -25,7 +25,7 @@ _MARGIN = 0.06
 _EYE, _LIGHT = np.array([0.8, -1.0, 0.5]), np.array([0.2, -0.8, 1.0])
 _DARKEST = 0.35
 _PAINT = np.array([205.0, 190.0, 180.0])  # blue, green, red
-# Finer meshes than this take longer than the rest of the page, and show no more.
+# Finer meshes than this take longer than the rest of the page, and show no more: rods are drawn then.
 _MOST_TRIANGLES = 60_000
 _ROUND = 20
 # Radius of a rod, for the arm's reach.
@@ -54,12 +54,15 @@ def portrait(overview: Overview) -> str:
             T = frames[link.frame] @ link.T_frame_link @ shape.T_link_shape
             parts.append(triangles(shape) @ T[:3, :3].T + T[:3, 3])
             drawn |= {link.frame} if len(parts[-1]) else set()
-    if drawn:  # where a link's shape cannot be read, a rod leads to the next joint, lest hands hang in the air
+    fine = sum(map(len, parts)) > _MOST_TRIANGLES
+    if fine:
+        parts, drawn = parts[:1], set()
+    if drawn or fine:  # where a link's shape is not drawn, a rod leads to the next joint, lest hands hang in the air
         rod = _ROD * session.chain.reach
         ends = ((parent + 1, joint + 1) for joint, parent in enumerate(session.chain.parents))
         parts += [_rod(frames[a, :3, 3], frames[b, :3, 3], rod) for a, b in ends if a not in drawn]
     corners = np.concatenate(parts)
-    if not 0 < len(corners) <= _MOST_TRIANGLES:
+    if not len(corners):
         return ""
     leds = scene.leds.measured[~scene.leds.outlier]
     back = _EYE / np.linalg.norm(_EYE)
