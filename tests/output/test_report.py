@@ -205,6 +205,22 @@ def test_residuals_before_and_after_are_in_one_scale_beside_an_arrow_of_a_known_
     assert np.std(after) < 0.5 * np.std(nominal)
 
 
+def test_frames_are_not_called_poses(calibration, tmp_path):
+    overview = Overview.of(calibration)
+    cameras = {
+        name: {**camera, "time_offset": {"value": 0.0, "sigma": None}}
+        for name, camera in overview.document["cameras"].items()
+    }
+    for of, one in (
+        (overview, "pose"),
+        (replace(overview, document={**overview.document, "cameras": cameras}), "frame"),
+    ):
+        write_report(tmp_path / "report.html", of)
+        text = Page((tmp_path / "report.html").read_text()).text
+        assert f"Each {one} before and after" in text
+        assert ("over its time" in text) == (one == "frame")
+
+
 def test_what_was_seen_outside_of_the_image_is_told_and_the_first_row_belongs_to_it(calibration):
     """Pixel 0 reaches from -0.5 to 0.5; and what lies beyond the image is no share of it."""
     overview = Overview.of(calibration)
