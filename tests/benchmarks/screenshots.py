@@ -75,7 +75,7 @@ def _tabs(calibration: FittedCalibration, folder: Path, stem: Path) -> list[str]
     """Show every tab in turn; return what its views complain of."""
     overview, layout = Overview.of(calibration), recording.layout
     complaints = []
-    tabs = [str(view.name).lower() for view in layout(overview).root_container.contents]
+    tabs = [str(view.name).lower().replace(" ", "_") for view in layout(overview).root_container.contents]
     for index, tab in enumerate(tabs):
         path = folder / f"{tab}.rrd"
         recording.layout = lambda what, active=index: layout(what, active)
