@@ -107,16 +107,18 @@ def test_the_arm_and_its_leds_fill_the_view_at_first(rig):
     assert max(filled) > 0.7
 
 
-def test_a_cloud_is_in_the_view_from_any_side():
+@pytest.mark.parametrize("aspect", [1.0, 0.65])
+def test_a_cloud_is_in_the_view_from_any_side(aspect):
     rng = np.random.default_rng(0)
     points = rng.normal(size=(200, 3)) * [1.0, 2.0, 0.5] + [3.0, 0.0, 1.0]
     for towards in rng.normal(size=(20, 3)):
-        eye, middle = around(points, towards)
+        eye, middle = around(points, towards, aspect)
         forward = (middle - eye) / np.linalg.norm(middle - eye)
         np.testing.assert_allclose(forward, -towards / np.linalg.norm(towards))
         away = points - eye
         angle = np.arccos(away @ forward / np.linalg.norm(away, axis=1))
-        assert np.radians(14) < angle.max() < np.radians(55 / 2)
+        half = np.arctan(aspect * np.tan(np.radians(55 / 2)))
+        assert 0.5 * half < angle.max() < half
 
 
 @pytest.fixture(scope="module")

@@ -43,6 +43,8 @@ REFUSED = "refused"
 # rerun's eye opens 55 degrees high; on a laptop's screen the view is at least so much wider than high.
 _HALF_VIEW = np.radians(55 / 2)
 _ASPECT = 1.2
+# The view of the DH rows is so wide for its height.
+_UPRIGHT = 0.65
 # What belongs to other tabs than the arm's.
 _ELSEWHERE = ("plots", "charts", "banner", "texts", "workspace", "dh")
 
@@ -238,21 +240,27 @@ def _rows(overview: Overview) -> rrb.Container:
     arm = _space(
         "DH rows to scale: d blue, a red",
         ["+ $origin/dh/**", "+ $origin/led/predicted"],
-        *around(points, eye - target),
+        *around(points, eye - target, _UPRIGHT),
         overrides={row: rr.LineStrips3D.from_fields(show_labels=True) for row in lengths},
     )
     text = rrb.TextDocumentView(origin=f"{ROOT}/texts/rows", name="Nominal, offset ± standard deviation")
     return rrb.Horizontal(arm, text, column_shares=[1, 2], name="DH rows")
 
 
-def around(points: Floats, towards: Floats) -> tuple[Floats, Floats]:
+def around(points: Floats, towards: Floats, aspect: float = 1.0) -> tuple[Floats, Floats]:
     """Find a place in a direction from which all points (N, 3) are in the view. [m].
+
+    Args:
+        points: to be seen.
+        towards: (3,) from their middle to the eye.
+        aspect: how wide the view is for its height, if that is less than 1.
 
     Returns:
         The eye and the point it looks at, (3,) each. [m]
     """
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
-    far = 1.05 * float(np.linalg.norm(points - middle, axis=1).max()) / np.sin(_HALF_VIEW)
+    half = np.arctan(aspect * np.tan(_HALF_VIEW))
+    far = 1.05 * float(np.linalg.norm(points - middle, axis=1).max()) / np.sin(half)
     return middle + far * towards / np.linalg.norm(towards), middle
 
 
