@@ -132,3 +132,10 @@ def test_it_is_shown_on_a_terminal_and_kept_from_a_pipe(
         assert not any("![" in line for line in lines)
     assert run(["guide", "nonsense"]) == 2
     assert "first-arm" in capsys.readouterr().err
+
+
+def test_every_key_of_a_session_and_of_a_rig_is_in_its_guide() -> None:
+    from urdfcal.io.schema import RigFile, SessionFile
+
+    text = guide.read("session")
+    assert not [key for model in (SessionFile, RigFile) for key in model.model_fields if key not in text]

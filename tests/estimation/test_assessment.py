@@ -16,7 +16,7 @@ from urdfcal.estimation.blocks.cameras import lens_key
 from urdfcal.estimation.diagnosis.doctor import Finding
 from urdfcal.estimation.diagnosis.trials import Suspicion
 from urdfcal.estimation.evaluation import compare
-from urdfcal.estimation.evidence import Regions, TipError
+from urdfcal.estimation.evidence import Regions, TipCorrection, TipError
 from urdfcal.estimation.measurements import Detections
 from urdfcal.estimation.scale import LengthScale
 from urdfcal.estimation.uncertainty import SizeError
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from urdfcal.result.fitted import FittedCalibration
     from urdfcal.session.model import Session
 
-EVIDENCE = ("noise", "scale", "findings", "regions", "tip", "improvement", "correction", "suspicion")
+EVIDENCE = ("noise", "scale", "findings", "regions", "tip", "improvement", "corrections", "suspicion")
 ARM_ONLY = Estimate("dh", "fixed", "fixed")
 
 
@@ -340,27 +340,36 @@ def test_regions_that_are_predicted_badly(good: FittedCalibration) -> None:
     for factor, low, said in (
         (1.9, 1.1, []),
         (2.1, 1.1, ["it does not hold elsewhere: "]),
-        (2.1, 0.9, ["whether it holds elsewhere cannot be told from so few poses: "]),
+        (2.1, 0.9, ["it may not hold elsewhere: "]),
     ):
         regions = replace(good.evidence.regions, rms=factor * inside, interval=(low * inside, 9.0 * inside))
         found = again(good, regions=regions)
         assert [text[: text.index(": ") + 2] for text in found.warnings] == said
 
 
-def test_corrections_that_are_no_larger_than_what_the_tip_is_expected_to_be_off(good: FittedCalibration) -> None:
-    expected = good.evidence.tip.rms
-    assert again(good, correction=1.01 * expected).level == "good"
-    (warning,) = again(good, correction=0.99 * expected).warnings
+def test_corrections_that_are_no_larger_than_what_a_tip_is_expected_to_be_off(good: FittedCalibration) -> None:
+    large, small = TipCorrection("left", 1.01e-3, 1e-3), TipCorrection("right", 0.99e-3, 1e-3)
+    assert again(good, corrections=(large,)).level == "good"
+    (warning,) = again(good, corrections=(small,)).warnings
     assert warning.startswith("away from the measured poses the nominal arm may be as good")
+    assert "the tip moves by 0.99 mm rms, and is expected 1 mm off" in warning
+    (warning,) = again(good, corrections=(large, small)).warnings
+    assert "the tip right moves by 0.99 mm" in warning
     only_cameras = replace(good.session, estimate=Estimate("none"))
-    assert not any("nominal arm" in text for text in again(good, only_cameras, correction=0.0).warnings)
+    assert not any("nominal arm" in text for text in again(good, only_cameras, corrections=(small,)).warnings)
 
 
 def test_the_correction_is_how_far_the_tip_moves_from_the_nominal_arm(good: FittedCalibration) -> None:
-    chain = good.chain
-    q = chain.random_values(500, np.random.default_rng(1))
-    moved = compare(chain, chain.with_placements(good.placements), q)
-    assert good.evidence.correction == pytest.approx(rms(moved.position), rel=0.1)
+    (found,), chain = good.evidence.corrections, good.chain
+    moved = compare(chain, chain.with_placements(good.placements), chain.random_values(500, np.random.default_rng(1)))
+    assert found.moved == pytest.approx(rms(moved.position), rel=0.1)
+    assert (found.link, found.expected) == (chain.tips[0].link, good.evidence.tip.rms)
+
+
+def test_each_of_two_arms_has_its_correction(simulated: Callable) -> None:
+    found = calibrate(simulated("tiago_dual", poses=40).session, force=True).evidence.corrections
+    assert [of.link for of in found] == ["arm_left_tool_link", "arm_right_tool_link"]
+    assert all(0.0 < of.expected < of.moved for of in found)
 
 
 def test_an_improvement_that_is_not_shown(good: FittedCalibration) -> None:

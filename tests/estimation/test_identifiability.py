@@ -61,7 +61,7 @@ def test_a_state_with_an_led_behind_a_camera_is_refused(simulated: Callable) -> 
     state = calibration.fit.state
     turned = np.array(state[BASE]) @ np.diag([1.0, -1.0, -1.0, 1.0])
     turned[:3, 3] *= -1.0
-    with pytest.raises(CalibrationError, match="the nominal arm puts an LED behind a camera"):
+    with pytest.raises(CalibrationError, match="the estimate puts an LED behind a camera"):
         identify(calibration.problem, state.replace({BASE: turned}), calibration.fit.parameters)
 
 

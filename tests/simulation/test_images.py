@@ -174,7 +174,7 @@ def test_a_print_is_in_the_images_as_it_came_out(changes: dict[str, float], tmp_
     assert not of.as_given
     write_simulated_images(tmp_path / "s", simulated, Exposure())
     said = json.loads((tmp_path / "s" / "truth.json").read_text())["prints"]
-    assert said == {"board": {"too_long": of.too_long, "bends": of.bends.tolist()}}
+    assert said == {"board": {"given_too_long": of.given_too_long, "bends": of.bends.tolist()}}
     off = misses(tmp_path / "s")
     assert 0.5 < np.sqrt(np.mean(off**2)) < 2.0
     # As it should have been printed it would be elsewhere by far more.
@@ -193,6 +193,21 @@ def test_of_a_rolling_shutter_what_moves_is_where_it_was_when_its_row_was_taken(
     assert 0.3 < np.sqrt(np.mean(off**2)) < 2.5
     at_once = moving.truth.pixels(moving.truth.q)[:, 0] - pixels_by_row(moving.truth, moving.truth.moving)
     assert np.nanmax(np.abs(at_once)) > 2.0  # where everything is taken at once
+
+
+def test_an_led_before_a_rolling_shutter_is_where_it_was_when_its_row_was_taken(
+    small: RigDescription, tmp_path: Path
+) -> None:
+    cameras = tuple(replace(camera, line_time=2e-4) for camera in small.rig.cameras)
+    moving = set_in_motion(
+        simulate(replace(small, rig=replace(small.rig, cameras=cameras)), poses=3, seed=3),
+        MotionSettings(speed=1.0, frame_rate=3.0),
+    )
+    write_simulated_images(tmp_path / "s", moving, Exposure())
+    off = misses(tmp_path / "s")
+    assert 0.3 < np.sqrt(np.mean(off**2)) < 2.5
+    at_once = moving.truth.pixels(moving.truth.q)[np.arange(len(moving.truth.q)), moving.truth.moving.camera]
+    assert np.nanmax(np.abs(at_once - pixels_by_row(moving.truth, moving.truth.moving))) > 2.0
 
 
 def test_images_never_join_an_older_session(still: Simulated, tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ import click
 from urdfcal.cli.console import PATH, json_option, say, seed_option, sheet, status_line, terminal
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Sequence
 
     from urdfcal.arrays import Floats
     from urdfcal.estimation.acceptance import Acceptance
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from urdfcal.session.model import Session
 
 _METRES = {"mm": 1e-3, "m": 1.0}
+# Lenses suit alike where the mean of log(1 + r^2) of a camera's residuals differs by less: a tenth of the noise.
+_SUITS = 0.1
 _NAMED = 3  # changes in the verdict; the table has them all
 
 
@@ -94,6 +96,7 @@ def verify(
             "measurements": found.measurements,
             "outliers": found.outliers,
             "new": new,
+            **lenses.data,
             **domain.data,
         }
         click.echo(json.dumps(shown, indent=2))
@@ -101,7 +104,7 @@ def verify(
         say(_verdict(found))
         if not new:
             say("- these are the measurements that it was calibrated with: others will be further off")
-        for remark in (*lenses, *_left_out(found), *domain.remarks):
+        for remark in (*lenses.remarks, *_left_out(found), *domain.remarks):
             say(f"- {remark}")
     ctx.exit(0 if found.within else 1)
 
@@ -153,10 +156,15 @@ def arm_of(
     return apply_to_mechanism(session.chain, calibration.chain, calibration.placements, where)
 
 
-def lenses_as_calibrated(
-    session: Session, chain: Mechanism, calibration: Calibration | None
-) -> tuple[Session, tuple[str, ...]]:
-    """Take the lenses that were estimated with an arm for the session's, if they suit its measurements better.
+class Lenses(NamedTuple):
+    """Which lenses judge an arm, as data and in words; empty where a calibration estimated none."""
+
+    data: dict[str, Any]
+    remarks: tuple[str, ...]
+
+
+def lenses_as_calibrated(session: Session, chain: Mechanism, calibration: Calibration | None) -> tuple[Session, Lenses]:
+    """Take the lenses that were estimated with an arm for those of the session's cameras that they suit better.
 
     Args:
         session: what was measured.
@@ -169,6 +177,7 @@ def lenses_as_calibrated(
     import numpy as np
 
     from urdfcal.estimation.evaluation import explain
+    from urdfcal.estimation.measurements import Detections
 
     entries = {} if calibration is None else calibration.document.cameras
     found = {
@@ -178,19 +187,46 @@ def lenses_as_calibrated(
         and of.sigma.intrinsics
         and (of.resolution, of.distortion_model) == (list(camera.resolution), camera.distortion_model)
     }
-    if calibration is None or not found:
-        return session, ()
-    cameras = tuple(found.get(camera.name, camera) for camera in session.rig.cameras)
-    changed = replace(session, rig=replace(session.rig, cameras=cameras))
-    bends = calibration.joint_models
-    medians = [
-        float(np.median(np.concatenate(explain(chain, of, bends=bends).fit.norms, axis=None)))
-        for of in (session, changed)
+    if calibration is None or not found or session.find(Detections) is None:
+        return session, Lenses({"lenses": {}}, ())
+
+    def with_lenses(names: Collection[str]) -> Session:
+        cameras = tuple(found[one.name] if one.name in names else one for one in session.rig.cameras)
+        return replace(session, rig=replace(session.rig, cameras=cameras))
+
+    def loss(names: Collection[str]) -> float:
+        explained = explain(chain, with_lenses(names), bends=calibration.joint_models)
+        observed = zip(explained.fit.norms, explained.problem.observations, strict=True)
+        return float(
+            np.mean([np.log1p(n[of.valid] ** 2).mean() for n, of in observed if isinstance(of.table, Detections)])
+        )
+
+    margin = _SUITS / len(session.rig.cameras)
+    chosen, least = frozenset[str](), loss(())
+    if (other := loss(found)) < least - margin:
+        chosen, least = frozenset(found), other
+    told = set(found) if chosen else set[str]()
+    for name in found:  # each camera by itself: one may be another since
+        changed = loss(chosen ^ {name})
+        told = told | {name} if abs(changed - least) > margin else told - {name}
+        if changed < least - margin:
+            chosen, least = chosen ^ {name}, changed
+    whose = {name: "calibration" if name in chosen else "session" for name in found}
+    remarks = [
+        f"lenses of {', '.join(names)}: {said}"
+        for names, said in (
+            (
+                [name for name in found if name in chosen & told],
+                "as found with the arm, which suit better than the session's",
+            ),
+            (
+                [name for name in found if name in told - chosen],
+                "the session's, which suit better than those found with the arm",
+            ),
+        )
+        if names
     ]
-    names = ", ".join(found)
-    if medians[1] < medians[0]:
-        return changed, (f"lenses of {names}: as found with the arm, which suit better than the session's",)
-    return session, (f"lenses of {names}: the session's, which suit better than those found with the arm",)
+    return with_lenses(chosen) if chosen else session, Lenses({"lenses": whose}, tuple(remarks))
 
 
 def _calibrated_with(calibration: Calibration, session: Session) -> bool:

@@ -49,10 +49,10 @@ def evaluate(
     """Compare the tips of two versions of a robot over its workspace, or the residuals of a session under one.
 
     With a session, base pose, LED positions and what else it does not know (camera poses, places) are fitted; the arm
-    is A's, and for comparison the session's own as its URDF has it (nominal). Of a RESULT, a folder that calibrate has
-    written or its calibration.json, arm and LEDs are as calibrated, and lenses that it estimated where they suit better
-    than the session's. Poses outside its measured domain are counted.
-    Known distances of places take no part: they are shown beside those that come out.
+    is A's, and for comparison the session's own as its URDF and cameras have it (nominal). Of a RESULT, a folder that
+    calibrate has written or its calibration.json, arm and LEDs are as calibrated, and lenses that it estimated where
+    they suit better than the session's. Poses outside its measured domain are counted. Known distances of places take
+    no part: they are shown beside those that come out.
     """
     if turned := _reversed(Path(urdf), Path(other)):
         raise click.UsageError(turned)
@@ -128,12 +128,12 @@ def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
     if calibration is not None:
         session = _leds_as_calibrated(session, calibration)
     bends, arm = None if calibration is None else calibration.joint_models, arm_of(urdf, calibration, session, folder)
-    session, lenses = lenses_as_calibrated(session, arm, calibration)
-    explained = explain(arm, session, bends=bends)
     try:
         nominal = _sizes(session, explain(session.chain, session))
     except CalibrationError:  # the nominal arm is too far off for these measurements
         nominal = {}
+    session, lenses = lenses_as_calibrated(session, arm, calibration)
+    explained = explain(arm, session, bends=bends)
     result: dict[str, Any] = {"a": urdf, "session": str(folder), "points": points and str(points)}
     for quantity, values in _sizes(session, explained).items():
         drawn = rms(nominal[quantity]) if quantity in nominal else None
@@ -150,9 +150,9 @@ def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
             for of in session.place_distances
         ]
     domain = domain_of(calibration, session.chain, session.chain.readings(session.q))
-    for remark in (*lenses, *domain.remarks):
+    for remark in (*lenses.remarks, *domain.remarks):
         say(f"- {remark}", err=True)
-    return result | domain.data
+    return result | lenses.data | domain.data
 
 
 def _sizes(session: Session, explained: Explanation) -> dict[str, Floats]:

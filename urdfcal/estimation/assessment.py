@@ -286,8 +286,8 @@ def _elsewhere(comparison: Comparison, regions: Regions) -> Iterator[str]:
             yield f"it does not hold elsewhere: {found}: use it where it was measured, or measure where it will be used"
         else:
             yield (
-                f"whether it holds elsewhere cannot be told from so few poses: {found} (95 % of a further region: "
-                f"{low:.2g} to {high:.2g} mm): measure more, or use it where it was measured"
+                f"it may not hold elsewhere: {found}, and a further region may show {low:.2g} to {high:.2g} mm (95 %): "
+                "measure where it will be used, or use it where it was measured"
             )
 
 
@@ -301,20 +301,22 @@ def _bends(evidence: Evidence) -> Iterator[str]:
 
 
 def _unimproved(session: Session, evidence: Evidence) -> Iterator[str]:
-    improvement, correction, expected = evidence.improvement, evidence.correction, evidence.tip.rms
+    low, high = (1e3 * end for end in evidence.improvement)
     if session.estimate.geometry == "none":
         return
-    if improvement[0] <= 0.0:
+    if low <= 0.0:
         yield (
             "no improvement over the nominal arm is shown: on held-out poses the difference is "
-            f"{1e3 * improvement[0]:.2g} to {1e3 * improvement[1]:.2g} mm (95 %)"
+            f"{low:.2g} to {high:.2g} mm (95 %)"
         )
-    elif correction <= expected:
-        yield (
-            f"away from the measured poses the nominal arm may be as good: over the workspace the tip moves by "
-            f"{1e3 * correction:.2g} mm rms, and is expected to be {1e3 * expected:.2g} mm off; urdfcal plan finds "
-            "poses that tell more"
-        )
+        return
+    for tip in evidence.corrections:
+        if tip.moved <= tip.expected:
+            link = f"tip {tip.link}" if len(evidence.corrections) > 1 else "tip"
+            yield (
+                f"away from the measured poses the nominal arm may be as good: over the workspace the {link} moves by "
+                f"{1e3 * tip.moved:.2g} mm rms, and is expected {1e3 * tip.expected:.2g} mm off (urdfcal plan)"
+            )
 
 
 def _noise(chi2: float) -> Iterator[str]:

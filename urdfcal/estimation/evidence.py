@@ -20,8 +20,9 @@ from urdfcal.estimation.left_out import find_left_out
 from urdfcal.estimation.noise import find_noise
 from urdfcal.estimation.regions import joint_regions, tip_regions
 from urdfcal.estimation.scale import find_scale
-from urdfcal.estimation.uncertainty import SizeError, rigid_loss, size_error, tip_change, tip_error, tip_rms_with
+from urdfcal.estimation.uncertainty import SizeError, aligned_motion, rigid_loss, size_error, tip_error, tip_rms_with
 from urdfcal.estimation.validation import hold_out, region_interval, rms_samples
+from urdfcal.session.attachments import ends_of_arms
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -103,6 +104,22 @@ class TipError:
 
 
 @dataclass(frozen=True)
+class TipCorrection:
+    """How far an arm was corrected.
+
+    Attributes:
+        link: at its end.
+        moved: how far that moves over the workspace from the nominal arm to the calibrated one, joint models included,
+            root mean square after the best alignment at the base. [m]
+        expected: its error that is to be expected, likewise. [m]
+    """
+
+    link: str
+    moved: float
+    expected: float
+
+
+@dataclass(frozen=True)
 class Evidence:
     """What speaks for and against an estimate beside its residuals.
 
@@ -116,8 +133,7 @@ class Evidence:
         bends: what the joints do that no URDF can hold, one sentence for each joint model; none of a rigid arm.
         rigid_loss: how far the rigid arm's tip is off for that at the measured poses, root mean square. [m]
         improvement: 95 % interval of the nominal arm's rms error on held-out poses less the calibrated one's. [m]
-        correction: how far the tip moves over the workspace from the nominal arm to the calibrated one, joint models
-            included, rms after the best alignment at the base. [m]
+        corrections: how far the nominal arm's tip is from the calibrated one's, of each arm.
         spread: (count, count) covariance of the estimate over regions left out, where something is not modelled: there
             is a misfit, or what one joint was found to do others may do as well; else None.
         undone: that a correction which the session's URDF has is taken back; None where none is.
@@ -133,7 +149,7 @@ class Evidence:
     bends: tuple[str, ...]
     rigid_loss: float
     improvement: tuple[float, float]
-    correction: float
+    corrections: tuple[TipCorrection, ...]
     spread: Floats | None
     undone: str | None
     suspicion: Suspicion | None
@@ -193,7 +209,7 @@ def gather(
         bends=bends,
         rigid_loss=rigid_loss(problem, fit.state) if bends else 0.0,
         improvement=_improvement(problem, comparison, seed),
-        correction=_correction(problem, fit),
+        corrections=_corrections(problem, fit, tip.rms),
         spread=fit.spread,
         undone=undone(session, calibrated, tip.rms),
         suspicion=suspect(session, progress) if absurd else None,
@@ -238,10 +254,15 @@ def _improvement(problem: Problem, comparison: Comparison, seed: int) -> tuple[f
     return float(low), float(high)
 
 
-def _correction(problem: Problem, fit: Solution) -> float:
+def _corrections(problem: Problem, fit: Solution, first: float) -> tuple[TipCorrection, ...]:
     models = {model.key: model.nominal for model in problem.joint_models if isinstance(model, LinearJointModel)}
     as_drawn = fit.state.replace({ARM: np.zeros_like(fit.state[ARM]), **models})
-    return tip_change(problem, fit, fit.parameters.between(as_drawn, fit.state))
+    step, found = fit.parameters.between(as_drawn, fit.state), []
+    for k, tip in enumerate(ends_of_arms(problem.arm.chain, problem.attachments)):
+        A = aligned_motion(problem, fit, tip=tip)
+        expected = first if k == 0 else float(np.sqrt(np.einsum("nij,jk,nik->", A, fit.covariance, A) / len(A)))
+        found.append(TipCorrection(tip.link, rms(np.linalg.norm(A @ step, axis=1)), expected))
+    return tuple(found)
 
 
 def _rms(distance: tuple[Floats, ...], kept: tuple[Bools, ...]) -> float:

@@ -86,7 +86,7 @@ def identify(problem: Problem, state: State, parameters: Parameters) -> Identifi
     R = R * parameters.scales(state)[columns]
     if not np.isfinite(R).all():
         remedy = "Check the cameras' order and places, the units of the joint readings, and the tip link."
-        raise CalibrationError("the nominal arm puts an LED behind a camera", remedy=remedy)
+        raise CalibrationError("the estimate puts an LED behind a camera", remedy=remedy)
     norms = np.linalg.norm(R, axis=0)
     R = R / np.maximum(norms, _LEAST_NORM * norms.max())
     order = sorted(range(len(columns)), key=lambda k: _priority(parameters, *owners[k]))

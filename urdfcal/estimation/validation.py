@@ -97,7 +97,9 @@ def hold_out(problem: Problem, fit: Solution, fold_of_pose: Ints) -> HeldOut:
             where = {int(k): "other poses tell it" for k in np.flatnonzero(~new & fit.parameters.active)}
             used = [keep[left] for keep, left in zip(fit.kept, out, strict=True)]
             own = fit.parameters.fixing(where)
-            state = refit(unseen, used, LeastSquares(unseen, own).linearise(state), own)
+            with one_blas_thread():
+                there = LeastSquares(unseen, own).linearise(state)
+            state = refit(unseen, used, there, own)
         for k, observed in enumerate(unseen.observations):
             left, factor, off = out[k], factors[k], unseen.residual(observed, state)
             # The joint readings' noise is that of the full estimate, from which a fold's hardly moves.

@@ -45,7 +45,7 @@ WORKSPACE = """\
 **Workspace.** Each dot is a place that the tip reaches, at joint values at random within the limits. Its colour is how
 far off the tip is there: for the nominal arm the distance to the calibrated one, the bases aligned; for the calibrated
 arm the predicted standard deviation. All clouds have the colours of the bar, in mm. Blue: nominal, green: calibrated;
-amber, where there are joint models: how far they move the tip, by sagging say.
+amber, where there are joint models: how far they move the tip at rest, by sagging say.
 
 Small dots: joint values outside of what was measured.
 """

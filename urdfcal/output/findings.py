@@ -144,7 +144,7 @@ def residual_rows(document: ResultData) -> tuple[ResidualRow, ...]:
     for i, each in enumerate(fit["residuals"]):
         key, what = ("fit", "residuals", i), _SEEN.get(each["kind"], each["kind"])
         if found and each["unit"] == "px":
-            what += ", of the nominal arm with the lenses as given"
+            what += ", the nominal arm's with the lenses as given"
         rows.append(ResidualRow(what, each["unit"], (*key, "rms_nominal"), (*key, "rms")))
     if document["cameras"] and "rms_mm" in fit and all(fit["rms_mm"] != each["rms"] for each in fit["residuals"]):
         rows.append(ResidualRow(_TRIANGULATED, "mm", ("fit", "rms_nominal_mm"), ("fit", "rms_mm")))

@@ -278,7 +278,7 @@ def _clouds(workspace: Workspace, *, further: bool) -> list[rrb.View]:
     eye, middle = around(workspace.tip, np.array([0.8, -1.0, 0.5]))
     folder = f"workspace/{rr.escape_entity_path_part(workspace.link)}" if further else "workspace"
     views = []
-    what_of = {"nominal": "off", "calibrated": "standard deviation", MOVED: "moved"}
+    what_of = {"nominal": "off", "calibrated": "standard deviation", MOVED: "moved at rest"}
     for name, error in workspace.errors.items():
         low, high = (f"{1e3 * end:.2g}" for end in (error.min(), error.max()))
         title = f"{workspace.link}, {name}: {low} to {high} mm {what_of[name]}"

@@ -17,8 +17,9 @@ if TYPE_CHECKING:
 
 # Enough for a map of 20 x 20 cells; drawing more takes longer and shows the same.
 _SAMPLES = 1500
-# Scales are logarithmic: what is below a nanometre counts as one. [m]
-_NOTHING = 1e-9
+# Scales are logarithmic: what is below a thousandth of the largest counts as that. An arm that lags or has play alone
+# is moved by nothing at rest. [share, m]
+_LEAST, _NOTHING = 1e-3, 1e-9
 MOVED = "joint models"
 """Name of what joint models move the tip by, beside the errors of the nominal and of the calibrated arm."""
 
@@ -34,7 +35,7 @@ class Workspace:
         after: (M,) predicted standard deviation of the calibrated tip's place, aligned likewise. [m]
         measured: (M,) whether the joint values lie in the measured domain.
         moved: (M,) distance that joint models move the tip by, at rest: how far it sags, say; None of an arm without
-            any, and where they follow from torques that were measured, and were not here. [m]
+            any that do, and where they follow from torques that were measured, and were not here. [m]
     """
 
     link: str
@@ -73,7 +74,8 @@ def sample_workspace(calibration: FittedCalibration, tip: Tip | None = None) -> 
         mechanism = calibration.mechanism
         (T_base_tip,) = link_poses(mechanism, calibration.joint_values(chain.readings(q)), [mechanism.tip(of.link)])
         rigid, calibrated = calibrated, T_base_tip[:, :3, 3]
-        moved = frozen(np.maximum(np.linalg.norm(calibrated - rigid, axis=1), _NOTHING))
+        off = np.linalg.norm(calibrated - rigid, axis=1)
+        moved = frozen(np.maximum(off, _LEAST * off.max())) if off.max() > _NOTHING else None
     T = kabsch(nominal, calibrated)
     before = np.linalg.norm(nominal @ T[:3, :3].T + T[:3, 3] - calibrated, axis=1)
     measured = calibration.in_domain(chain.readings(q))

@@ -23,21 +23,21 @@ class TruePrint:
     """How a target was printed.
 
     Attributes:
-        too_long: share that its lengths are given too long by.
+        given_too_long: share that its lengths are given too long by.
         bends: (3,) how far its rim is off its plane, bent along x, twisted, bent along y. [m]
     """
 
-    too_long: float
+    given_too_long: float
     bends: Floats
 
     @property
     def as_given(self) -> bool:
         """Whether it is flat, and as large as it should be."""
-        return self.too_long == 0.0 and not self.bends.any()
+        return self.given_too_long == 0.0 and not self.bends.any()
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain data."""
-        return {"too_long": self.too_long, "bends": self.bends.tolist()}
+        return {"given_too_long": self.given_too_long, "bends": self.bends.tolist()}
 
 
 def printed(rig: RigDescription, points: Floats, prints: Sequence[TruePrint]) -> Floats:
@@ -53,8 +53,8 @@ def draw_prints(targets: Sequence[Target], rng: np.random.Generator) -> tuple[Tr
     found = []
     for target in targets:
         bends = np.zeros(3) if target.flatness is None else rng.normal(0.0, target.flatness, 3)
-        too_long = 0.0 if target.scale_sigma is None else float(rng.normal(0.0, target.scale_sigma))
-        found.append(TruePrint(too_long, bends))
+        given_too_long = 0.0 if target.scale_sigma is None else float(rng.normal(0.0, target.scale_sigma))
+        found.append(TruePrint(given_too_long, bends))
     return tuple(found)
 
 
@@ -62,7 +62,7 @@ def true_points(target: Target, of: TruePrint) -> Floats:
     """Compute where a target's points (M, 3) are in its frame. [m]."""
     points = np.array(target.points)
     points[:, 2] += target.bends @ of.bends
-    return points / (1.0 + of.too_long)
+    return points / (1.0 + of.given_too_long)
 
 
 def shown_before(T_cam_target: Floats, target: Target, of: TruePrint) -> list[PlacedPrint]:
@@ -74,7 +74,7 @@ def shown_before(T_cam_target: Floats, target: Target, of: TruePrint) -> list[Pl
         of: what was.
     """
     T = np.array(T_cam_target)
-    T[..., :3, :3] /= 1.0 + of.too_long
+    T[..., :3, :3] /= 1.0 + of.given_too_long
     middle, half = rim_of(target.points)
     pieces = []
     for T_target_print, piece in prints_of(target.pattern):

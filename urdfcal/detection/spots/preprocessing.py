@@ -50,8 +50,7 @@ _LARGE_SAMPLE, _LARGE_RANK = 15, 0.3
 # The median's own noise costs 10 % of accuracy where the background dominates: it is taken off only where the
 # background differs by more than this many deviations of an image's noise within a crop.
 _STRUCTURE = 3.0
-# A light stands still if it is so many deviations of an image's noise bright in the median, which an LED that is there
-# in one image of seven moves by a third of one, or by a whole count.
+# Deviations of an image's noise in the median, which an LED in one image of seven moves by one, or a whole count.
 _STANDING = 5.0
 # Rounding hides noise below this. [counts]
 _LEAST_NOISE = 0.3
@@ -239,7 +238,8 @@ def read_background(
         shot = (1.48 * float(np.median(np.abs(change[bright]) / np.sqrt(light[bright])))) ** 2
         damping = 1.0 / np.sqrt(1.0 + np.float32(shot / noise**2) * light)
     lights = find_candidates(image, apart=False)[0]
-    above = image[lights[:, 1], lights[:, 0]] - np.median(image[::5, ::5])
+    around = (image[max(v - HALF, 0) : v + HALF, max(u - HALF, 0) : u + HALF] for u, v in lights)
+    above = np.array([image[v, u] - np.median(of) for (u, v), of in zip(lights, around, strict=True)])
     return Background(values, image, halved(image), halved(damping), blind, noise, lights[above > _STANDING * noise])
 
 
