@@ -11,6 +11,7 @@ import pytest
 
 import urdfcal
 from urdfcal.errors import CalibrationError, OutputError
+from urdfcal.estimation import evidence
 from urdfcal.estimation.blocks.base import VectorBlock
 from urdfcal.estimation.multistart import Minimum
 from urdfcal.estimation.state import Key
@@ -86,6 +87,27 @@ def test_a_start_that_led_nowhere_has_no_cost(refused: urdfcal.FittedCalibration
     first, second = replace(refused, solutions=(kept, nowhere)).document.solutions
     assert (first.cost, first.kept) == (refused.fit.cost, True)
     assert (second.cost, second.reason) == (None, "no start")
+
+
+def test_where_the_nominal_arm_puts_an_led_behind_a_camera_in_a_region_the_others_are_written(
+    refused: urdfcal.FittedCalibration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lost = [np.nan * of for of in refused.comparison.nominal_arm.held_out.distance]
+    hold_out = evidence.hold_out
+    monkeypatch.setattr(
+        evidence,
+        "hold_out",
+        lambda problem, fit, region: (
+            hold_out(problem, fit, region)
+            if fit.parameters is refused.fit.parameters
+            else replace(hold_out(problem, fit, region), distance=tuple(lost))
+        ),
+    )
+    found, _ = evidence._regions(refused.problem, refused.comparison)
+    assert found.rms_nominal is None
+    assert np.isfinite(found.rms)
+    document = replace(refused, evidence=replace(refused.evidence, regions=found)).document
+    assert document.regions.rms_nominal_mm is None
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])

@@ -53,13 +53,13 @@ class Regions:
         count: how many were left out, clusters of joint space or of tip positions, whichever came out worse.
         rms: of the distances in them. [m]
         interval: of what a further region may show, 95 %. [m]
-        rms_nominal: the same of the nominal arm. [m]
+        rms_nominal: the same of the nominal arm; None where it puts an LED behind a camera. [m]
     """
 
     count: int
     rms: float
     interval: tuple[float, float]
-    rms_nominal: float
+    rms_nominal: float | None
 
 
 @dataclass(frozen=True)
@@ -241,7 +241,8 @@ def _regions(problem: Problem, comparison: Comparison) -> tuple[Regions, Floats]
         chosen, nominal = (hold_out(problem, fit, region) for fit in fits)
         kept = fits[0].kept
         interval = region_interval(problem.observations, kept, chosen.distance, region)
-        found.append(Regions(chosen.folds, _rms(chosen.distance, kept), interval, _rms(nominal.distance, kept)))
+        of_chosen, drawn = (_rms(of.distance, kept) for of in (chosen, nominal))
+        found.append(Regions(chosen.folds, of_chosen, interval, drawn if np.isfinite(drawn) else None))
         spreads.append(chosen.spread)
     return max(found, key=lambda of: of.interval[1]), spreads[0]
 

@@ -344,7 +344,7 @@ def _evidence(of: FittedCalibration) -> Plain:
         "tip": tip_section(evidence.tip),
         "regions": {
             "count": regions.count,
-            "rms_nominal_mm": 1e3 * regions.rms_nominal,
+            "rms_nominal_mm": None if regions.rms_nominal is None else 1e3 * regions.rms_nominal,
             "rms_mm": 1e3 * regions.rms,
             "interval_mm": [_known(1e3 * end) for end in regions.interval],
         },

@@ -102,7 +102,7 @@ class RegionsSection(Section):
     """Prediction errors in regions left out of the estimate; the interval is that of a further region. [mm]."""
 
     count: int
-    rms_nominal_mm: float
+    rms_nominal_mm: float | None
     rms_mm: float
     interval_mm: Annotated[list[float | None], Field(min_length=2, max_length=2)]
 
