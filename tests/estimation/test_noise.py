@@ -120,6 +120,19 @@ def test_the_likeliest_variances_are_found_in_a_few_rounds(
     assert held[0] != variances[0]
 
 
+def test_steps_that_lead_downwards_are_not_taken(likelihood: _Likelihood, monkeypatch: pytest.MonkeyPatch) -> None:
+    at, variances = _Likelihood.at, np.array([1.7, (3e-4) ** 2])
+    expected, _ = likelihood.maximise(variances)
+
+    def flat(self: _Likelihood, of: np.ndarray) -> object:
+        here = at(self, of)
+        return replace(here, observed=0.05 * here.information)  # as if steps had to be twenty times as long
+
+    monkeypatch.setattr(_Likelihood, "at", flat)
+    found, _ = likelihood.maximise(variances)
+    np.testing.assert_allclose(found, expected, rtol=0.05)
+
+
 def test_noise_of_joints_that_move_nothing_that_is_seen_is_unknown(
     simulated: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
