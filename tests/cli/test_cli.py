@@ -98,6 +98,11 @@ def test_calibrate_never_reads_the_truth(demo: Path, tmp_path: Path) -> None:
     assert (tmp_path / "out" / "calibration.json").read_bytes() == (demo / "result" / "calibration.json").read_bytes()
 
 
+def test_points_that_cameras_triangulate_have_a_report_too(demo: Path, tmp_path: Path) -> None:
+    assert run(["calibrate", str(demo / "session"), "--method", "points", "-o", str(tmp_path / "out")]) == 0
+    assert "stands in the world, the frame that was measured in" in (tmp_path / "out" / "report.html").read_text()
+
+
 def test_cameras_with_standard_deviations_are_refined_within_them(demo: Path, tmp_path: Path) -> None:
     session = tmp_path / "session"
     shutil.copytree(demo / "session", session)

@@ -366,6 +366,14 @@ def test_the_correction_is_how_far_the_tip_moves_from_the_nominal_arm(good: Fitt
     assert (found.link, found.expected) == (chain.tips[0].link, good.evidence.tip.rms)
 
 
+def test_where_zeros_alone_are_estimated_they_are_what_moves_and_that_is_said(simulated: Callable) -> None:
+    found = calibrate(replace(simulated("ur5").session, estimate=Estimate("offsets", "fixed")), force=True)
+    (tip,), chain = found.evidence.corrections, found.chain
+    moved = compare(chain, chain.with_placements(found.placements), chain.random_values(500, np.random.default_rng(1)))
+    assert tip.moved == pytest.approx(rms(moved.position), rel=0.1)
+    assert any(text.startswith("the joints' zeros alone are estimated") for text in found.assessment.reasons)
+
+
 def test_each_of_two_arms_has_its_correction(simulated: Callable) -> None:
     found = calibrate(simulated("tiago_dual", poses=40).session, force=True).evidence.corrections
     assert [of.link for of in found] == ["arm_left_tool_link", "arm_right_tool_link"]
@@ -384,7 +392,10 @@ def test_an_improvement_that_is_not_shown(good: FittedCalibration) -> None:
 
 def test_the_mistake_that_a_trial_found_comes_first(good: FittedCalibration) -> None:
     suspicion = Suspicion("joint_2's sign", 240.0, 0.8, "px")
-    found = again(good, suspicion=suspicion, **chi2(good, 500.0))
+    changes = {"regions": replace(good.evidence.regions, rms=1.0, interval=(0.5, 9.0)), **chi2(good, 500.0)}
+    assert any("hold elsewhere" in text for text in again(good, **dict(changes)).warnings)
+    found = again(good, suspicion=suspicion, **changes)
+    assert found.warnings == ()  # whatever else looks wrong follows from the mistake
     assert found.failures[0] == "joint_2's sign: with that mended the nominal arm is 0.8 px off instead of 240 px"
     assert str(replace(suspicion, before=np.inf)).endswith("0.8 px off instead of no fit at all")
 

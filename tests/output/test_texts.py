@@ -97,6 +97,10 @@ def test_what_the_error_is_conditional_on_is_said(scale, sentence):
     assert sentence in said_of(None, **scale)[2]
 
 
+def test_a_scale_that_moves_the_tip_by_rounding_alone_is_none():
+    assert any("within its tolerances" in text for text in said_of(None, tip_mm_per_permille=1.4e-15))
+
+
 def test_of_several_arms_the_one_that_is_meant_is_named():
     assert any(text.startswith("tip 0.21 mm rms") for text in said_of(None))
     assert any(text.startswith("tip tool 0.21 mm rms") for text in said_of(None, tips=("tool", "other")))

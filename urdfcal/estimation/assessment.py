@@ -12,6 +12,7 @@ from urdfcal.estimation.blocks.arm import ARM, ArmBlock
 from urdfcal.estimation.blocks.cameras import camera_poses, camera_values, has_cameras
 from urdfcal.estimation.blocks.leds import LEDS, led_sigma
 from urdfcal.estimation.blocks.targets import TargetBlock
+from urdfcal.estimation.elsewhere_doubts import elsewhere, unimproved, zeros_alone
 from urdfcal.estimation.scale_doubts import doubtful, impossible, unknown_size
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
     from urdfcal.estimation.blocks.base import Block
     from urdfcal.estimation.diagnosis.doctor import Finding
-    from urdfcal.estimation.evidence import Evidence, Regions
+    from urdfcal.estimation.evidence import Evidence
     from urdfcal.estimation.model_selection import Comparison
     from urdfcal.estimation.noise import FoundNoise
     from urdfcal.estimation.problem import Problem
@@ -55,8 +56,6 @@ _DISPLACED = 4.6
 _FEW, _REPEATED = 20, 0.5
 # No lens is calibrated to a focal length so many times too long or too short.
 _OTHER_LENS = 1.25
-# Poses of a left-out region are extrapolated to: clean simulated sessions show up to 1.6 times the error among poses.
-_WORSE_ELSEWHERE = 2.0
 # Held-out residuals that shrink by this factor with free lenses refute the lenses as given: the arm would be bent to
 # make up for them (a measured session of a Motoman arm: 3.0 against 1.0 px, and an arm ten times worse).
 _REFUTED = 1.5
@@ -121,8 +120,6 @@ def assess(session: Session, problem: Problem, comparison: Comparison, evidence:
         *_refuted_lenses(comparison),
         *(() if misfit else impossible(evidence.scale)),
     )
-    if evidence.suspicion is not None:  # whatever else is wrong follows from it
-        failures = (str(evidence.suspicion), *failures[:1])
     # An effect that is not modelled looks like noise: it is named, not the noise. But noise that is declared too large
     # bends the estimate by its weights, and leaves effects that are none.
     overdeclared = any(of.ratio >= _NOISE_OFF for of in evidence.noise)
@@ -142,9 +139,12 @@ def assess(session: Session, problem: Problem, comparison: Comparison, evidence:
         *_displaced_targets(fit),
         *_displaced_mounts(session, fit),
         *_other_lenses(session, fit),
-        *_elsewhere(comparison, evidence.regions),
-        *_unimproved(session, evidence),
+        *elsewhere(comparison, evidence.regions),
+        *unimproved(session, evidence),
+        *zeros_alone(session),
     )
+    if evidence.suspicion is not None:  # whatever else looks wrong follows from it
+        return Assessment.of((str(evidence.suspicion), *failures[:1]), session.warnings)
     return Assessment.of(failures, warnings)
 
 
@@ -276,21 +276,6 @@ def _other_lenses(session: Session, fit: Solution) -> Iterator[str]:
             )
 
 
-def _elsewhere(comparison: Comparison, regions: Regions) -> Iterator[str]:
-    """Regions that were left out are predicted far worse than poses among the others."""
-    inside = comparison.chosen.rms("distance")
-    if regions.rms > _WORSE_ELSEWHERE * inside:
-        found = f"{1e3 * regions.rms:.2g} mm rms in regions left out, {1e3 * inside:.2g} mm among the measured poses"
-        low, high = (1e3 * end for end in regions.interval)
-        if regions.interval[0] > inside:
-            yield f"it does not hold elsewhere: {found}: use it where it was measured, or measure where it will be used"
-        else:
-            yield (
-                f"it may not hold elsewhere: {found}, and a further region may show {low:.2g} to {high:.2g} mm (95 %): "
-                "measure where it will be used, or use it where it was measured"
-            )
-
-
 def _bends(evidence: Evidence) -> Iterator[str]:
     """What the joints do is estimated with the arm, and no URDF can hold it."""
     if evidence.bends:
@@ -298,25 +283,6 @@ def _bends(evidence: Evidence) -> Iterator[str]:
             f"{'; '.join(evidence.bends)}: estimated with the arm, but a URDF cannot hold it: the corrected one is the "
             f"rigid part, and its tip {1e3 * evidence.rigid_loss:.2g} mm rms off for it at the measured poses"
         )
-
-
-def _unimproved(session: Session, evidence: Evidence) -> Iterator[str]:
-    low, high = (1e3 * end for end in evidence.improvement)
-    if session.estimate.geometry == "none":
-        return
-    if low <= 0.0:
-        yield (
-            "no improvement over the nominal arm is shown: on held-out poses the difference is "
-            f"{low:.2g} to {high:.2g} mm (95 %)"
-        )
-        return
-    for tip in evidence.corrections:
-        if tip.moved <= tip.expected:
-            link = f"tip {tip.link}" if len(evidence.corrections) > 1 else "tip"
-            yield (
-                f"away from the measured poses the nominal arm may be as good: over the workspace the {link} moves by "
-                f"{1e3 * tip.moved:.2g} mm rms, and is expected {1e3 * tip.expected:.2g} mm off (urdfcal plan)"
-            )
 
 
 def _noise(chi2: float) -> Iterator[str]:

@@ -16,6 +16,7 @@ from urdfcal.estimation.diagnosis.residuals import Unexplained
 from urdfcal.estimation.diagnosis.scatter import scatter
 from urdfcal.estimation.diagnosis.trials import suspect
 from urdfcal.estimation.joint_models.linear import LinearJointModel
+from urdfcal.estimation.joint_models.zero_offset import ZeroOffsets
 from urdfcal.estimation.left_out import find_left_out
 from urdfcal.estimation.noise import find_noise
 from urdfcal.estimation.regions import joint_regions, tip_regions
@@ -256,7 +257,8 @@ def _improvement(problem: Problem, comparison: Comparison, seed: int) -> tuple[f
 
 
 def _corrections(problem: Problem, fit: Solution, first: float) -> tuple[TipCorrection, ...]:
-    models = {model.key: model.nominal for model in problem.joint_models if isinstance(model, LinearJointModel)}
+    of_joints = (LinearJointModel, ZeroOffsets)
+    models = {model.key: model.nominal for model in problem.joint_models if isinstance(model, of_joints)}
     as_drawn = fit.state.replace({ARM: np.zeros_like(fit.state[ARM]), **models})
     step, found = fit.parameters.between(as_drawn, fit.state), []
     for k, tip in enumerate(ends_of_arms(problem.arm.chain, problem.attachments)):

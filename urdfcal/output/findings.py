@@ -48,6 +48,8 @@ _LAID_OVER = (
     "laid over the calibrated one; to fit best it is {apart:.3g} mm away, its LEDs or cameras as far the other way on "
     "their links: these poses tell only the two together"
 )
+# What moves the tip by less does not move it. [mm]
+_ROUNDING = 1e-6
 _SEEN = {"detections": "in the images"}
 _TRIANGULATED = "triangulated, depth included"
 # A tip error so many times that of held-out poses is no matter of noise. Motoman's is 13 times, simulated rigs' 0.4.
@@ -162,7 +164,7 @@ def _in_left_out(document: ResultData) -> tuple[str, ...]:
 def _condition(scale: ResultData) -> str:
     """What a claimed error rests on: the unit of length."""
     permille = scale["tip_mm_per_permille"]
-    if not permille:
+    if not permille > _ROUNDING:
         return "lengths are those of the nominal arm within its tolerances: nothing that was measured is a length"
     declared, factor = scale["declared_sigma"], ""
     if scale["factor_sigma"] is not None:

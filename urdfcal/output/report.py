@@ -151,7 +151,8 @@ def _hardly_known(document: ResultData) -> list[str]:
 def _world(calibration: FittedCalibration) -> str:
     """Whose frame the world is."""
     attachments = calibration.session.attachments
-    standing = [calibration.estimate.cameras[c].name for c in attachments.eye_to_hand]
+    cameras = calibration.estimate.cameras  # none where their points are what is estimated from
+    standing = [cameras[c].name for c in attachments.eye_to_hand if c < len(cameras)]
     return f"the frame of camera {standing[0]}" if standing else "the frame that was measured in"
 
 

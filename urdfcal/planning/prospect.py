@@ -232,7 +232,8 @@ def unfree(free: int, count: int, margin: float) -> SessionError:
     return SessionError(
         f"{free} poses are free, of {count} that every camera sees {margin:.0f} px from its image's border",
         where="plan",
-        remedy="Let the cameras stand further away, look at the middle of the workspace, or ask for more candidates.",
+        remedy="Let the cameras stand further away, look at the middle of the workspace, move what scene names out of "
+        "the way, or ask for more candidates.",
     )
 
 
