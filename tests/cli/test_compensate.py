@@ -12,7 +12,7 @@ import pytest
 import urdfcal
 from tests.worlds import backlash
 from urdfcal.cli import run
-from urdfcal.cli.results import _errors
+from urdfcal.cli.results import _errors, _thousandths
 from urdfcal.errors import OutputError
 from urdfcal.robot.chain import Tree
 from urdfcal.robot.kinematics import link_poses, tip_poses
@@ -279,3 +279,7 @@ def test_that_a_urdf_holds_the_rigid_part_alone_is_said_where_it_is_written(
         call = ["compensate", str(result), str(q), "-o", str(tmp_path / f"{bends}.csv"), "--payload", "nothing"]
         assert run(call) == 0
         assert ("what it carries makes no difference" in capsys.readouterr().out) is not bends
+
+
+def test_what_is_left_below_a_nanometre_is_rounding() -> None:
+    assert [_thousandths(of) for of in (1.234e-4, 2e-9, 9e-10)] == ["0.123", "2e-06", "less than 1e-6"]

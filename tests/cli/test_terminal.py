@@ -98,3 +98,11 @@ def test_no_digit_of_a_row_is_cut(capsys: pytest.CaptureFixture[str]) -> None:
     numbers = [line.split()[2:] for line in lines if "revol" in line]
     assert len(numbers) == 6
     assert all(len(row) == 5 and all(re.fullmatch(r"-?\d+\.\d{4}", cell) for cell in row) for row in numbers)
+
+
+def test_of_an_arm_of_many_rows_it_is_said_where_its_offsets_are(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_simulated(tmp_path / "s", simulate(read_rig(find_rig("tiago_dual")), poses=30, seed=0))
+    assert run(["calibrate", str(tmp_path / "s"), "-o", str(tmp_path / "r"), "--force"]) == 0
+    assert "16 rows of offsets: in the report and in calibration.json" in capsys.readouterr().out

@@ -254,6 +254,15 @@ def test_lenses_that_were_found_with_the_arm_judge_it_where_they_suit_better(
     write_session(tmp_path / "mixed", replace(mixed, measurements=(kept,)))
     judged = verified(capsys, tmp_path / "result", tmp_path / "mixed", "--limit", "1mm")
     assert judged["lenses"] == dict(zip(data.rig.names, ("calibration", "session"), strict=True))
+    # Where the two tell nothing apart, nothing is said: here the files are those that were found.
+    entries = json.loads((tmp_path / "result" / "calibration.json").read_text())["cameras"]
+    same = tuple(
+        replace(one, intrinsics=np.array(entries[one.name]["intrinsics"]), distortion=entries[one.name]["distortion"])
+        for one in data.rig.cameras
+    )
+    write_session(tmp_path / "same", replace(data, rig=replace(data.rig, cameras=same)).at(NEW))
+    assert run(["verify", str(tmp_path / "result"), str(tmp_path / "same"), "--limit", "1mm"]) == 0
+    assert "lenses of" not in capsys.readouterr().out
     # A URDF has no lenses: those of the session make it far worse.
     (urdf,) = (tmp_path / "result").glob("*.urdf")
     assert run(["evaluate", str(urdf), str(tmp_path / "wrong"), "--json"]) == 0

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from tests.worlds import sagging
+from tests.worlds import erring, sagging
 from urdfcal.estimation.alignment import kabsch
 from urdfcal.output.charts import error_colors, workspace_charts
 from urdfcal.output.figures import workspace_maps
@@ -109,3 +109,9 @@ def test_what_sags_is_mapped_and_counts_as_off_of_the_nominal_arm(simulated):
     np.testing.assert_allclose(workspace.before, np.linalg.norm(nominal @ T[:3, :3].T + T[:3, 3] - full, axis=1))
     assert [of.name for of in workspace_maps(workspace)] == ["nominal", "calibrated", MOVED]
     assert workspace.range[1] >= workspace.moved.max()
+
+
+def test_an_arm_that_lags_alone_is_moved_by_nothing_at_rest(simulated):
+    found = calibrate(erring(simulated("ur5", poses=40), lag=1e-3))
+    assert found.joint_models.found
+    assert sample_workspace(found).moved is None

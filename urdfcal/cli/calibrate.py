@@ -69,7 +69,7 @@ def find_leds(session: Path, colour: Colour = "any", debug_images: Path | None =
         f"found to {sorted(sigma)[len(sigma) // 2]:.3f} px each (median)"
     )
     if rejected := detected.summary():
-        say(f"rejected beside: {rejected}")
+        say(f"besides these, rejected: {rejected}")
     for warning in detected.warnings:
         say(f"- {warning}")
     for path in paths:

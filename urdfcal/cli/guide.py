@@ -23,7 +23,7 @@ _PICTURE = re.compile(r"^!\[.*\n+", re.MULTILINE)
 @click.command("guide")
 @click.argument("topic", type=click.Choice(list(TOPICS)), required=False)
 def command(topic: str | None) -> None:
-    """Show one of some short how-tos; without TOPIC, which there are."""
+    """Show a short how-to; without TOPIC, the list of them."""
     from rich.markdown import Markdown
 
     from urdfcal.cli.console import terminal

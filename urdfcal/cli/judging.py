@@ -14,7 +14,7 @@ import click
 from urdfcal.cli.console import PATH, json_option, say, seed_option, sheet, status_line, terminal
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Sequence
 
     from urdfcal.arrays import Floats
     from urdfcal.estimation.acceptance import Acceptance
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from urdfcal.session.model import Session
 
 _METRES = {"mm": 1e-3, "m": 1.0}
-# Lenses suit alike where the mean of log(1 + r^2) of a camera's residuals differs by less: a tenth of the noise.
-_SUITS = 0.1
 _NAMED = 3  # changes in the verdict; the table has them all
 
 
@@ -176,10 +174,11 @@ def lenses_as_calibrated(session: Session, chain: Mechanism, calibration: Calibr
     """
     import numpy as np
 
-    from urdfcal.estimation.evaluation import explain
-    from urdfcal.estimation.measurements import Detections
+    from urdfcal.estimation.lens_choice import choose_lenses
 
-    entries = {} if calibration is None else calibration.document.cameras
+    if calibration is None:
+        return session, Lenses({"lenses": {}}, ())
+    entries = calibration.document.cameras
     found = {
         camera.name: replace(camera, intrinsics=np.array(of.intrinsics), distortion=np.array(of.distortion))
         for camera in session.rig.cameras
@@ -187,46 +186,20 @@ def lenses_as_calibrated(session: Session, chain: Mechanism, calibration: Calibr
         and of.sigma.intrinsics
         and (of.resolution, of.distortion_model) == (list(camera.resolution), camera.distortion_model)
     }
-    if calibration is None or not found or session.find(Detections) is None:
-        return session, Lenses({"lenses": {}}, ())
-
-    def with_lenses(names: Collection[str]) -> Session:
-        cameras = tuple(found[one.name] if one.name in names else one for one in session.rig.cameras)
-        return replace(session, rig=replace(session.rig, cameras=cameras))
-
-    def loss(names: Collection[str]) -> float:
-        explained = explain(chain, with_lenses(names), bends=calibration.joint_models)
-        observed = zip(explained.fit.norms, explained.problem.observations, strict=True)
-        return float(
-            np.mean([np.log1p(n[of.valid] ** 2).mean() for n, of in observed if isinstance(of.table, Detections)])
+    choice = choose_lenses(session, chain, found, calibration.joint_models)
+    whose = {name: "calibration" if name in choice.found else "session" for name in found}
+    found_better = [name for name in found if name in choice.found & choice.told]
+    own_better = [name for name in found if name in choice.told - choice.found]
+    remarks = []
+    if found_better:
+        remarks.append(
+            f"lenses of {', '.join(found_better)}: as found with the arm, which suit better than the session's"
         )
-
-    margin = _SUITS / len(session.rig.cameras)
-    chosen, least = frozenset[str](), loss(())
-    if (other := loss(found)) < least - margin:
-        chosen, least = frozenset(found), other
-    told = set(found) if chosen else set[str]()
-    for name in found:  # each camera by itself: one may be another since
-        changed = loss(chosen ^ {name})
-        told = told | {name} if abs(changed - least) > margin else told - {name}
-        if changed < least - margin:
-            chosen, least = chosen ^ {name}, changed
-    whose = {name: "calibration" if name in chosen else "session" for name in found}
-    remarks = [
-        f"lenses of {', '.join(names)}: {said}"
-        for names, said in (
-            (
-                [name for name in found if name in chosen & told],
-                "as found with the arm, which suit better than the session's",
-            ),
-            (
-                [name for name in found if name in told - chosen],
-                "the session's, which suit better than those found with the arm",
-            ),
+    if own_better:
+        remarks.append(
+            f"lenses of {', '.join(own_better)}: the session's, which suit better than those found with the arm"
         )
-        if names
-    ]
-    return with_lenses(chosen) if chosen else session, Lenses({"lenses": whose}, tuple(remarks))
+    return choice.session, Lenses({"lenses": whose}, tuple(remarks))
 
 
 def _calibrated_with(calibration: Calibration, session: Session) -> bool:

@@ -21,7 +21,7 @@ from urdfcal.estimation.left_out import find_left_out
 from urdfcal.estimation.noise import find_noise
 from urdfcal.estimation.regions import joint_regions, tip_regions
 from urdfcal.estimation.scale import find_scale
-from urdfcal.estimation.uncertainty import SizeError, aligned_motion, rigid_loss, size_error, tip_error, tip_rms_with
+from urdfcal.estimation.uncertainty import SizeError, rigid_loss, size_error, tip_change, tip_error, tip_rms_with
 from urdfcal.estimation.validation import hold_out, region_interval, rms_samples
 from urdfcal.session.attachments import ends_of_arms
 
@@ -260,12 +260,10 @@ def _corrections(problem: Problem, fit: Solution, first: float) -> tuple[TipCorr
     of_joints = (LinearJointModel, ZeroOffsets)
     models = {model.key: model.nominal for model in problem.joint_models if isinstance(model, of_joints)}
     as_drawn = fit.state.replace({ARM: np.zeros_like(fit.state[ARM]), **models})
-    step, found = fit.parameters.between(as_drawn, fit.state), []
-    for k, tip in enumerate(ends_of_arms(problem.arm.chain, problem.attachments)):
-        A = aligned_motion(problem, fit, tip=tip)
-        expected = first if k == 0 else float(np.sqrt(np.einsum("nij,jk,nik->", A, fit.covariance, A) / len(A)))
-        found.append(TipCorrection(tip.link, rms(np.linalg.norm(A @ step, axis=1)), expected))
-    return tuple(found)
+    step = fit.parameters.between(as_drawn, fit.state)
+    tip, *others = ends_of_arms(problem.arm.chain, problem.attachments)
+    expected = [(tip, first), *((other, tip_error(problem, fit, tip=other)[0]) for other in others)]
+    return tuple(TipCorrection(of.link, tip_change(problem, fit, step, tip=of), error) for of, error in expected)
 
 
 def _rms(distance: tuple[Floats, ...], kept: tuple[Bools, ...]) -> float:

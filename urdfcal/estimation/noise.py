@@ -245,7 +245,7 @@ class _Likelihood:
 
     def maximise(self, variances: Floats, hold: int | None = None) -> tuple[Floats, _LikelihoodValue]:
         """Return the likeliest variances, one of them held, and the likelihood there."""
-        free = np.ix_(np.arange(len(variances)) != hold)[0]
+        free = np.flatnonzero(np.arange(len(variances)) != hold)
         least = np.append(np.full(len(variances) - 1, _LEAST_SHARE**2), _LEAST_JOINT**2)
 
         def further(at: _LikelihoodValue, curvature: Floats) -> Floats:

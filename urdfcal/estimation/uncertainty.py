@@ -69,7 +69,7 @@ def tip_covariance(problem: Problem, fit: Solution, q: Floats, seed: int = 0, ti
     return result
 
 
-def tip_change(problem: Problem, fit: Solution, step: Floats, seed: int = 0) -> float:
+def tip_change(problem: Problem, fit: Solution, step: Floats, seed: int = 0, tip: Tip | None = None) -> float:
     """Compute by how much the calibrated tip moves over the workspace, rms after the best alignment, in metres.
 
     Args:
@@ -77,12 +77,15 @@ def tip_change(problem: Problem, fit: Solution, step: Floats, seed: int = 0) -> 
         fit: the estimate.
         step: (count,) of its active parameters.
         seed: of the configurations that stand for the workspace.
+        tip: another link than the first tip.
     """
-    A = aligned_motion(problem, fit, seed)
+    A = aligned_motion(problem, fit, seed, tip)
     return float(np.sqrt(np.sum((A @ step) ** 2) / _WORKSPACE))
 
 
-def tip_error(problem: Problem, fit: Solution, seed: int = 0) -> tuple[float, tuple[float, float]]:
+def tip_error(
+    problem: Problem, fit: Solution, seed: int = 0, tip: Tip | None = None
+) -> tuple[float, tuple[float, float]]:
     """Compute what rms error of the calibrated tip over the workspace is to be expected, if the model holds.
 
     The estimate's covariance carried to the tip, after the best alignment at the base; the interval is that of the rms
@@ -93,11 +96,12 @@ def tip_error(problem: Problem, fit: Solution, seed: int = 0) -> tuple[float, tu
         problem: the arm and its joint models.
         fit: the estimate.
         seed: of the configurations and the draws.
+        tip: another link than the first tip.
 
     Returns:
         The expected rms, and its 95 % interval. [m]
     """
-    A = aligned_motion(problem, fit, seed)
+    A = aligned_motion(problem, fit, seed, tip)
     gram = np.einsum("nij,nik->jk", A, A) / _WORKSPACE
     normal = np.random.default_rng(seed).standard_normal((_DRAWS, len(gram))) ** 2
     ends = []

@@ -48,7 +48,7 @@ _LAID_OVER = (
     "laid over the calibrated one; to fit best it is {apart:.3g} mm away, its LEDs or cameras as far the other way on "
     "their links: these poses tell only the two together"
 )
-# What moves the tip by less does not move it. [mm]
+# [mm]
 _ROUNDING = 1e-6
 _SEEN = {"detections": "in the images"}
 _TRIANGULATED = "triangulated, depth included"
@@ -161,10 +161,15 @@ def _in_left_out(document: ResultData) -> tuple[str, ...]:
     return (f"{found['rms_mm']:.2g} mm rms, at most {found['max_mm']:.2g}, in the {found['poses']} poses left out",)
 
 
+def scale_moves(scale: ResultData) -> bool:
+    """Whether the unit of length moves the tip: what moves it by less than a nanometre is rounding."""
+    return bool(scale["tip_mm_per_permille"] > _ROUNDING)
+
+
 def _condition(scale: ResultData) -> str:
     """What a claimed error rests on: the unit of length."""
     permille = scale["tip_mm_per_permille"]
-    if not permille > _ROUNDING:
+    if not scale_moves(scale):
         return "lengths are those of the nominal arm within its tolerances: nothing that was measured is a length"
     declared, factor = scale["declared_sigma"], ""
     if scale["factor_sigma"] is not None:

@@ -25,6 +25,7 @@ from urdfcal.output.findings import (
     listed,
     look_up,
     residual_rows,
+    scale_moves,
     to_check,
 )
 from urdfcal.output.page import template
@@ -113,6 +114,7 @@ def write_report(path: Path, overview: Overview, *, refused: bool = False) -> No
         sigma_legend=SIGMA_LEGEND,
         actuated=len(calibration.chain.actuated),
         sags=overview.workspace.moved is not None,
+        scale_moves=scale_moves(document["scale"]),
         share=f"{100.0 * overview.workspace.measured.mean():.2g} %" if overview.workspace.measured.any() else "",
         rows=list(rows.items()),
         columns=[f"{SYMBOLS.get(c, c)} [{'mm' if c in LENGTHS else 'mrad'}]" for c in calibration.geometry.columns],

@@ -16,7 +16,7 @@ from urdfcal.io.folder import IMAGES
 from urdfcal.io.writing import write_table
 from urdfcal.session.trajectory import Trajectory
 from urdfcal.simulation.bright_arm import bright_arms
-from urdfcal.simulation.moving import pixels_by_row
+from urdfcal.simulation.moving import pixels_as_taken
 from urdfcal.simulation.render import Light, Scenery, Sensor
 from urdfcal.simulation.scene import any_direction
 from urdfcal.simulation.simulate import write_simulated
@@ -228,11 +228,9 @@ def _views(scene: Truth, exposure: Exposure, outshone: Sequence[Bools], seed: np
     """
     q = scene.q
     direct, mirrored, distance = scene.pixels(q), scene.pixels(q, mirrored=True), scene.distances(q)
-    if scene.rolling is not None:
-        each, camera = np.arange(len(q)), scene.rolling.camera
-        by_row = pixels_by_row(scene, scene.rolling)
-        mirrored[each, camera] += by_row - direct[each, camera]
-        direct[each, camera] = by_row
+    if scene.rolling is not None:  # a reflection moves as its light does
+        at_once, direct = direct, pixels_as_taken(scene)
+        mirrored += direct - at_once
     views = []
     for pose, of_pose in enumerate(seed.spawn(len(q))):
         rng = np.random.default_rng(of_pose)

@@ -100,13 +100,13 @@ def set_in_motion(simulated: Simulated, settings: MotionSettings) -> Simulated:
         motion=trajectory,
     )
     q = true_joint_values(exact, truth.joint_errors)
-    cameras, past = tuple(_true_shutter(one, offset_rng) for one in truth.cameras), Moving(path, exact, time, camera)
-    moved = replace(truth, cameras=cameras, q=frozen(q), time_offsets=frozen(time_offsets), moving=past)
+    cameras, moving = tuple(_true_shutter(one, offset_rng) for one in truth.cameras), Moving(path, exact, time, camera)
+    moved = replace(truth, cameras=cameras, q=frozen(q), time_offsets=frozen(time_offsets), moving=moving)
     uv = None if moved.rolling is None else pixels_by_row(moved, moved.rolling)[:, None]
     noise, share = (truth.pixel, session.noise.of(Detections)), truth.outlier_share
     detections, outliers = simulate_detections(moved, q, camera[:, None], noise, share, noise_rng, outlier_rng, uv)
-    moving = exact.measured((detections,), q=trajectory.values(np.zeros(count)))
-    return replace(simulated, session=moving, truth=replace(moved, outliers=frozen(outliers, np.intp)))
+    filmed = exact.measured((detections,), q=trajectory.values(np.zeros(count)))
+    return replace(simulated, session=filmed, truth=replace(moved, outliers=frozen(outliers, np.intp)))
 
 
 def _true_shutter(camera: Camera, rng: np.random.Generator) -> Camera:

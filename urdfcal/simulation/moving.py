@@ -84,10 +84,17 @@ class Moving:
         return true_joint_values(replace(self.positions, q=self.path.at(self.time + late)), truth.joint_errors)
 
 
+def pixels_as_taken(truth: Truth) -> Floats:
+    """Compute where (N, C, L + M, 2) cameras see LEDs and points, of rolling shutters each in its row. [px]."""
+    pixels: Floats = truth.pixels(truth.q)
+    if truth.rolling is not None:
+        pixels[np.arange(len(pixels)), truth.rolling.camera] = pixels_by_row(truth, truth.rolling)
+    return pixels
+
+
 def pixels_by_row(truth: Truth, moving: Moving) -> Floats:
     """Compute where (N, L + M, 2) each frame's camera sees LEDs and points that are in a row when it is taken. [px]."""
-    each, line = np.arange(len(moving.time)), _line_times(truth)[moving.camera]
-    middle = _middles(truth)[moving.camera]
+    each, line, middle = _frames(truth, moving)
 
     def seen(late: Floats | float) -> Floats:
         pixels: Floats = truth.pixels(moving.later(truth, late))[each, moving.camera]
@@ -111,8 +118,7 @@ class PosesByRow:
     @classmethod
     def of(cls, truth: Truth, moving: Moving) -> PosesByRow:
         """Compute them where rows are taken one after the other."""
-        each, line = np.arange(len(moving.time)), _line_times(truth)[moving.camera]
-        middle = _middles(truth)[moving.camera]
+        each, line, middle = _frames(truth, moving)
         rows = np.linspace(0.0, 2.0 * middle, _KNOTS)
         poses = [truth.target_poses(moving.later(truth, line * (row - middle)))[each, moving.camera] for row in rows]
         return cls(rows, np.array(poses))
@@ -127,9 +133,8 @@ class PosesByRow:
         return result
 
 
-def _line_times(truth: Truth) -> Floats:
-    return np.array([camera.line_time for camera in truth.cameras])
-
-
-def _middles(truth: Truth) -> Floats:
-    return np.array([(camera.resolution[1] - 1) / 2.0 for camera in truth.cameras])
+def _frames(truth: Truth, moving: Moving) -> tuple[Ints, Floats, Floats]:
+    """Numbers of the frames (N,), and of the camera that took each its line time [s] and its middle row [px]."""
+    line = np.array([camera.line_time for camera in truth.cameras])
+    middle = np.array([(camera.resolution[1] - 1) / 2.0 for camera in truth.cameras])
+    return np.arange(len(moving.time)), line[moving.camera], middle[moving.camera]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -127,22 +127,27 @@ class Bulge:
 
 @dataclass(frozen=True, eq=False)
 class PlacedPrint:
-    """A piece of a print before a camera.
+    """A piece of a print, placed in a frame: of the target, or of the camera that it is before.
 
     Attributes:
-        T_cam_print: (4, 4), or (height, 4, 4) for each row of an image that a rolling shutter takes; of a print that is
-            larger than it should be the axes are as much longer. [m]
+        T_frame_print: (4, 4), or (height, 4, 4) for each row of an image that a rolling shutter takes; of a print that
+            is larger than it should be the axes are as much longer. [m]
         piece: what is printed.
         bulge: how it bulges; None where it is flat.
     """
 
-    T_cam_print: Floats
+    T_frame_print: Floats
     piece: Print
     bulge: Bulge | None = None
 
+    def before(self, T_cam_frame: Floats) -> PlacedPrint:
+        """Return the same of a piece that is placed in another frame, (4, 4) or (height, 4, 4) in the camera's. [m]."""
+        return replace(self, T_frame_print=T_cam_frame @ self.T_frame_print)
+
     def at(self, rows: slice, repeats: int) -> Floats:
-        """Return T_cam_print (1 or h, 4, 4) of some rows, each so many times."""
-        return self.T_cam_print[None] if self.T_cam_print.ndim == 2 else np.repeat(self.T_cam_print[rows], repeats, 0)
+        """Return T_frame_print (1 or h, 4, 4) of some rows, each so many times."""
+        T = self.T_frame_print
+        return T[None] if T.ndim == 2 else np.repeat(T[rows], repeats, 0)
 
     def outline(self) -> Floats:
         """Return places (K, 3) along the paper's rim in the camera's frame, of each of its poses. [m]."""
@@ -153,7 +158,7 @@ class PlacedPrint:
         places = np.concatenate([np.stack(np.broadcast_arrays(*edge, 0.0), axis=1) for edge in edges])
         if self.bulge is not None:
             places += self.bulge.height(places[:, 0], places[:, 1])[:, None] * self.bulge.T_target_print[2, :3]
-        T = self.at(slice(None, None, max(len(self.T_cam_print) // 8, 1)), 1)
+        T = self.at(slice(None, None, max(len(self.T_frame_print) // 8, 1)), 1)
         result: Floats = (places @ np.swapaxes(T[:, :3, :3], 1, 2) + T[:, None, :3, 3]).reshape(-1, 3)
         return result
 

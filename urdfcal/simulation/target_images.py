@@ -9,17 +9,16 @@ import numpy as np
 
 from urdfcal.images.files import in_parallel, write_image
 from urdfcal.session.trajectory import Trajectory
-from urdfcal.simulation.moving import PosesByRow, pixels_by_row
+from urdfcal.simulation.moving import PosesByRow, pixels_as_taken
 from urdfcal.simulation.prints import PrintRenderer
 from urdfcal.simulation.render import Sensor
 from urdfcal.simulation.scene import any_direction
-from urdfcal.simulation.true_prints import shown_before
+from urdfcal.simulation.true_prints import pieces_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-    from urdfcal.arrays import Floats
     from urdfcal.images.files import Image
     from urdfcal.simulation.images import Exposure
     from urdfcal.simulation.truth import Simulated
@@ -53,8 +52,9 @@ def write_target_images(
         SessionError: a target is nothing printed.
     """
     session, scene, motion = simulated.session, simulated.truth, simulated.session.motion
-    T_cam_target, truth = scene.target_poses(simulated.truth.q), simulated.truth
-    by_row = None if truth.rolling is None else PosesByRow.of(truth, truth.rolling)
+    T_cam_target = scene.target_poses(scene.q)
+    by_row = None if scene.rolling is None else PosesByRow.of(scene, scene.rolling)
+    printed = [pieces_of(target, of) for target, of in zip(session.targets, scene.prints, strict=True)]
     renderers = [PrintRenderer(camera) for camera in scene.cameras]
 
     def take(task: tuple[int, int, np.random.SeedSequence]) -> Image:
@@ -64,15 +64,11 @@ def write_target_images(
         if exposure.distractors and rng.random() < _SPOILT:
             smear = rng.uniform(*_SMEAR) * any_direction(rng) if rng.random() < 0.5 else smear
             light = rng.choice(_LIGHT) if not smear.any() else 1.0
-        height, facing = scene.cameras[c].resolution[1], scene.faced(truth.q[pose : pose + 1])[0, c]
-        shown = [
-            piece
-            for t, (target, of) in enumerate(zip(session.targets, truth.prints, strict=True))
-            if facing[t]
-            for piece in shown_before(
-                T_cam_target[pose, c, t] if by_row is None else by_row.at(pose, t, height), target, of
-            )
-        ]
+        height, facing = scene.cameras[c].resolution[1], scene.faced(scene.q[pose : pose + 1])[0, c]
+        shown = []
+        for t in np.flatnonzero(facing).tolist():
+            T = T_cam_target[pose, c, t] if by_row is None else by_row.at(pose, t, height)
+            shown += [piece.before(T) for piece in printed[t]]
         grey = renderers[c].expected(shown, _BLUR, (float(smear[0]), float(smear[1])))
         sensor = Sensor(scene.cameras[c].resolution, exposure.bits, exposure.electrons_per_count)
         return sensor.expose(light * grey.astype(float) / 255.0 * sensor.full_well, rng)
@@ -96,9 +92,7 @@ def write_target_images(
 def target_rows(simulated: Simulated) -> list[tuple[str, str, str, float, float]]:
     """Pose, camera, point, u and v of every point of a target that is in an image and faces the camera."""
     session, scene = simulated.session, simulated.truth
-    uv: Floats = scene.pixels(simulated.truth.q)
-    if scene.rolling is not None:
-        uv[np.arange(len(uv)), scene.rolling.camera] = pixels_by_row(scene, scene.rolling)
+    uv = pixels_as_taken(scene)
     seen = scene.in_image(uv) & scene.turned_to(simulated.truth.q)
     seen[..., : scene.led_count] = False
     names, points = session.rig.names, session.led_names

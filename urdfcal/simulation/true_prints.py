@@ -65,19 +65,12 @@ def true_points(target: Target, of: TruePrint) -> Floats:
     return points / (1.0 + of.given_too_long)
 
 
-def shown_before(T_cam_target: Floats, target: Target, of: TruePrint) -> list[PlacedPrint]:
-    """Put the pieces of a target before a camera.
-
-    Args:
-        T_cam_target: (4, 4), or (height, 4, 4) for each row of the image. [m]
-        target: what should have been printed.
-        of: what was.
-    """
-    T = np.array(T_cam_target)
-    T[..., :3, :3] /= 1.0 + of.given_too_long
+def pieces_of(target: Target, of: TruePrint) -> list[PlacedPrint]:
+    """Return the pieces of a target as they were printed, placed in its frame."""
+    larger = np.diag([*[1.0 / (1.0 + of.given_too_long)] * 3, 1.0])
     middle, half = rim_of(target.points)
     pieces = []
     for T_target_print, piece in prints_of(target.pattern):
         bulge = Bulge(T_target_print, of.bends, middle, half) if of.bends.any() else None
-        pieces.append(PlacedPrint(T @ T_target_print, piece, bulge))
+        pieces.append(PlacedPrint(larger @ T_target_print, piece, bulge))
     return pieces
