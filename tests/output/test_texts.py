@@ -33,14 +33,18 @@ def test_lists_read_like_sentences():
 
 def said_of(
     more, poses=30, cameras=("left",), left_out=None, size=None, moving=False, held_out=0.2, regions=0.2,
-    tips=("tool",), **scale
+    tips=("tool",), joints=(("shoulder", "revolute"),), **scale
 ):  # fmt: skip
     """What is said of the tip, of a result with some of its keys."""
     scale = {"tip_mm_per_permille": 0.5, "factor_sigma": None, "declared_sigma": None, **scale}
     tip = {"rms_mm": 0.21, "interval_mm": [0.1, 0.3], "more": more, "size": size}
     fit = {"poses": poses, "reduced_chi2": 4.0}
     document = {
-        "robot": {"tip_link": "tool", "tips": dict.fromkeys(tips)},
+        "robot": {
+            "tip_link": "tool",
+            "tips": dict.fromkeys(tips),
+            "joints": {name: {"type": of} for name, of in joints},
+        },
         "tip": tip,
         "regions": {"rms_mm": regions},
         "scale": scale,
@@ -87,7 +91,7 @@ def test_a_tip_error_far_beyond_what_held_out_poses_show_is_explained():
     ("scale", "sentence"),
     [
         ({}, "if the scale is right: 0.1 % of it is 0.5 mm at the tip"),
-        ({"factor": -1e-3, "factor_sigma": 2e-3}, "; the nominal arm's lengths differ by -0.1 ± 0.2 %"),
+        ({"factor": -1e-3, "factor_sigma": 2e-3}, "; the nominal arm's lengths differ from it by -0.1 ± 0.2 %"),
         ({"factor": 1e-4, "factor_sigma": 2e-3, "declared_sigma": 5e-3}, "; it comes out off by +0.01 ± 0.2 %"),
         ({"unit": "distances"}, "if the known distances are right: 0.1 % of them is 0.5 mm at the tip"),
         ({"tip_mm_per_permille": 0.0}, "lengths are those of the nominal arm within its tolerances"),
@@ -95,6 +99,11 @@ def test_a_tip_error_far_beyond_what_held_out_poses_show_is_explained():
 )
 def test_what_the_error_is_conditional_on_is_said(scale, sentence):
     assert sentence in said_of(None, **scale)[2]
+
+
+def test_a_sliding_joint_is_a_length_too():
+    said = said_of(None, joints=(("lift", "prismatic"), ("shoulder", "revolute")), factor=1e-4, factor_sigma=3e-4)
+    assert "; the nominal arm's lengths and the readings of lift differ from it by +0.01 ± 0.03 %" in said[2]
 
 
 def test_a_scale_that_moves_the_tip_by_rounding_alone_is_none():

@@ -99,11 +99,12 @@ def command(
     from urdfcal.planning.planner import Planner
     from urdfcal.planning.workspace import parse_workspace
     from urdfcal.result.calibration import Calibration
+    from urdfcal.session.model import Session
 
     others = {output.with_suffix(WRITERS[of][0]): WRITERS[of][1] for of in FORMATS if of in also}
     _distinct(output, *others, *([] if save is None else [save]))
     setup, where, boxes = _read(start), parse_workspace(workspace), () if scene is None else read_scene(scene)
-    count = poses or (_DEFAULT if until is None else _MOST)
+    count, measured = poses or (_DEFAULT if until is None else _MOST), isinstance(setup, Session | Calibration)
     with progress_bar("planning", candidates + 3 * count) as advance:
         urdf = _urdf_of(start, setup) if isinstance(setup, Calibration) else None
         planner = Planner(
@@ -121,7 +122,7 @@ def command(
     if as_json:
         click.echo(json.dumps(_as_dict(found), indent=2))
     else:
-        _print(found, [str(path) for path in files], until)
+        _print(found, [str(path) for path in files], until, "" if measured else ", as far as tolerances let it be off,")
         if isinstance(setup, Calibration):
             click.echo(_how_to_go_on(setup))
     return int(until is not None and found.likely[-1] > until)
@@ -186,7 +187,7 @@ def _how_to_go_on(calibration: Calibration) -> str:
     )
 
 
-def _print(plan: Plan, paths: list[str], until: float | None) -> None:
+def _print(plan: Plan, paths: list[str], until: float | None, before: str) -> None:
     now, then = (f"{1e3 * error:.3g} mm" for error in (plan.errors[0], plan.errors[-1]))
     if not plan.count:
         say(f"nothing more to measure: the tip's rms error is expected at {now}, as it is")
@@ -200,7 +201,7 @@ def _print(plan: Plan, paths: list[str], until: float | None) -> None:
     passed = int((~plan.measured).sum())
     say(
         f"{', '.join(paths)}: {plan.count} poses" + (f", and {passed} to pass through" if passed else "") + "; "
-        f"the tip's expected rms error goes from {now} to {then}"
+        f"the tip's expected rms error goes from {now}{before} to {then}"
     )
     if checks := _checks(plan):
         say(f"and {len(checks)} random ones to check by: calibrate with --exclude-poses")

@@ -110,7 +110,7 @@ def claims(document: ResultData) -> tuple[str, ...]:
         f"that is against what was measured{across}, its noise included; {regions_mm}",
         f"tip {whose}{tip_mm} (95 %: {interval}) expected over the workspace, bases aligned, noise apart",
         *_larger(document),
-        _condition(document["scale"]),
+        _condition(document),
         *_in_left_out(document),
         *_more_poses(document),
     )
@@ -166,14 +166,18 @@ def scale_moves(scale: ResultData) -> bool:
     return bool(scale["tip_mm_per_permille"] > _ROUNDING)
 
 
-def _condition(scale: ResultData) -> str:
+def _condition(document: ResultData) -> str:
     """What a claimed error rests on: the unit of length."""
+    scale: ResultData = document["scale"]
     permille = scale["tip_mm_per_permille"]
     if not scale_moves(scale):
         return "lengths are those of the nominal arm within its tolerances: nothing that was measured is a length"
     declared, factor = scale["declared_sigma"], ""
     if scale["factor_sigma"] is not None:
-        whose = "the nominal arm's lengths differ by" if declared is None else "it comes out off by"
+        # A sliding joint's readings are lengths, too, and better known than a drawing's.
+        sliding = [name for name, of in document["robot"]["joints"].items() if of["type"] == "prismatic"]
+        lengths = " and ".join(["the nominal arm's lengths", *(f"the readings of {name}" for name in sliding)])
+        whose = f"{lengths} differ from it by" if declared is None else "it comes out off by"
         factor = f"; {whose} {1e2 * scale['factor']:+.2g} ± {1e2 * scale['factor_sigma']:.1g} %"
     tip = f"0.1 % of it is {permille:.2g} mm at the tip{factor}"
     if declared is not None:
