@@ -49,6 +49,10 @@ def test_a_regenerated_urdf_gets_the_calibrated_origins(
     [
         (lambda text: text.replace('xyz="0 0 ', 'xyz="0.001 0 '), "is not the one that was calibrated: it is 1 mm off"),
         (lambda text: text.replace('"joint_2"', '"second"'), "'joint_2' does not hang where it did"),
+        (
+            lambda text: text.replace('"base_link"', '"root"'),
+            "it describes 'elbow3r', which has no link 'base_link', and",
+        ),
         (lambda text: text.replace("<robot", "<robots"), "mismatched tag"),
     ],
 )

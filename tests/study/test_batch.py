@@ -78,6 +78,7 @@ def test_what_is_done_is_kept_until_an_input_or_an_option_changes(
     again = batch(sessions, out, **QUICK, seed=0)
     assert done == [out / "b"]
     assert again[0] == first[0]
+    assert [one.kept for one in again] == [True, False]
     batch(sessions, out, **QUICK, seed=1)
     assert done[1:] == [out / "a", out / "b"]
     next((out / "a").glob("*.urdf")).unlink()
@@ -85,12 +86,18 @@ def test_what_is_done_is_kept_until_an_input_or_an_option_changes(
     assert done[3:] == [out / "a"]
 
 
-def test_without_a_report_there_is_none_of_an_earlier_run(fleet: list[Path], tmp_path: Path) -> None:
+def test_without_a_report_there_is_none_of_an_earlier_run(
+    fleet: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     batch(fleet[:1], tmp_path / "out", report=True, processes=1)
     assert (tmp_path / "out" / "a" / "report.html").exists()
     (one,) = batch(fleet[:1], tmp_path / "out", **QUICK)
     assert sorted(path.suffix for path in (tmp_path / "out" / "a").iterdir()) == [".json", ".urdf"]
     assert one.well
+    again = ["batch", str(fleet[0]), "-o", str(tmp_path / "out"), "--no-report", "--processes", "1"]
+    assert run([*again, "--seed", "0"]) == 0
+    assert run([*again, "--seed", "0"]) == 0
+    assert capsys.readouterr().out.count("1 sessions: 1 good; 1 of them kept from an earlier run") == 1
 
 
 def test_a_calibration_that_is_refused_has_its_report_alone(

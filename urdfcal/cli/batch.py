@@ -68,4 +68,6 @@ def _print(table: Sequence[Ended]) -> None:
         if one.level != "good":
             terminal().print(f"{one.name}: {one.sentence}", markup=False, highlight=False)
     counts = {level: sum(one.level == level for one in table) for level in ("good", "doubtful", "bad", "failed")}
-    say(f"{len(table)} sessions: " + ", ".join(f"{count} {level}" for level, count in counts.items() if count))
+    kept = sum(one.kept for one in table)
+    before = f"; {kept} of them kept from an earlier run" if kept else ""
+    say(f"{len(table)} sessions: " + ", ".join(f"{count} {level}" for level, count in counts.items() if count) + before)

@@ -97,7 +97,14 @@ def apply_to_urdf(urdf: Urdf, chain: Mechanism, calibrated: Floats) -> bytes:
             was calibrated.
     """
     where = str(urdf.path or urdf.name)
-    other = read_mechanism(urdf, [tip.link for tip in chain.tips], chain.base_link)
+    links = [chain.base_link, *(tip.link for tip in chain.tips)]
+    if missing := [link for link in links if link not in urdf.links]:
+        raise RobotError(
+            f"it describes {urdf.name!r}, which has no link {missing[0]!r}, and not the robot that was calibrated",
+            where=where,
+            remedy="Give a description of the same robot.",
+        )
+    other = read_mechanism(urdf, links[1:], chain.base_link)
     if (other.names, other.parents) != (chain.names, chain.parents):
         different = [name for name in chain.names if name not in other.names]
         different += [name for name in other.names if name not in chain.names]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
@@ -39,6 +39,7 @@ class Ended:
         tip_mm: upper end of the tip's claimed error over the workspace.
         seconds: that it took.
         how: options of the calibration, and hash of every input file.
+        kept: whether that was in an earlier run.
     """
 
     name: str
@@ -51,6 +52,7 @@ class Ended:
     tip_mm: float | None = None
     seconds: float = 0.0
     how: Mapping[str, Any] = field(default_factory=dict)
+    kept: bool = field(default=False, compare=False)
 
     @property
     def well(self) -> bool:
@@ -151,7 +153,7 @@ def calibrate_one(job: Job) -> Ended:
         session = read_session(job.session)
         how["sha256"] = dict(session.sha256)
         if job.before is not None and job.before.how == how and (not job.before.well or _is_whole(job)):
-            return job.before
+            return replace(job.before, kept=True)
         calibration = calibrate(session, **options, force=True)
         validation = calibration.document.validation
         figures = {
