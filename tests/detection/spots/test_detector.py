@@ -67,6 +67,14 @@ def test_a_spot_saturated_four_times_is_found_to_a_twentieth_of_a_pixel(sigma: f
     assert (fits.saturated > 5).all()
 
 
+@pytest.mark.parametrize("saturated", [150.0, 1000.0])
+def test_an_led_before_the_lens_that_shows_nothing_of_its_peak_is_found(saturated: float) -> None:
+    places = np.random.default_rng(3).uniform(-0.5, 0.5, (100, 2))
+    fits = fitted(sensor_for(390000.0, saturated), 390000.0, 1.5, places)
+    assert fits.found.all()
+    assert np.sqrt(np.mean((fits.uv - places) ** 2)) < 0.02
+
+
 @pytest.mark.parametrize("saturated", [0.0, 4.0])
 def test_neither_the_pixel_grid_nor_a_slope_moves_the_centroid(saturated: float) -> None:
     grid = np.linspace(-0.5, 0.5, 5)
