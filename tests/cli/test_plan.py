@@ -47,6 +47,8 @@ def test_a_plan_is_read_as_joints_and_drives_arms(capsys: pytest.CaptureFixture[
     program = Path("plan.script").read_text()
     assert program.count("movej(") == len(table.poses)
     assert program.count("sleep(") == 9
+    assert program.count(': ", get_actual_joint_positions())') == 9
+    assert "where the arm stands now is not known" in said.err
     checks = [label for label in table.poses if label.startswith("check")]
     assert checks == [f"check{k}" for k in range(1, 5)]
     assert "4 random ones to check by: calibrate with --exclude-poses\n  check1,check2,check3,check4\n" in said.out
@@ -135,7 +137,9 @@ def test_a_session_is_gone_on_from_and_a_box_is_where_it_counts(capsys: pytest.C
     box = [f"{low:.3f}:{high:.3f}" for low, high in np.percentile(tip, [20, 80], axis=0).T]
     assert run(["plan", "s", *RIG[2:], "--poses", "4", "--workspace", ",".join(box)]) == 0
     assert run(["plan", "s", *RIG[2:], "--poses", "4", "--workspace", "s/joints.csv"]) == 0
-    assert "tolerances let it be" not in capsys.readouterr().out
+    said = capsys.readouterr()
+    assert "tolerances let it be" not in said.out
+    assert "where the arm stands" not in said.err
 
 
 @pytest.mark.parametrize(

@@ -71,12 +71,16 @@ def as_csv(plan: Plan) -> str:
 
 
 def as_urscript(plan: Plan) -> str:
-    """Write a program for a Universal Robot: straight moves in joint space, at rest in every pose."""
+    """Write a program for a Universal Robot: straight moves in joint space, at rest in every pose.
+
+    Its log names each pose when the arm has come to rest there, and says the joints' readings at the end of the rest.
+    """
     lines = ["def measure():"]
     for label, measured, values in _rows(plan):
         lines.append(f"  movej([{', '.join(f'{value:.6f}' for value in values)}], a={_ACCELERATION}, v={_SPEED})")
         if measured:
             lines += [f'  textmsg("pose {label}")', f"  sleep({_REST})"]
+            lines.append(f'  textmsg("joints of pose {label}: ", get_actual_joint_positions())')
     return "\n".join([*lines, "end", ""])
 
 

@@ -43,6 +43,7 @@ _TRIES = 20
 # Poses to check by, as a share of the others; fewer than four are an anecdote.
 _CHECKS, _LEAST_CHECKS = 0.2, 4
 _NO_WAY = "no free way was found from the last measured pose: bring the arm to the first pose of the plan yourself"
+_UNKNOWN_START = "where the arm stands now is not known: bring it to the first pose of the plan yourself"
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,6 +197,8 @@ class Planner:
     ) -> Plan:
         rng, barred = np.random.default_rng(self._seed), set[int]()
         start, warnings, kept = at.belief.q, at.warnings, at.nothing
+        if start is None:
+            warnings = (*warnings, _UNKNOWN_START)
         for _ in range(_TRIES):
             chosen = at.choose(kept, count, barred=barred, until=until, rng=rng, progress=progress)
             checks = max(_LEAST_CHECKS, round(_CHECKS * len(chosen))) if check and len(chosen) else 0
