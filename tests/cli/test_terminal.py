@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from urdfcal.cli import cli, run
+from urdfcal.cli.console import progress_bar
 from urdfcal.cli.summary import _in_brackets
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
@@ -78,6 +79,16 @@ def test_a_summary_fits_and_nothing_of_it_is_cut(tmp_path: Path, capsys: pytest.
 )
 def test_the_deviation_is_in_units_of_the_last_digit(value: float, sigma: float, text: str) -> None:
     assert _in_brackets(value, sigma) == text
+
+
+@pytest.mark.usefixtures("terminal")
+@pytest.mark.parametrize("total", [10, None])
+def test_a_bar_ends_with_all_of_it(total: int | None, capsys: pytest.CaptureFixture[str]) -> None:
+    """Planning needs fewer steps than it may take, and what is told in a plan is not counted at all."""
+    with progress_bar("planning", total) as advance:
+        advance(3)
+    bars = [line for line in re.split(r"[\r\n]", "\n".join(shown(capsys.readouterr().err))) if "planning" in line]
+    assert "100%" in bars[-1]
 
 
 @pytest.mark.usefixtures("terminal")

@@ -17,7 +17,7 @@ from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.study import monte_carlo
 from urdfcal.study.charts import study_charts
 from urdfcal.study.monte_carlo import Outcome, Run, Variation, present, run_one, settings_of, varied_rig
-from urdfcal.study.results import as_csv, rows, write_study
+from urdfcal.study.results import as_csv, remarks, rows, write_study
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -142,6 +142,7 @@ def test_what_came_out_is_printed_even_where_it_cannot_be_written(
     assert run(["study", "elbow3r", "-o", str(tmp_path / "out"), *more]) == 2
     said = capsys.readouterr()
     assert "as it is" in said.out
+    assert ("1 in 10 above: of ten arms or more" in said.out) is (not more)
     assert "out: cannot write here" in " ".join(said.err.split())
 
 
@@ -159,6 +160,11 @@ def test_one_arm_in_ten_is_said_of_ten_arms_and_the_recording_says_what_dots_are
     (text,) = Recorded(tmp_path / "study.rrd").static("/base/texts/table", "TextDocument:text")
     assert "Dots: the tip's error of each arm; green: their rms" in text
     assert "expected (mm)" in text
+    assert (remarks([few, many]), remarks([many])) == (["1 in 10 above: of ten arms or more (--seeds)"], [])
+    assert remarks([few])[0] not in text
+    write_study(tmp_path, read_rig(UR5), [few], 0)
+    (text,) = Recorded(tmp_path / "study.rrd").static("/base/texts/table", "TextDocument:text")
+    assert f"- {remarks([few])[0]}" in text
     assert [chart.title for chart in study_charts(read_rig(UR5), [many])] == ["Tip error by LEDs [mm]"]
 
 

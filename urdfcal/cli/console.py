@@ -78,6 +78,8 @@ def progress_bar(what: str, total: int | None) -> Iterator[Callable[[float], Non
     with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task(what, total=total)
         yield lambda count: bar.advance(task, count)
+        # Some was not needed, or not counted: it is done all the same.
+        bar.update(task, total=total or 1, completed=total or 1)
 
 
 @contextmanager

@@ -84,11 +84,13 @@ def command(
 
 
 def _print(table: Sequence[Outcome]) -> None:
-    from urdfcal.study.results import HEADS, failures, rows
+    from urdfcal.study.results import HEADS, failures, remarks, rows
 
     shown = sheet("", list(HEADS))
     for row in rows(table):
         shown.add_row(*row)
     terminal().print(shown)
+    for text in remarks(table):
+        say(f"- {text}")
     for why in failures(table):
         say(f"- {why}", err=True)

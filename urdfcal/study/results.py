@@ -34,6 +34,7 @@ HEADS = ("setting", "poses", "tip, rms (mm)", "1 in 10 above (mm)", "expected (m
 """Of a table for people."""
 # Fewer arms have no tenth.
 _TEN = 10
+_EMPTY = "1 in 10 above: of ten arms or more (--seeds)"
 _CURVES = "Dots: the tip's error of each arm; green: their rms; blue: expected, from the noise and the tolerances."
 # Charts beside each other on a page, and how high they are there.
 _ROW, _HEIGHT = 2, 220.0
@@ -91,6 +92,11 @@ def rows(table: Sequence[Outcome]) -> list[tuple[str, ...]]:
     ]
 
 
+def remarks(table: Sequence[Outcome]) -> list[str]:
+    """Say why a column is empty, if it is."""
+    return [_EMPTY] if any(0 < len(one.arms) < _TEN for one in table) else []
+
+
 def failures(table: Sequence[Outcome]) -> list[str]:
     """Say why arms could not be simulated."""
     return [f"{one.setting}: {why}" for one in table for why in one.failed]
@@ -114,7 +120,7 @@ def _page(rig: RigDescription, table: Sequence[Outcome], charts: Sequence[Chart]
 
 def _write_recording(path: Path, rig: RigDescription, table: Sequence[Outcome], charts: Sequence[Chart]) -> None:
     lines = ["| " + " | ".join(row) + " |" for row in (HEADS, ("---",) * len(HEADS), *rows(table))]
-    text = "\n".join([*lines, "", _CURVES, "", *(f"- {why}" for why in failures(table))])
+    text = "\n".join([*lines, "", _CURVES, "", *(f"- {text}" for text in (*remarks(table), *failures(table)))])
     views = [chart_view(chart, ROOT) for chart in charts]
     document = rrb.TextDocumentView(origin=f"{ROOT}/texts/table", name="Settings")
     grid = rrb.Grid(document, *views, grid_columns=int(np.ceil(np.sqrt(len(views) + 1))))
