@@ -172,6 +172,24 @@ def test_outliers_are_said(
     assert "- 2 of 24 measurements are outliers, and do not count" in capsys.readouterr().out.splitlines()
 
 
+def test_poses_that_are_no_configuration_of_their_own_are_named(
+    result: Path, simulated: Callable, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    session = simulated("elbow3r", poses=62).session.at(NEW)
+    seen = session.find(Detections)
+    rows = np.concatenate([np.arange(len(seen)), np.flatnonzero(seen.pose == 0)])
+    columns = {name: column[rows] for name, column in seen.arrays.items()}
+    columns["pose"] = np.concatenate([seen.pose, np.full(len(rows) - len(seen), len(NEW))])
+    columns["uv"] = columns["uv"] + 0.05 * (columns["pose"] == len(NEW))[:, None]
+    q = np.concatenate([session.q, session.q[:1] + 0.001])
+    near = replace(session, poses=(*session.poses, "again"), q=q, previous=None, measurements=(Detections(**columns),))
+    write_session(tmp_path / "near", near)
+    assert run(["verify", str(result), str(tmp_path / "near"), "--limit", "5mm"]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "in 12 configurations" in printed
+    assert "- poses that repeat others to 0.05 rad in every joint are no configurations of their own: again" in printed
+
+
 def test_the_verdict_of_too_many_outliers_says_so() -> None:
     found = Acceptance(1.0, (0.25, 0.9), 12, 12, 12, 1e-3)
     assert _verdict(found) == (
@@ -238,6 +256,9 @@ def test_lenses_that_were_found_with_the_arm_judge_it_where_they_suit_better(
         assert run(["evaluate", str(tmp_path / "result"), str(tmp_path / folder), "--json"]) == 0
         printed = capsys.readouterr()
         assert said in " ".join(printed.err.split())
+        assert run(["evaluate", str(tmp_path / "result"), str(tmp_path / folder)]) == 0
+        own = "nominal: the session's own arm with its own lenses"
+        assert (own in " ".join(capsys.readouterr().out.split())) is (folder == "wrong")
         found = json.loads(printed.out)
         rms[folder] = found["residual_px"]["rms"]
         assert found["lenses"] == dict.fromkeys(data.rig.names, "calibration" if folder == "wrong" else "session")

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from urdfcal.session.model import Session
 
 _METRES = {"mm": 1e-3, "m": 1.0}
-_NAMED = 3  # changes in the verdict; the table has them all
+_NAMED = 3  # changes in the verdict, which the table has all, and poses that repeat others
 
 
 def _length(ctx: click.Context, param: click.Parameter, text: str) -> float:
@@ -102,7 +102,7 @@ def verify(
         say(_verdict(found))
         if not new:
             say("- these are the measurements that it was calibrated with: others will be further off")
-        for remark in (*lenses.remarks, *_left_out(found), *domain.remarks):
+        for remark in (*lenses.remarks, *_left_out(found), *_repeated(found), *domain.remarks):
             say(f"- {remark}")
     ctx.exit(0 if found.within else 1)
 
@@ -230,6 +230,16 @@ def _millimetres(metres: float) -> str:
 def _left_out(found: Acceptance) -> Sequence[str]:
     count = found.measurements + found.outliers
     return [f"{found.outliers} of {count} measurements are outliers, and do not count"] if found.outliers else []
+
+
+def _repeated(found: Acceptance) -> Sequence[str]:
+    """Which poses are no configurations of their own."""
+    from urdfcal.session.trajectory import REPEAT
+
+    if not found.repeats:
+        return []
+    names = ", ".join(found.repeats[:_NAMED]) + (" ..." if len(found.repeats) > _NAMED else "")
+    return [f"poses that repeat others to {REPEAT:g} rad in every joint are no configurations of their own: {names}"]
 
 
 @click.command("compare")

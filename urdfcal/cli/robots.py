@@ -205,6 +205,8 @@ def _print_residuals(result: Mapping[str, Any]) -> None:
             cells = ["" if spread[key] is None else f"{spread[key]:.4f}" for key in columns]
             rows.add_row(f"{quantity.replace('_', ' ')} ({unit})", *cells)
     terminal().print(rows)
+    if "calibration" in result.get("lenses", {}).values():
+        say("nominal: the session's own arm with its own lenses")
     for known in result.get("place_distances", ()):
         a, b = known["places"]
         say(f"{a} to {b}: {known['found_mm']:.3f} mm, known as {known['known_mm']:.3f} mm")

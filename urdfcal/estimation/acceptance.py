@@ -12,6 +12,7 @@ from urdfcal.errors import RobotError, SessionError
 from urdfcal.estimation.assessment import MANY_OUTLIERS
 from urdfcal.estimation.evaluation import explain
 from urdfcal.estimation.validation import rms_interval
+from urdfcal.session.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -35,6 +36,7 @@ class Acceptance:
         measurements: how many count.
         outliers: how many were left out.
         limit: what the rms may be at most. [m]
+        repeats: poses in the configuration of an earlier one, or next to it.
     """
 
     rms: float
@@ -43,6 +45,7 @@ class Acceptance:
     measurements: int
     outliers: int
     limit: float
+    repeats: tuple[str, ...] = ()
 
     @property
     def too_many_outliers(self) -> bool:
@@ -103,14 +106,18 @@ def accept(
     low, high = rms_interval(observations, fit.kept, distance, unit, seed)
     scale, width = _taken_away(numbers, taken)
     outliers, measurements = fit.counts
-    judged = [unit[of.pose][used.any(axis=1)] for of, used in zip(observations, fit.kept, strict=True)]
+    judged = [of.pose[used.any(axis=1)] for of, used in zip(observations, fit.kept, strict=True)]
+    poses = np.unique(np.concatenate(judged))
+    moving = isinstance(session.motion, Trajectory)  # its configurations are seconds
+    first = np.unique(unit[poses], return_index=True)[1]
     return Acceptance(
         rms=scale * found,
         interval=tuple(scale * found * (end / found) ** width for end in (low, high)) if found else (0.0, 0.0),
-        configurations=len(np.unique(np.concatenate(judged))),
+        configurations=len(first),
         measurements=measurements,
         outliers=outliers,
         limit=limit,
+        repeats=() if moving else tuple(session.poses[pose] for pose in np.delete(poses, first).tolist()),
     )
 
 
