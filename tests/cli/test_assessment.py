@@ -15,7 +15,8 @@ from tests.worlds import images, slipped
 from urdfcal.cli import run
 from urdfcal.errors import CalibrationError
 from urdfcal.io.writing import write_session
-from urdfcal.output.findings import Overview, pose_texts
+from urdfcal.output.findings import Overview
+from urdfcal.output.pose_texts import pose_texts
 from urdfcal.output.recording import _banner
 from urdfcal.session.knowledge import Estimate
 

@@ -46,6 +46,15 @@ def test_causes_are_ranked_with_their_size_and_interval(bent: Overview) -> None:
     assert chart.x.high > np.max(intervals.x)
 
 
+def test_causes_that_are_too_small_to_be_seen_are_counted(bent: Overview, rigid: Overview) -> None:
+    for overview in (bent, rigid):
+        chart, every = contribution_chart(overview.calibration), overview.document["contributions"]
+        less = sum(each["tip_mm"] > 0.0 for each in every) - len(chart.y.names)
+        assert ("smaller" in chart.title) is bool(less)
+        assert f"; {less} smaller " in chart.title or not less
+    assert "smaller" in contribution_chart(bent.calibration).title
+
+
 def test_a_joint_model_is_shown_with_what_is_seen_of_it(bent: Overview) -> None:
     charts = {chart.name: chart for chart in joint_model_charts(bent.calibration)}
     before, after, model = charts["compliance of shoulder_lift_joint"].marks

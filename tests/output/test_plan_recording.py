@@ -11,7 +11,7 @@ import pytest
 from tests.recorded import Recorded
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
-from urdfcal.output.plan_recording import write_plan
+from urdfcal.output.plan_recording import way, write_plan
 from urdfcal.planning.planner import Plan, Planner
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.session.obstacle import Obstacle
@@ -37,13 +37,24 @@ def test_the_arm_the_boxes_and_the_rays_are_there_in_every_pose(plan: Plan, reco
     assert {"/base/boxes/crate", "/base/charts/course/poses", "/base/charts/shares/after"} <= recorded.entities
     assert any(name.startswith("/base/arm/") for name in recorded.entities)
     tips = tip_poses(plan.chain, plan.q, plan.scene.placements)[:, :3, 3]
-    (way,) = recorded.static("/base/tips/way", "LineStrips3D:strips")
-    np.testing.assert_allclose(way, tips, atol=1e-6)
+    (line,) = recorded.static("/base/tips/way", "LineStrips3D:strips")
+    moves = tip_poses(plan.chain, way(plan.q), plan.scene.placements)[:, :3, 3]
+    np.testing.assert_allclose(line, moves, atol=1e-6)
+    apart = np.linalg.norm(line[:, None] - tips, axis=-1).min(axis=0)
+    np.testing.assert_allclose(apart, 0.0, atol=1e-6)  # it leads over every pose
     rays = recorded.rows("/base/rays/cam0", "LineStrips3D:strips")
     assert [len(rays[k]) for k in range(len(plan.q))] == (len(rays[0]) * plan.measured).tolist()
     leds = plan.scene.led_positions(plan.q)
     first = int(np.flatnonzero(plan.measured)[0])
     np.testing.assert_allclose(rays[first][0][1], leds[first, 0], atol=1e-6)
+
+
+def test_moves_are_straight_in_joint_space() -> None:
+    q = np.array([[0.0, 1.0], [2.0, 0.0], [2.0, 4.0]])
+    steps = np.diff(way(q), axis=0)
+    assert len(steps) > 10
+    np.testing.assert_allclose(steps[: len(steps) // 2], np.tile(steps[0], (len(steps) // 2, 1)), atol=1e-12)
+    np.testing.assert_allclose(way(q)[[0, len(steps) // 2, -1]], q)
 
 
 def test_each_pose_says_what_it_brings(plan: Plan, recorded: Recorded) -> None:

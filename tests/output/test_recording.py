@@ -269,6 +269,13 @@ def test_the_arm_is_drawn_into_the_pictures(calibration, recorded):
             np.testing.assert_allclose(strips[BLIND][0], expected[BLIND] + CORNER, atol=1e-3)
 
 
+def test_of_all_that_is_drawn_over_a_picture_its_border_alone_is_lowest(recorded):
+    """The viewer hides the lowest behind the picture, which was the nominal arm."""
+    lowest = recorded.static("/base/cameras/cam0/image/border", "LineStrips2D:draw_order")
+    for name in ("nominal", "calibrated"):
+        assert recorded.static(f"/base/cameras/cam0/image/arm/{name}", "LineStrips2D:draw_order") > lowest > -10.0
+
+
 def test_common_normals_are_to_scale(calibration, recorded):
     rows = calibration.table.nominal + calibration.estimate.offsets
     for column, name in ((1, "d"), (2, "a")):
@@ -278,7 +285,11 @@ def test_common_normals_are_to_scale(calibration, recorded):
                 strips = recorded.all_rows(entity, "LineStrips3D:strips")
                 lengths = np.linalg.norm(strips[:, 1] - strips[:, 0], axis=-1)
                 np.testing.assert_allclose(lengths, abs(value), atol=1e-6)
-                assert recorded.static(entity, "LineStrips3D:labels")[0] == f"{name}{i + 1}"
+                assert recorded.static(f"{entity}/label", "Points3D:labels")[0] == f"{name}{i + 1}"
+                beside = recorded.all_rows(f"{entity}/label", "Points3D:positions") - strips.mean(axis=1)
+                across = np.einsum("ni,ni->n", beside, strips[:, 1] - strips[:, 0])
+                np.testing.assert_allclose(across, 0.0, atol=1e-6)
+                np.testing.assert_allclose(np.linalg.norm(beside, axis=1), 0.05 * calibration.chain.reach, rtol=1e-4)
             else:
                 assert abs(value) < 2e-3 * calibration.chain.reach
     assert "/base/dh/rows/a2" in recorded.entities
@@ -346,7 +357,7 @@ def test_the_curves_of_an_arm_that_moved_are_seen_from_the_first_frame_to_the_la
     times = np.linspace(3.0, 8.0, POSES)
     monkeypatch.setattr("urdfcal.output.charts.frame_times", lambda _: times)
     name, shown = axis()
-    assert name == "rms of each frame [px]"
+    assert name == "rms of each frame [px], on the timeline time"
     assert "3000000000" in str(shown.view_range.as_arrow_array())
     assert "8000000000" in str(shown.view_range.as_arrow_array())
 

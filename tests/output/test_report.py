@@ -21,8 +21,9 @@ from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.output.arms import Shape
 from urdfcal.output.charts import parameter_charts
 from urdfcal.output.figures import figures
-from urdfcal.output.findings import Overview, headline, look_up, pose_texts
+from urdfcal.output.findings import Overview, headline, look_up
 from urdfcal.output.portrait import portrait, triangles
+from urdfcal.output.pose_texts import pose_texts
 from urdfcal.output.report import _correlated_pairs, write_report
 from urdfcal.output.worst import worst
 from urdfcal.pipeline import calibrate
@@ -217,8 +218,8 @@ def test_frames_are_not_called_poses(calibration, tmp_path):
     ):
         write_report(tmp_path / "report.html", of)
         text = Page((tmp_path / "report.html").read_text()).text
-        assert f"Each {one} before and after" in text
-        assert ("over its time" in text) == (one == "frame")
+        assert f"20 {one}s with" in text
+        assert f"the timeline has the {one}s by these numbers" in text
 
 
 def test_what_was_seen_outside_of_the_image_is_told_and_the_first_row_belongs_to_it(calibration):
@@ -234,6 +235,7 @@ def test_what_was_seen_outside_of_the_image_is_told_and_the_first_row_belongs_to
     at_the_top[:, 1] = -0.26
     for chart in drawn(at_the_top)["magnitudes"].rows[0]:
         assert chart.y.high == pytest.approx(0.0), "no cell stands on top of the image"
+        assert (chart.x.high, -chart.y.low) == overview.calibration.estimate.cameras[0].resolution, "nor below it"
         assert "outside" not in chart.title
     wide = pixels.measured.copy()
     first = np.flatnonzero(pixels.camera == 0)

@@ -5,15 +5,16 @@ from dataclasses import replace
 from xml.etree import ElementTree
 
 import numpy as np
+import pytest
 
 from urdfcal.output.chart import Chart, Mark, Scale
 from urdfcal.output.palette import CALIBRATED
 from urdfcal.output.svg import Figure, figure_html, figure_svg
 
 
-def drawn(*marks: Mark, **changes: object) -> ElementTree.Element:
+def drawn(*marks: Mark, height: float = 200, **changes: object) -> ElementTree.Element:
     chart = Chart(**{"name": "c", "title": "<a> & b", "x": Scale(0, 1), "y": Scale(0, 1), "marks": marks} | changes)
-    return ElementTree.fromstring(figure_svg(Figure([[chart]], 200)))  # noqa: S314  # our own
+    return ElementTree.fromstring(figure_svg(Figure([[chart]], height)))  # noqa: S314  # our own
 
 
 def test_a_page_may_be_dark_and_narrow_and_a_file_is_on_white() -> None:
@@ -85,6 +86,28 @@ def test_of_ticks_that_do_not_fit_all_but_every_second_or_third_go():
 def test_equal_axes_have_one_unit_and_cells_their_colours():
     colors = np.array([[10, 20, 30], [200, 210, 220]], dtype=np.uint8)
     figure = drawn(Mark("cells", "m", [0.25, 0.75], [0.5, 0.5], colors, 0.5), equal=True, colors=Scale(0, 2))
-    sides = re.findall(r"h([\d.]+)v([\d.]+)", " ".join(p for e in figure.iter() if (p := e.get("d"))))
-    assert len(sides) == 2
-    assert all(width == height for width, height in sides)
+    assert len(sides(figure)) == 2
+    assert all(width == pytest.approx(height, abs=0.2) for width, height in sides(figure))
+
+
+def sides(figure: ElementTree.Element) -> list[tuple[float, float]]:
+    """Widths and heights of cells."""
+    paths = " ".join(p for e in figure.iter() if (p := e.get("d")))
+    found = [[float(x) for x in of] for of in re.findall(r"M([\d.]+) ([\d.]+)H([\d.]+)V([\d.]+)H[\d.]+z", paths)]
+    return [(right - left, bottom - top) for left, top, right, bottom in found]
+
+
+def test_cells_end_with_their_chart() -> None:
+    cells = Mark("cells", "m", [0.25, 0.75, 0.25], [0.1, 0.1, -0.1], (1, 2, 3), 0.5)
+    whole, cut, beyond = sorted(sides(drawn(cells, equal=True)), key=lambda side: -side[1])
+    assert whole == cut
+    assert whole[1] == pytest.approx(0.7 * whole[0], abs=0.2), "from -0.15 on, it is drawn from 0 to 0.35"
+    assert beyond[1] == pytest.approx(0.3 * whole[0], abs=0.2), "a cell whose middle is outside reaches into it"
+
+
+def test_rows_of_names_are_as_high_as_their_text_whatever_stands_below() -> None:
+    names = {float(k): f"joint {k}" for k in range(1, 6)}
+    for label in ("", "how far [mm]"):
+        figure = drawn(y=Scale(0.3, 5.7, names=names), x_label=label, height=10.0)
+        at = sorted(float(e.get("y")) for e in figure.iter() if (e.text or "").startswith("joint"))
+        assert min(np.diff(at)) > 11.0

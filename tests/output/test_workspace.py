@@ -73,7 +73,7 @@ def test_shares_of_several_arms_are_told_apart_and_in_one_range(calibration):
         f"{one.link}: % below",
         "other: % below",
     ]
-    assert [of.title for of in workspace_maps(one)] == ["nominal [mm]", "calibrated [mm]"]
+    assert [of.title for of in workspace_maps(one)] == ["nominal: distance [mm]", "calibrated: std. dev. [mm]"]
     assert workspace_maps(one, named=True)[0].title == f"nominal, {one.link} [mm]"
     assert both[0].x == both[1].x
     assert both[0].x.high > 100.0 * alone.x.high / 2.0

@@ -35,8 +35,9 @@ def print_summary(overview: Overview, paths: Sequence[Path], remarks: Sequence[s
     """
     from rich.text import Text
 
-    from urdfcal.output.findings import HEADLINE, claims, counted, headline, look_up, residual_rows
+    from urdfcal.output.findings import claims, counted, headline, look_up, meaning, residual_rows
     from urdfcal.output.placed import placed
+    from urdfcal.output.texts import unseen
     from urdfcal.session.exclusion import summary
 
     console = terminal()
@@ -57,7 +58,7 @@ def print_summary(overview: Overview, paths: Sequence[Path], remarks: Sequence[s
     tone = {"good": "bold green", "doubtful": "bold yellow", "bad": "bold red"}[assessment.level]
     line(f"{calibration.chain.name}: {assessment.sentence}", tone)
     interval = f"(95 %: {low:.3g} to {high:.3g})"
-    line(f"{headline(document)} {interval} {HEADLINE}, nominal -> calibrated", "bold")
+    line(f"{headline(document)} {interval} {meaning(document)}, nominal -> calibrated", "bold")
     for claim in claims(document):
         line(claim)
     parts = [
@@ -70,7 +71,8 @@ def print_summary(overview: Overview, paths: Sequence[Path], remarks: Sequence[s
     outliers = len(document["outliers"])
     excluded = summary(calibration.session.excluded.named)
     excluded = f" ({excluded})" if excluded else ""
-    counts = f"{fit['poses']} {counted(document)}{excluded}, {fit['observations']} measured numbers"
+    empty = f" ({without} more without a measurement)" if (without := unseen(overview)) else ""
+    counts = f"{fit['poses']} {counted(document)}{empty}{excluded}, {fit['observations']} measured numbers"
     cut = f"{outliers} outlier{'s' if outliers != 1 else ''}"
     line(f"{counts}, {fit['parameters']} parameters ({calibration.comparison.chosen.spec}), {cut}")
     sessions = []

@@ -47,8 +47,8 @@ _FAR = 5.0
 _UNUSUAL = 8.0
 IMPLAUSIBLE = 20.0
 """No arm is made this many tolerances off its nominal geometry."""
-# Noise declared this many times off what is found for certain distorts weights and intervals beyond rounding.
-_NOISE_OFF = 1.5
+NOISE_OFF = 1.5
+"""Noise declared this many times off what is found for certain distorts weights and intervals beyond rounding."""
 # An LED that was measured with a ruler comes out within this many of its standard deviations, all three coordinates
 # together: chance 1e-4 (chi-square, 3 degrees of freedom).
 _DISPLACED = 4.6
@@ -122,7 +122,7 @@ def assess(session: Session, problem: Problem, comparison: Comparison, evidence:
     )
     # An effect that is not modelled looks like noise: it is named, not the noise. But noise that is declared too large
     # bends the estimate by its weights, and leaves effects that are none.
-    overdeclared = any(of.ratio >= _NOISE_OFF for of in evidence.noise)
+    overdeclared = any(of.ratio >= NOISE_OFF for of in evidence.noise)
     findings = () if overdeclared else evidence.findings
     noise = () if findings else tuple(_declared_noise(evidence.noise))
     warnings = (
@@ -218,7 +218,7 @@ def _found(finding: Finding) -> str:
 
 def _declared_noise(noise: Sequence[FoundNoise]) -> Iterator[str]:
     """Noise declared too large makes any estimate look good, noise declared too small a good one bad."""
-    off = [of for of in noise if not 1.0 / _NOISE_OFF < of.ratio < _NOISE_OFF]
+    off = [of for of in noise if not 1.0 / NOISE_OFF < of.ratio < NOISE_OFF]
     if off:
         sizes = ", ".join(f"{of.name} {of.declared:.2g} {of.unit} for {of.found:.2g}" for of in off)
         line = ", ".join(f"{of.name}: {of.found:.2g}" for of in noise if of.known)

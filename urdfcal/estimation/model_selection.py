@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from urdfcal.estimation.validation import HeldOut
     from urdfcal.session.model import Session
 
-# Lenses that were calibrated are knowledge: freeing them must better the prediction by this many standard errors.
-_CERTAIN = 3.0
+CERTAIN = 3.0
+"""Lenses that were calibrated are knowledge: freeing them must better the prediction by so many standard errors."""
 # Joint models are chosen on derivatives, and after they are estimated once more: so often at most.
 _MOST_CHANGES = 3
 
@@ -208,7 +208,7 @@ def _preferred(trial: Trial, rival: Trial, problem: Problem) -> bool:
             for a, b, of in zip(trial.judged.norms, rival.judged.norms, problem.observations, strict=True)
         ]
     )
-    certain = _CERTAIN * float(np.std(difference) / np.sqrt(len(difference)))
+    certain = CERTAIN * float(np.std(difference) / np.sqrt(len(difference)))
     freer = trial.spec.free_lenses > rival.spec.free_lenses
     return float(np.mean(difference)) < (-certain if freer else certain)
 

@@ -127,6 +127,11 @@ class Solution:
         return bool(self.reduced_chi2 > 1.0 + _CERTAIN * np.sqrt(2.0 / max(self.freedom, 1)))
 
 
+def first_solved(problem: Problem) -> Problem:
+    """The problem that is solved first: of thousands of poses an even selection, or the problem itself."""
+    return problem.spread(_SOME) if max(len(observed.pose) for observed in problem.observations) > _MANY else problem
+
+
 def solve(problem: Problem, start: State, parameters: Parameters, progress: Progress | None = None) -> Solution:
     """Estimate the active parameters from a start that is near enough for Gauss-Newton.
 
@@ -146,9 +151,8 @@ def solve(problem: Problem, start: State, parameters: Parameters, progress: Prog
     observations = problem.observations
     with one_blas_thread():
         whole = LeastSquares(problem, parameters)
-        robust = whole
-        if max(len(observed.pose) for observed in observations) > _MANY:
-            robust = LeastSquares(problem.spread(_SOME), parameters)
+        some = first_solved(problem)
+        robust = whole if some is problem else LeastSquares(some, parameters)
         first, ones = robust.linearise(start), unit_weights(robust.problem.observations)
         descent = _descend(robust, first, ones, HuberWeights(), _FIRST_DAMPING, _settled(robust.problem), progress)
         history, at = list(descent.history), descent.at

@@ -18,6 +18,7 @@ from urdfcal.errors import RobotError
 from urdfcal.output.palette import CALIBRATED, GHOST, NOMINAL, PARAMETER_COLORS
 from urdfcal.output.placing import link_frames
 from urdfcal.output.stream import Layer, placed
+from urdfcal.output.viewpoint import viewpoint
 from urdfcal.robot.urdf.urdf import Urdf, find_urdf
 
 if TYPE_CHECKING:
@@ -44,6 +45,8 @@ MESH_FORMATS = {
 """Media types of the mesh files that can be shown, by file suffix."""
 # Lengths below this share of the reach are corrections, too small to be seen.
 _NO_LENGTH = 2e-3
+# The names of lengths stand so far beside these. [reach]
+_ASIDE = 0.05
 
 
 def log_arms(layer: Layer, session: Session, scene: CalibrationScene) -> tuple[str, ...]:
@@ -87,9 +90,12 @@ def log_sticks(arm: Layer, chain: Mechanism, frames: Floats, color: Tint) -> Non
 def log_dh(layer: Layer, table: DHTable, scene: CalibrationScene) -> None:
     """Log the DH frames as axes, and each row's way from one to the next, its lengths d and a by name.
 
-    Rows are numbered as in the table beside them, from 1, which has the lengths.
+    Rows are numbered as in the table beside them, from 1, which has the lengths. Names stand beside the lengths, on one
+    side and the other in turn: in a wrist they would lie over each other.
     """
-    length, rows = 0.08 * table.chain.reach, scene.rows
+    length, aside, rows = 0.08 * table.chain.reach, _ASIDE * table.chain.reach, scene.rows
+    eye, target = viewpoint(scene)
+    forward = target - eye
     for i in range(rows.frames.shape[1]):
         layer.at(f"F{i}").placed(rows.frames[:, i])
         layer.at(f"F{i}").fixed(rr.TransformAxes3D(axis_length=length))
@@ -103,9 +109,24 @@ def log_dh(layer: Layer, table: DHTable, scene: CalibrationScene) -> None:
                 {"strips": rows.corners[:, i, k : k + 2].astype(np.float32)},
                 colors=PARAMETER_COLORS[name],
                 radii=0.004 * table.chain.reach,
+            )
+            beside = label_places(rows.corners[:, i, k : k + 2], forward, (-1) ** (i + k) * aside)
+            layer.at("rows", f"{name}{i + 1}", "label").each(
+                rr.Points3D,
+                {"positions": beside},
+                colors=PARAMETER_COLORS[name],
+                radii=0.0,
                 labels=f"{name}{i + 1}",
                 show_labels=False,
             )
+
+
+def label_places(lines: Floats, forward: Floats, aside: float) -> Floats:
+    """Places (N, 3) beside the middles of lines (N, 2, 3) as one sees them who looks ``forward`` (3,). [m]."""
+    across = np.cross(lines[:, 1] - lines[:, 0], forward)
+    length = np.linalg.norm(across, axis=1, keepdims=True)
+    result: Floats = lines.mean(axis=1) + aside * across / np.where(length > 0.0, length, 1.0)
+    return result
 
 
 def _visual(shape: Shape, tint: Tint | None) -> AsComponents:

@@ -147,12 +147,16 @@ class Chart:
         """Bring a mark onto an area of the given size, its origin at the top left.
 
         Returns:
-            Points (K, 2) of dots and cells within the range, or lines (K, 2) each cut at the range; and their colours.
+            Points (K, 2) of dots within the range and of cells that reach into it, or lines (K, 2) each cut at the
+            range; and their colours.
         """
         u, v = np.broadcast_arrays(width * self.x.share(mark.x), height * (1.0 - self.y.share(mark.y)))
         points = np.stack([u, v], axis=-1)
         if mark.kind in ("dots", "cells"):
-            inside = ((points > -1e-6) & (points < np.add([width, height], 1e-6))).all(axis=-1)
+            beyond = 1e-6 + mark.size / 2 * np.divide(
+                [width, height], [self.x.high - self.x.low, self.y.high - self.y.low]
+            )
+            inside = ((points > -beyond) & (points < np.add([width, height], beyond))).all(axis=-1)
             return points[inside], mark.color if isinstance(mark.color, tuple) else mark.color[inside]
         lines = np.clip(points.reshape(-1, *points.shape[-2:]), 0.0, [width, height])
         return [line[np.isfinite(line).all(axis=1)] for line in lines], mark.color

@@ -32,40 +32,7 @@ _DOTS, _MANY = 250, 600
 _AT_REST = 1e-6
 SYMBOLS = {"theta": "\u03b8", "alpha": "\u03b1", "beta": "\u03b2"}
 
-RESIDUALS = """\
-**Residuals** without the measurements taken out of the fit. Blue: nominal, green: calibrated, grey: declared noise.
-
-Against distance and joints: calibrated, in units of the declared noise; {parts}. Lines are means of bins: noise keeps
-them near zero, a trend is an effect that the model lacks.
-"""
 _COURSES = {"cost": "cost", "damping": "damping", "step": "step [std. dev.]"}
-PARAMETERS = "Corrections (bars) and their 95 % intervals; amber: tolerances, within which two in three were expected."
-PART_COLORS = ("light blue", "orange", "violet")
-WORKSPACE = """\
-**Workspace.** Each dot is a place that the tip reaches, at joint values at random within the limits. Its colour is how
-far off the tip is there: for the nominal arm the distance to the calibrated one, the bases aligned; for the calibrated
-arm the predicted standard deviation. All clouds have the colours of the bar, in mm. Blue: nominal, green: calibrated;
-amber, where there are joint models: how far they move the tip at rest, by sagging say.
-
-Small dots: joint values outside of what was measured.
-"""
-PIXELS = """\
-White ring: where a light was detected; green dot: where the calibrated arm puts it, blue: the nominal one. Lines: the
-arm, by its joint readings alone. Arrows: residuals of all poses, detected to predicted, enlarged as the title says; the
-white one is as long as the number beside it. {sigmas}. Purple: taken out of the fit. Arrows in random directions
-are noise; arrows that turn together are a wrong lens.
-"""
-LIGHTS = "\nOrange: lights that detection rejected; a click tells why.\n"
-CONVERGENCE = """\
-**Convergence**, iteration by iteration (0: nominal). The step is in standard deviations of the estimate.
-Each joint's offsets in mm and mrad; light blue: theta, dark blue: d, red: a, orange: alpha, violet: beta. Hairlines:
-the estimate minus and plus one standard deviation.
-
-The cost may rise where outliers are cut and weights are renewed: it is another sum then. Damping grows while a step
-does not lower the cost; a large one at the end says that rounding alone is left.
-
-The same as time series: below `plots`, on the timeline `iteration`.
-"""
 
 
 def all_charts(overview: Overview) -> list[Chart]:
@@ -92,13 +59,13 @@ def residual_charts(overview: Overview) -> list[Chart]:
     if scene.pixels is not None:
         charts.insert(1, _by_camera(scene.pixels, [camera.name for camera in calibration.estimate.cameras]))
         distance = np.linalg.norm(scene.rays[:, 1] - scene.rays[:, 0], axis=1)
-        charts.append(_against("distance", "distance", "distance to the camera [m]", distance, scene.pixels))
+        charts.append(_against("distance", "distance to the camera [m]", distance, scene.pixels))
     for j, joint in enumerate(calibration.chain.joints):
         unit = "m" if joint.prismatic else "rad"
         value = calibration.session.q[table.pose, j]
         if np.ptp(value) < _AT_REST:
             continue
-        charts.append(_against(f"joint {j + 1}", joint.name, f"{joint.name} [{unit}]", value, table))
+        charts.append(_against(f"joint {j + 1}", f"{joint.name} [{unit}]", value, table))
     return charts
 
 
@@ -118,7 +85,9 @@ def by_pose(table: ResidualTable, times: Floats | None = None) -> Chart:
     else:
         step = max(float(np.ptp(times)), 1e-3) / _DOTS
         part = ((times[table.pose] - times.min()) // step).astype(np.intp)
-        first, label, title = float(times.min()) + step / 2, "time [s]", f"rms over time [{table.unit}]"
+        run = round(len(np.unique(table.pose)) / len(np.unique(part)))
+        first, label = float(times.min()) + step / 2, "time [s]"
+        title = f"rms of {'each frame' if run == 1 else f'about {run} frames each'} [{table.unit}]"
     rms = {name: table.rms_by(part, predicted) for name, predicted in table.by_arm.items()}
     at = first + step * rms["nominal"][0]
     x = Scale.holding(at, whole=times is None)
@@ -176,7 +145,7 @@ def spread(table: ResidualTable) -> Chart:
     )
 
 
-def _against(name: str, over: str, label: str, value: Floats, table: ResidualTable) -> Chart:
+def _against(name: str, title: str, value: Floats, table: ResidualTable) -> Chart:
     """Residuals over something they should not depend on, and the means of bins of equal number."""
     known = np.isfinite(value[table.used])
     value, sigmas = value[table.used][known], table.sigmas(table.predicted)[known]
@@ -190,7 +159,7 @@ def _against(name: str, over: str, label: str, value: Floats, table: ResidualTab
     marks += [Mark("lines", f"mean {k}", centre, means[k], palette.COMPONENTS[k]) for k in components]
     reach = float(np.clip(np.nanpercentile(np.abs(sigmas), 99), 3.0, 100.0))
     y = Scale(-reach, reach)
-    return Chart(name, f"{over}: residual [noise]", Scale.holding(value), y, marks, x_label=label)
+    return Chart(name, title, Scale.holding(value), y, marks)
 
 
 def parameter_charts(calibration: FittedCalibration) -> list[Chart]:
@@ -290,7 +259,7 @@ def workspace_charts(workspaces: Sequence[Workspace]) -> list[Chart]:
                 Mark("lines", name, 1e3 * np.sort(error), share, palette.OF_ARM.get(name, palette.ACCENT))
                 for name, error in of.errors.items()
             ],
-            x_label="tip error [mm]",
+            x_label="distance, standard deviation [mm]",
             legend=tuple(of.errors),
             colors=None if k else error_colors(workspaces),
         )

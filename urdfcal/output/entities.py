@@ -13,23 +13,17 @@ from urdfcal.arrays import evenly
 from urdfcal.output import arms, palette
 from urdfcal.output.chart import Chart, Scale, reference_length
 from urdfcal.output.charts import (
-    CONVERGENCE,
-    LIGHTS,
-    PARAMETERS,
-    PART_COLORS,
-    PIXELS,
-    RESIDUALS,
-    WORKSPACE,
     all_charts,
     error_colors,
     paths,
 )
-from urdfcal.output.findings import ELLIPSOID, HEADLINE, Overview, headline, parameter_text, pose_texts
+from urdfcal.output.findings import Overview, headline, meaning
 from urdfcal.output.images import arm_in_images, find_rejected, finite_pieces
-from urdfcal.output.joint_charts import JOINTS, MODELS, joint_model_charts
 from urdfcal.output.pictures import find_pictures
+from urdfcal.output.pose_texts import ELLIPSOID, pose_texts
 from urdfcal.output.scene import MOST_ARROWS, image_range
 from urdfcal.output.stream import CORNER, ITERATION, Layer
+from urdfcal.output.texts import tab_texts
 from urdfcal.rotations import matrix_to_quaternion
 
 if TYPE_CHECKING:
@@ -42,13 +36,13 @@ if TYPE_CHECKING:
     from urdfcal.result.fitted import FittedCalibration
 
 # Size of the plotted area; only its shape is seen.
-_WIDTH, _HEIGHT = 150.0, 105.0
+_WIDTH, _HEIGHT = 150.0, 90.0
 # Rows with names need so much height each, lest the names overlap; beyond the limit they had better.
 _ROW, _TALLEST = 12.0, 230.0
 # Of more of them than this every second or third is written.
 _MOST_NAMES = 40
 # Room for tick labels: numbers and names to the left, and right, above and below.
-_NUMBERS, _NAMES, _RIGHT, _ABOVE, _BELOW, _LABEL = 24.0, 75.0, 8.0, 6.0, 16.0, 12.0
+_NUMBERS, _NAMES, _RIGHT, _ABOVE, _BELOW, _LABEL = 24.0, 75.0, 8.0, 6.0, 18.0, 18.0
 _LETTER = 4.2
 # Half the height of a label beside a chart, which is small among others, and beside one with names, which is large.
 _HALF_LABEL, _HALF_NAME = 6.5, 3.5
@@ -58,6 +52,8 @@ _APART, _THICK, _STEPS, _BAR = 6.0, 5.0, 24, 32.0
 _DOT, _SMALL_DOT, _THIN, _LINE, _ARROW = -4.0, -2.0, -0.8, -1.5, -3.0
 _HAIR, _NONE = -0.5, 0.0
 _RADII = {"dots": -2.0, "lines": -0.9, "bars": -0.9, "hairlines": _HAIR}
+# The viewer may hide the lowest of what is drawn over a picture behind it: that is its border, which lies at its edge.
+_BORDER = 5.0
 # A ring about what was detected, for the image's width, and its corners.
 _RING, _ROUND = 0.012, 25
 
@@ -154,7 +150,8 @@ def log_frustum(body: Layer, camera: Camera, views: Floats, distance: float, lin
     )
     width, height = camera.resolution
     border = [[0, 0], [width, 0], [width, height], [0, height], [0, 0]]
-    body.at("image", "border").fixed(rr.LineStrips2D([border], colors=palette.FAINT, radii=_THIN))
+    edge = rr.LineStrips2D([border], colors=palette.FAINT, radii=_THIN, draw_order=_BORDER)
+    body.at("image", "border").fixed(edge)
 
 
 def _log_image(image: Layer, scene: CalibrationScene, pixels: ResidualTable, camera: Camera, seen: Ints) -> None:
@@ -339,23 +336,10 @@ def _room(chart: Chart) -> tuple[float, float]:
 def _log_texts(base: Layer, overview: Overview) -> None:
     """Log the verdict, what there is to see at each pose, the table of the DH rows, and the poses' names."""
     session = overview.calibration.session
-    banner = f"{overview.calibration.assessment.sentence}   {headline(overview.document)}, {HEADLINE}"
+    banner = f"{overview.calibration.assessment.sentence}   {headline(overview.document)}, {meaning(overview.document)}"
     base.at("banner").fixed(rr.Points2D([[0.0, 0.0]], radii=0.0, labels=banner, show_labels=False))
     texts = base.at("texts")
     texts.at("about").each(rr.TextDocument, {"text": pose_texts(overview)}, media_type=rr.MediaType.MARKDOWN)
-    colored = zip(PART_COLORS, overview.scene.tables[0].components, strict=False)
-    parts = ", ".join(f"{color}: {name}" for color, name in colored)
-    for name, text in (
-        ("parameters", PARAMETERS),
-        ("rows", parameter_text(overview.document)),
-        ("residuals", RESIDUALS.format(parts=parts)),
-        (
-            "pixels",
-            PIXELS.format(sigmas=palette.SIGMA_LEGEND.capitalize()) + (LIGHTS if find_rejected(session) else ""),
-        ),
-        ("convergence", CONVERGENCE),
-        ("joints", JOINTS + (MODELS if joint_model_charts(overview.calibration) else "")),
-        ("workspace", WORKSPACE),
-    ):
+    for name, text in tab_texts(overview).items():
         texts.at(name).fixed(rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
     texts.at("poses").fixed(rr.AnyValues(poses=session.poses))

@@ -23,6 +23,7 @@ from urdfcal.output.joint_charts import contribution_chart, joint_model_charts
 from urdfcal.output.scene import MOST_ARROWS, image_range
 from urdfcal.output.stream import CORNER
 from urdfcal.output.svg import Figure
+from urdfcal.output.workspace import MOVED
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -48,6 +49,8 @@ _TALLEST = 380.0
 _BAR_HEIGHT = 15
 # The arrow of a known length is about this share of an image's width.
 _REFERENCE = 0.12
+# What the maps of a workspace have the colours of.
+_WHAT = {"nominal": "distance", "calibrated": "std. dev.", MOVED: "moved"}
 # Fields of residuals whose factors differ less are not drawn twice.
 _TWICE = 1.5
 
@@ -110,7 +113,7 @@ def workspace_maps(workspace: Workspace, *, named: bool = False) -> list[Chart]:
     return [
         Chart(
             name,
-            f"{name}, {workspace.link} [mm]" if named else f"{name} [mm]",
+            f"{name}, {workspace.link} [mm]" if named else f"{name}: {_WHAT[name]} [mm]",
             Scale(float(x.min() - size), float(x.max() + size)),
             Scale(float(y.min() - size), float(y.max() + size)),
             [
@@ -250,23 +253,22 @@ def _magnitudes(pixels: ResidualTable, cameras: Sequence[Camera]) -> list[Chart]
     colors = Scale.holding(*(rms for *_, rms, _ in found), logarithmic=True, room=0.0)
     charts = []
     for camera, size, cells, rms, outside in found:
-        (width, height), border = camera.resolution, _border(camera)
+        border = _border(camera)
         x, y = (cells[:, 0] + 0.5) * size, -(cells[:, 1] + 0.5) * size
         # Images of one size are drawn in one scale.
         every = np.concatenate([of for other, _, of, *_ in found if other.resolution == camera.resolution])
-        (left, top), (right, bottom) = (
-            size * every.min(axis=0, initial=0.0),
-            size * (every.max(axis=0, initial=0.0) + 1),
-        )
         most = np.ceil(np.divide(camera.resolution, size))
+        # The last cells of an image end with it; whole ones beyond it hold what was detected there.
+        first, last = every.min(axis=0, initial=0.0), every.max(axis=0, initial=0.0) + 1
+        (left, top), (right, bottom) = size * first, np.where(last > most, size * last, camera.resolution)
         share = np.all((cells >= 0) & (cells < most), axis=1).sum() / most.prod()
         beyond = f"; {outside:.2g} % outside" if outside else ""
         charts.append(
             Chart(
                 f"{camera.name} magnitude",
                 f"{camera.name}: rms [px], in {100 * share:.0f} % of the image{beyond}",
-                Scale(float(left), float(max(right, width))),
-                Scale(-float(max(bottom, height)), -float(top)),
+                Scale(float(left), float(right)),
+                Scale(-float(bottom), -float(top)),
                 [
                     Mark("cells", "rms", x, y, _shades(colors, rms), size),
                     Mark("hairlines", "border", border[:, 0], border[:, 1], palette.FAINT),

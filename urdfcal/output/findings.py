@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from urdfcal.estimation.blocks.arm import LENGTHS
-from urdfcal.output.palette import SIGMA_LEGEND
 from urdfcal.output.scene import CalibrationScene, build_scene
 from urdfcal.output.workspace import Workspace, sample_workspace
 from urdfcal.robot.tree_dh import MOUNT
@@ -24,29 +23,9 @@ if TYPE_CHECKING:
 ResultData: TypeAlias = "Mapping[str, Any]"
 """What is in ``calibration.json``."""
 
-ELLIPSOID = 2.0
-"""Half axes of the covariance ellipsoids, in standard deviations."""
 MOUNTS = (
     f"A row that ends in {MOUNT} leads from an axis of the link that carries a further branch to that branch's "
     "first joint axis."
-)
-_LEGEND = f"""\
-Solid arm, or green where it has no meshes: **calibrated**. Blue ghost: **nominal**, {{placed}}.
-{{enlarged}}
-
-LED: white as measured, green by the calibrated arm, blue by the nominal one. Arrows from measured to predicted, thin at
-other poses: {SIGMA_LEGEND}. Purple: taken out of the fit. White ellipsoid: {ELLIPSOID:g} standard deviations of the
-measurement, enlarged alike. Curves: residual of each pose, in the arms' colours.
-"""
-_RAYS = """
-Long lines: the cameras' rays. Along them a place is known several times worse than across; mm here hold both.
-"""
-_ENLARGED = "Its deviation and the residual arrows are enlarged **{factor:g} times**."
-_TRUE_SIZE = "Its deviation and the residual arrows are large enough to be seen as they are."
-_PLACED = "placed to fit best"
-_LAID_OVER = (
-    "laid over the calibrated one; to fit best it is {apart:.3g} mm away, its LEDs or cameras as far the other way on "
-    "their links: these poses tell only the two together"
 )
 # [mm]
 _ROUNDING = 1e-6
@@ -56,8 +35,7 @@ _TRIANGULATED = "triangulated, depth included"
 _FAR_MORE = 3.0
 # Of so few poses a fold takes a share that is felt: what they leave is farther off than the calibration from all.
 _FEW = 20
-HEADLINE = "rms error on held-out poses"
-"""What the one number means that says what a calibration is worth."""
+_HEADLINE = "rms error on held-out poses"
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +71,16 @@ def headline(document: ResultData) -> str:
     """The rms error on held-out poses, nominal and calibrated."""
     validation = document["validation"]
     return f"{validation['rms_nominal_mm']:.3g} -> {validation['rms_mm']:.3g} mm"
+
+
+def lenses_found(document: ResultData) -> bool:
+    """Whether lenses were estimated with the arm: the nominal arm is judged with those as given, or those found."""
+    return any(camera["sigma"].get("intrinsics") for camera in document["cameras"].values())
+
+
+def meaning(document: ResultData) -> str:
+    """What the one number means that says what a calibration is worth."""
+    return _HEADLINE + (", the lenses found for both arms" if lenses_found(document) else "")
 
 
 def claims(document: ResultData) -> tuple[str, ...]:
@@ -146,7 +134,7 @@ def residual_rows(document: ResultData) -> tuple[ResidualRow, ...]:
     """The residuals of all kinds of measurements, and those of what cameras saw triangulated."""
     fit = document["fit"]
     rows = []
-    found = any(camera["sigma"].get("intrinsics") for camera in document["cameras"].values())
+    found = lenses_found(document)
     for i, each in enumerate(fit["residuals"]):
         key, what = ("fit", "residuals", i), _SEEN.get(each["kind"], each["kind"])
         if found and each["unit"] == "px":
@@ -237,35 +225,6 @@ def to_check(calibration: FittedCalibration) -> tuple[str, ...]:
     here = f"{folder}/" if folder is not None and folder.is_absolute() else None
     reasons = calibration.assessment.reasons
     return reasons if here is None else tuple(text.replace(here, "") for text in reasons)
-
-
-def pose_texts(overview: Overview) -> list[str]:
-    """For each pose its residuals in space, and what colours and enlarged things mean."""
-    scene, session = overview.scene, overview.calibration.session
-    poses, names, leds = session.poses, (*session.led_names, *session.attachments.targets), scene.leds
-    in_depth = ", depth included" if scene.pixels is not None else ""
-    new, old = (1e3 * np.linalg.norm(of - leds.measured, axis=1) for of in (leds.predicted, leds.nominal))
-    lines: list[list[str]] = [[] for _ in poses]
-    for table in scene.tables if scene.pixels is not None else ():
-        (where, after), (_, before) = (table.rms_by(table.pose, table.by_arm[arm]) for arm in ("calibrated", "nominal"))
-        for pose, new_rms, old_rms in zip(where, after, before, strict=True):
-            lines[pose].append(f"{new_rms:.2g} {table.unit} rms, nominal {old_rms:.2g}")
-    for m, (pose, led, cut) in enumerate(zip(leds.pose, leds.led, leds.outlier, strict=True)):
-        taken_out = ", taken out of the fit" if cut else ""
-        lines[pose].append(f"{names[led]} {new[m]:.2f} mm off{in_depth}, nominal {old[m]:.2f} mm{taken_out}")
-    what = counted(overview.document).removesuffix("s").capitalize()
-    enlarged = _ENLARGED.format(factor=scene.factor) if scene.factor > 1.0 else _TRUE_SIZE
-    placed = _LAID_OVER.format(apart=1e3 * scene.apart) if scene.apart else _PLACED
-    legend = _LEGEND.format(enlarged=enlarged, placed=placed)
-    legend += _RAYS if scene.pixels is not None else ""
-    if fastened := fastening_sentences(session):
-        legend += "\n" + " ".join(fastened) + "\n"
-    if reasons := to_check(overview.calibration):
-        legend = "**To check:**\n" + "\n".join(f"- {text}" for text in reasons) + f"\n\n{legend}"
-    return [
-        f"**{what} {pose}**: {'; '.join(line) or 'nothing seen'}.\n\n{legend}"
-        for pose, line in zip(poses, lines, strict=True)
-    ]
 
 
 def fixed_parameters(document: ResultData) -> list[tuple[str, list[str]]]:

@@ -19,14 +19,6 @@ if TYPE_CHECKING:
 _LEAST, _MOST = 0.01, 12
 # A joint model of less than this share of what is left is not seen in its chart.
 _SEEN = 0.1
-JOINTS = """\
-**Joints.** What was wrong with this arm: how far each joint's geometry (blue) moves the tip over the workspace (rms,
-the bases aligned), with its 95 % interval (grey). Joint by joint they may cancel.
-"""
-MODELS = """
-Amber: the same of what a joint does beside. Its charts: blue is what the measurements show of the joint without the
-model, green what they show with it, grey the model. Green should scatter about zero, blue about grey.
-"""
 
 
 def contribution_chart(calibration: FittedCalibration) -> Chart | None:
@@ -42,9 +34,11 @@ def contribution_chart(calibration: FittedCalibration) -> Chart | None:
     names = {place: f"{of.joint} {of.what}" for place, of in zip(y.tolist(), shown, strict=True)}
     height = Scale(0.3, len(shown) + 0.7, names=names)
     geometry = np.array([of.what == GEOMETRY for of in shown])
+    left_out = len(found) - len(shown)
+    smaller = f"; {left_out} smaller {'one' if left_out == 1 else 'ones'} not shown" if left_out else ""
     return Chart(
         "contributions",
-        "Tip error by cause",
+        f"Tip error by cause{smaller}",
         Scale(0.0, 1.05 * float(ends.max())),
         height,
         [

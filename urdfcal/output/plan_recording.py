@@ -15,8 +15,9 @@ from urdfcal.output.arms import log_links, log_sticks, visible_links
 from urdfcal.output.chart import Chart, Mark, Scale
 from urdfcal.output.entities import chart_view, log_chart, log_frustum
 from urdfcal.output.placing import joint_frames
-from urdfcal.output.recording import ROOT, eye_on
+from urdfcal.output.recording import ROOT
 from urdfcal.output.stream import POSE, Layer, placed, recorded
+from urdfcal.output.viewpoint import eye_on
 from urdfcal.planning.files import labels
 from urdfcal.robot.kinematics import tip_poses
 
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
 
 # As in the recording of a calibration: points on the screen instead of metres.
 _DOT, _SMALL_DOT, _THIN = -4.0, -2.0, -0.8
+# A move is drawn in so many pieces.
+_STEPS = 20
 _FROM = np.array([0.8, -1.0, 0.5])
 _BOX = (*palette.FAINT, 90)
 _ABOUT = """\
@@ -77,7 +80,7 @@ def _log_arm(base: Layer, plan: Plan) -> tuple[str, ...]:
         layer, fill = base.at("boxes", box.name), rr.components.FillMode.TransparentFillMajorWireframe
         layer.fixed(placed(box.T_base_box), rr.Boxes3D(sizes=[box.size], colors=_BOX, fill_mode=fill, labels=box.name))
     tip = _tips(plan, plan.q)
-    base.at("tips", "way").fixed(rr.LineStrips3D([tip], colors=palette.FAINT, radii=_THIN))
+    base.at("tips", "way").fixed(rr.LineStrips3D([_tips(plan, way(plan.q))], colors=palette.FAINT, radii=_THIN))
     for name, which, color in (
         ("planned", plan.rank >= 0, palette.CALIBRATED),
         ("to check by", plan.check, palette.MEASURED),
@@ -219,6 +222,13 @@ def _layout(plan: Plan) -> rrb.Blueprint:
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
     )
+
+
+def way(q: Floats) -> Floats:
+    """Joint values (M, n) along the moves from pose to pose (N, n), each straight in joint space. [rad or m]."""
+    share = np.arange(0.0, 1.0, 1.0 / _STEPS)[:, None, None]
+    between = q[:-1] + share * (q[1:] - q[:-1])
+    return np.concatenate([np.swapaxes(between, 0, 1).reshape(-1, q.shape[1]), q[-1:]])
 
 
 def _tips(plan: Plan, q: Floats) -> Floats:

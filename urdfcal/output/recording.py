@@ -16,12 +16,14 @@ from urdfcal.output import charts
 from urdfcal.output.entities import chart_view, log_overview
 from urdfcal.output.exports.names import exported
 from urdfcal.output.figure_files import FOLDER, earlier_figures, write_figures
-from urdfcal.output.findings import HEADLINE, Overview, headline
+from urdfcal.output.findings import Overview, headline, lenses_found, meaning
 from urdfcal.output.palette import BACKGROUND, SPACE, VERDICT_COLORS
 from urdfcal.output.report import write_report
-from urdfcal.output.scene import CalibrationScene, ResidualTable, image_range
+from urdfcal.output.scene import ResidualTable, image_range
 from urdfcal.output.stream import POSE, TIME, recorded
+from urdfcal.output.texts import AS_GIVEN
 from urdfcal.output.viewer import RECORDING
+from urdfcal.output.viewpoint import around, filling, viewpoint
 from urdfcal.output.workspace import MOVED
 from urdfcal.result.calibration import FILE_NAME, Calibration, corrected_name
 
@@ -40,11 +42,8 @@ ROOT = "base"
 REPORT = "report.html"
 REFUSED = "refused"
 """Folder, in that of the results, of the report on a calibration that failed its checks."""
-# rerun's eye opens 55 degrees high; on a laptop's screen the view is at least so much wider than high.
-_HALF_VIEW = np.radians(55 / 2)
-_ASPECT = 1.2
-# The view of the DH rows is so wide for its height.
-_UPRIGHT = 0.65
+# The view of the DH rows is at least so much wider than high: also where it fills the window.
+_LANDSCAPE = 1.6
 # What belongs to other tabs than the arm's.
 _ELSEWHERE = ("plots", "charts", "banner", "texts", "workspace", "dh")
 
@@ -180,11 +179,12 @@ def layout(overview: Overview, active: int = 0) -> rrb.Blueprint:
         rrb.TextDocumentView(origin=f"{ROOT}/texts/about", name="What you see"),
         rrb.TimeSeriesView(
             origin=f"{ROOT}/plots/residual_{unit}",
-            name=f"rms of each {'pose' if times is None else 'frame'} [{unit}]",
+            # The axis is that of the frames' times: on the timeline pose it is empty.
+            name=f"rms of each pose [{unit}]" if times is None else f"rms of each frame [{unit}], on the timeline time",
             axis_x=None if times is None else _all_of(times),
             plot_legend=rrb.PlotLegend(visible=False),  # it would cover the curves
         ),
-        row_shares=[4, 1],
+        row_shares=[3, 1],
     )
     both = rrb.Horizontal(arm, beside, column_shares=[5, 2])
     tabs: list[rrb.Container | rrb.View] = [
@@ -220,7 +220,7 @@ def _all_of(times: Floats) -> rrb.archetypes.TimeAxis:
 def _banner(overview: Overview) -> rrb.View:
     """A stripe in the verdict's colour; its text is the title, legible on dark and on light screens."""
     assessment = overview.calibration.assessment
-    number = f"{headline(overview.document)} {HEADLINE}"
+    number = f"{headline(overview.document)} {meaning(overview.document)}"
     return rrb.Spatial2DView(
         origin=f"{ROOT}/banner", name=f"{assessment.sentence}  {number}", background=VERDICT_COLORS[assessment.level]
     )
@@ -232,36 +232,18 @@ def _parameters(calibration: FittedCalibration) -> list[rrb.Container]:
 
 
 def _rows(overview: Overview) -> rrb.Container:
-    """The DH rows drawn to scale beside their table."""
+    """The DH rows drawn to scale above their table, which needs the window's width."""
     table, scene = overview.calibration.table, overview.scene
-    lengths = [f"{ROOT}/dh/rows/{name}{i + 1}" for i in range(len(table.labels)) for name in "da"]
+    labels = [f"{ROOT}/dh/rows/{name}{i + 1}/label" for i in range(len(table.labels)) for name in "da"]
     eye, target = viewpoint(scene)
-    points = scene.rows.corners.reshape(-1, 3)
     arm = _space(
-        "DH rows to scale: d blue, a red",
+        "DH rows to scale: d blue, along z; a red, along x",
         ["+ $origin/dh/**", "+ $origin/led/predicted"],
-        *around(points, eye - target, _UPRIGHT),
-        overrides={row: rr.LineStrips3D.from_fields(show_labels=True) for row in lengths},
+        *filling(scene.rows.corners.reshape(-1, 3), target - eye, _LANDSCAPE),
+        overrides={label: rr.Points3D.from_fields(show_labels=True) for label in labels},
     )
     text = rrb.TextDocumentView(origin=f"{ROOT}/texts/rows", name="Nominal, offset ± standard deviation")
-    return rrb.Horizontal(arm, text, column_shares=[1, 2], name="DH rows")
-
-
-def around(points: Floats, towards: Floats, aspect: float = 1.0) -> tuple[Floats, Floats]:
-    """Find a place in a direction from which all points (N, 3) are in the view. [m].
-
-    Args:
-        points: to be seen.
-        towards: (3,) from their middle to the eye.
-        aspect: how wide the view is for its height, if that is less than 1.
-
-    Returns:
-        The eye and the point it looks at, (3,) each. [m]
-    """
-    middle = (points.min(axis=0) + points.max(axis=0)) / 2
-    half = np.arctan(aspect * np.tan(_HALF_VIEW))
-    far = 1.05 * float(np.linalg.norm(points - middle, axis=1).max()) / np.sin(half)
-    return middle + far * towards / np.linalg.norm(towards), middle
+    return rrb.Vertical(arm, text, row_shares=[3, 2], name="DH rows")
 
 
 def _workspace(overview: Overview) -> rrb.Container:
@@ -278,7 +260,7 @@ def _clouds(workspace: Workspace, *, further: bool) -> list[rrb.View]:
     eye, middle = around(workspace.tip, np.array([0.8, -1.0, 0.5]))
     folder = f"workspace/{rr.escape_entity_path_part(workspace.link)}" if further else "workspace"
     views = []
-    what_of = {"nominal": "off", "calibrated": "standard deviation", MOVED: "moved at rest"}
+    what_of = {"nominal": "from the calibrated arm", "calibrated": "standard deviation", MOVED: "moved at rest"}
     for name, error in workspace.errors.items():
         low, high = (f"{1e3 * end:.2g}" for end in (error.min(), error.max()))
         title = f"{workspace.link}, {name}: {low} to {high} mm {what_of[name]}"
@@ -313,6 +295,7 @@ def _text(name: str) -> rrb.View:
 def _images(images: list[str], overview: Overview, pixels: ResidualTable) -> list[rrb.View]:
     """The residuals of all poses of each camera: nominal, calibrated alike, and enlarged; with the arm of this pose."""
     scene, cameras = overview.scene, overview.calibration.estimate.cameras
+    as_given = f" {AS_GIVEN}" if lenses_found(overview.document) else ""
     of_arm = {
         "nominal": ("arm/nominal", "nominal", "residual\\ nominal"),
         "calibrated": ("arm/calibrated", "predicted"),
@@ -333,7 +316,7 @@ def _images(images: list[str], overview: Overview, pixels: ResidualTable) -> lis
                 rrb.Spatial2DView(
                     origin=image,
                     contents=["+ $origin/**", *(f"- $origin/{name}" for name in hidden)],
-                    name=f"{camera.name} {what} ({factor:g} x)",
+                    name=f"{camera.name} {what}{as_given if what == 'nominal' else ''} ({factor:g} x)",
                     visual_bounds=rrb.VisualBounds2D(x_range=u, y_range=v),
                     background=BACKGROUND,
                 )
@@ -344,35 +327,3 @@ def _images(images: list[str], overview: Overview, pixels: ResidualTable) -> lis
 def _space(name: str, contents: list[str], eye: Floats, target: Floats, **more: Any) -> rrb.View:
     controls = rrb.EyeControls3D(position=eye, look_target=target, eye_up=[0, 0, 1])
     return rrb.Spatial3DView(origin=ROOT, contents=contents, name=name, eye_controls=controls, background=SPACE, **more)
-
-
-def viewpoint(scene: CalibrationScene) -> tuple[Floats, Floats]:
-    """Find a place from which the arm and its LEDs fill the view, with the cameras to one side, wherever they are.
-
-    Returns:
-        The eye and the point it looks at, (3,) each, in the base link's frame. [m]
-    """
-    arm = scene.frames[..., :3, 3].reshape(-1, 3)
-    cameras = scene.views[..., :3, 3].reshape(-1, 3)
-    return eye_on(arm, cameras, np.concatenate([arm, scene.leds.measured[~scene.leds.outlier]]))
-
-
-def eye_on(arm: Floats, cameras: Floats, points: Floats) -> tuple[Floats, Floats]:
-    """Find a place from which points fill the view, with cameras to one side of an arm, (N, 3) each. [m].
-
-    Returns:
-        The eye and the point it looks at, (3,) each. [m]
-    """
-    target = (points.min(axis=0) + points.max(axis=0)) / 2
-    towards = cameras.mean(axis=0) - arm.mean(axis=0) if len(cameras) else np.zeros(3)
-    across = np.array([towards[1], -towards[0], 0.0])
-    if not np.linalg.norm(across) > 0.0:
-        across = np.array([1.0, 0.0, 0.0])
-    forward = -(across / np.linalg.norm(across) + [0.0, 0.0, 0.4])  # and somewhat down
-    forward /= np.linalg.norm(forward)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    away = points - target
-    wide, high = np.abs(away @ right) / _ASPECT, np.abs(away @ np.cross(right, forward))
-    distance = float(np.max(np.maximum(wide, high) / np.tan(_HALF_VIEW) - away @ forward))
-    return target - 1.1 * distance * forward, target

@@ -12,18 +12,22 @@ import numpy as np
 
 from urdfcal import files
 from urdfcal.cameras.lens import COEFFICIENTS
+from urdfcal.estimation.assessment import NOISE_OFF
 from urdfcal.estimation.blocks.arm import LENGTHS, ArmBlock
+from urdfcal.estimation.model_selection import CERTAIN, Trial
+from urdfcal.estimation.model_spec import allowed
 from urdfcal.output.charts import SYMBOLS
 from urdfcal.output.figures import figures
 from urdfcal.output.findings import (
-    HEADLINE,
     MOUNTS,
     claims,
     counted,
     fastening_sentences,
     fixed_parameters,
+    lenses_found,
     listed,
     look_up,
+    meaning,
     residual_rows,
     scale_moves,
     to_check,
@@ -32,6 +36,16 @@ from urdfcal.output.page import template
 from urdfcal.output.palette import SIGMA_LEGEND
 from urdfcal.output.portrait import portrait
 from urdfcal.output.svg import figure_html
+from urdfcal.output.texts import (
+    AS_GIVEN,
+    NO_DIFFERENCE,
+    cost_rises,
+    directions,
+    moved_most,
+    noise_of,
+    together,
+    unseen,
+)
 from urdfcal.output.worst import worst
 from urdfcal.robot.tree_dh import MOUNT
 from urdfcal.session.exclusion import summary
@@ -96,11 +110,22 @@ def write_report(path: Path, overview: Overview, *, refused: bool = False) -> No
     ).render(
         document,
         n=number,
-        meaning=HEADLINE,
+        meaning=meaning(document),
         claims=claims(document),
         counted=counted(document),
         residual_rows=residual_rows(document),
         misfit="of unknown size in" if chi2 is None else f"{np.sqrt(chi2):.2g} times",
+        as_given=AS_GIVEN if lenses_found(document) else "",
+        no_difference=NO_DIFFERENCE,
+        cost_rises=cost_rises(overview),
+        directions=directions(overview),
+        moved_most=moved_most(overview),
+        noise_of=noise_of(overview),
+        together=together(overview.scene.tables[0]),
+        unseen=unseen(overview),
+        noise_named=NOISE_OFF,
+        certain=CERTAIN,
+        not_chosen=_not_chosen(calibration),
         portrait=portrait(overview),
         worst=[replace(miss, crop=Markup(miss.crop)) for miss in missed],  # noqa: S704  # as of figures
         numbered=any(miss.pose.lstrip("0") != str(miss.number) for miss in missed),
@@ -156,6 +181,16 @@ def _world(calibration: FittedCalibration) -> str:
     cameras = calibration.estimate.cameras  # none where their points are what is estimated from
     standing = [cameras[c].name for c in attachments.eye_to_hand if c < len(cameras)]
     return f"the frame of camera {standing[0]}" if standing else "the frame that was measured in"
+
+
+def _not_chosen(calibration: FittedCalibration) -> list[str]:
+    """Of each model that predicts unseen poses better than the chosen one, why it was not chosen."""
+    comparison, said = calibration.comparison, []
+    for attempt in comparison.attempts:
+        better = isinstance(attempt, Trial) and attempt.loss < comparison.chosen.loss
+        kept = allowed(calibration.session, attempt.spec)
+        said.append("" if not better else "within chance" if kept else "the session says otherwise")
+    return said
 
 
 def _correlated_pairs(calibration: FittedCalibration) -> list[tuple[str, str, float]]:

@@ -80,8 +80,13 @@ def _laid_out(figure: Figure) -> Iterator[list[tuple[Chart, float, float]]]:
     for row in figure.rows:
         names = max(len(chart.y.names or ()) for chart in row)
         unit = min(_WIDTH / sum(chart.breadth for chart in row), _WIDEST / max(chart.breadth for chart in row))
-        height = max(figure.height, _ROW * names + _TOP + _BOTTOM)
+        height = max(figure.height, _ROW * names + _TOP + max(map(_below, row)))
         yield [(chart, unit * chart.breadth - _GAP, height) for chart in row]
+
+
+def _below(chart: Chart) -> float:
+    """The room for numbers and label below a chart."""
+    return (_BOTTOM if chart.axes else 2.0) + (_LABEL if chart.x_label else 0.0)
 
 
 def _alone(chart: Chart, width: float, height: float) -> str:
@@ -101,8 +106,7 @@ def _chart(chart: Chart, width: float, height: float) -> Iterator[str]:
     beside = max([8.0, *(8.0 + _LETTER * len(name) for name in names)])
     values = chart.colors.ticks().values() if chart.colors else ()
     room = width - beside - max([_RIGHT, *(_BAR_ROOM + _LETTER * len(name) for name in values)])
-    below = (_BOTTOM if chart.axes else 2.0) + (_LABEL if chart.x_label else 0.0)
-    across, tall = room, height - _TOP - below
+    across, tall = room, height - _TOP - _below(chart)
     if chart.equal:
         unit = min(across / (chart.x.high - chart.x.low), tall / (chart.y.high - chart.y.low))
         across, tall = unit * (chart.x.high - chart.x.low), unit * (chart.y.high - chart.y.low)
@@ -156,7 +160,9 @@ def _mark(chart: Chart, mark: Mark, width: float, height: float) -> Iterator[str
     shapes, color = chart.shapes(mark, width, height)
     if mark.kind == "cells":
         side = mark.size * width / (chart.x.high - chart.x.low)
-        elements = [f"M{u - side / 2:.1f} {v - side / 2:.1f}h{side:.2f}v{side:.2f}h-{side:.2f}z" for u, v in shapes]
+        corners = np.clip(np.add.outer([-side / 2, side / 2], np.reshape(shapes, (-1, 2))), 0.0, [width, height])
+        ends = np.concatenate(corners, axis=1).tolist()
+        elements = [f"M{u:.1f} {v:.1f}H{right:.1f}V{below:.1f}H{u:.1f}z" for u, v, right, below in ends]
         style = 'fill="{0}" stroke="{0}" stroke-width=".3"'
     else:
         if mark.kind == "dots":

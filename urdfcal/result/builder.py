@@ -261,7 +261,8 @@ def _targets(of: FittedCalibration) -> Plain:
     for T, (name, carrier), target in zip(of.estimate.targets, frames.carried, of.session.targets, strict=True):
         exact = target.sigma is not None and not target.sigma.any()
         sigma = np.zeros(6) if exact else of.sigmas_of(target_key(name))
-        entries[name] = {"link": frames.frames[carrier], "T_link_target": T, "sigma": sigma}
+        pose = {"T_link_target": T, "rpy": matrix_to_rpy(T[:3, :3])}
+        entries[name] = {"link": frames.frames[carrier], **pose, "sigma": sigma}
     return entries
 
 
