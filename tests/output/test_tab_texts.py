@@ -52,6 +52,13 @@ def test_a_light_with_one_ray_has_its_error_across_it(overview: Overview, tagged
     assert ("depth included" in two, "across the ray" in two) == (True, False)
     assert ("depth included" in one, "mm with depth" in one) == (False, False)
     assert one.count("mm off, across the ray, nominal") == 4
+    scene = tagged.scene
+    ray = np.einsum("mi,mi->m", scene.leds.predicted - scene.leds.measured, scene.leds.ray)
+    np.testing.assert_allclose(ray, 0.0, atol=1e-3)  # at the predicted distance
+    away = replace(scene.leds, nominal=scene.leds.nominal + 0.1 * scene.leds.ray)
+    further = replace(tagged, scene=replace(scene, leds=away))
+    assert pose_texts(further)[0] == one, "along the ray nothing was measured"
+    assert not overview.scene.leds.ray.any()
 
 
 def test_targets_are_listed_where_there_are_no_leds(overview: Overview, tagged: Overview, tmp_path: Path) -> None:
@@ -75,8 +82,8 @@ def test_which_nominal_arm_is_meant_is_said_where_lenses_were_found(overview: Ov
     for of, lenses in ((overview, False), (found, True)):
         texts, pose = tab_texts(of), pose_texts(of)[0]
         assert [said in text for text in (texts["pixels"], texts["residuals"], page(of, tmp_path))] == [lenses] * 3
-        assert ("nominal (lenses as given)" in pose, "nominal (lenses as found)" in pose) == (lenses, lenses)
-        assert ("the lenses found for both arms" in meaning(of.document)) is lenses
+        assert ("Nominal: px with the lenses as given, mm before the calibrated arm's cameras" in pose) is lenses
+        assert ("each arm with lenses found for it" in meaning(of.document)) is lenses
         pixels = layout(of).root_container.contents[1].contents[0]
         names = [view.name for view in pixels.contents]
         assert all((said in name) == (lenses and "nominal" in name) for name in names)

@@ -42,7 +42,8 @@ _ROW, _TALLEST = 12.0, 230.0
 # Of more of them than this every second or third is written.
 _MOST_NAMES = 40
 # Room for tick labels: numbers and names to the left, and right, above and below.
-_NUMBERS, _NAMES, _RIGHT, _ABOVE, _BELOW, _LABEL = 24.0, 75.0, 8.0, 6.0, 18.0, 18.0
+_NUMBERS, _NAMES, _RIGHT, _ABOVE, _BELOW = 24.0, 75.0, 8.0, 6.0, 18.0
+_LABEL, _LABEL_OF_NAMES = 18.0, 12.0
 _LETTER = 4.2
 # Half the height of a label beside a chart, which is small among others, and beside one with names, which is large.
 _HALF_LABEL, _HALF_NAME = 6.5, 3.5
@@ -284,7 +285,7 @@ def chart_view(chart: Chart, root: str) -> rrb.View:
     """The view of a chart in a recording whose base link is ``root``."""
     beside, height = _room(chart)
     right = _WIDTH + (_BAR if chart.colors else _RIGHT)
-    below = height + _BELOW + (_LABEL if chart.x_label else 0.0)
+    below = height + _BELOW + (_apart(chart) if chart.x_label else 0.0)
     return rrb.Spatial2DView(
         origin=f"{root}/charts/{rr.escape_entity_path_part(chart.name)}",
         name=chart.title,
@@ -307,7 +308,7 @@ def log_chart(parent: Layer, chart: Chart) -> None:
     ticks = [*([u, height] for u in x), *([-beside / 2, v - half] for v in y)]
     names = [*x.values(), *y.values()]
     if chart.x_label:
-        ticks, names = [*ticks, [_WIDTH / 2, height + _LABEL]], [*names, chart.x_label]
+        ticks, names = [*ticks, [_WIDTH / 2, height + _apart(chart)]], [*names, chart.x_label]
     if chart.colors:
         share = np.linspace(1.0, 0.0, _STEPS)
         ends = np.linspace(0.0, height, _STEPS + 1)
@@ -323,6 +324,11 @@ def log_chart(parent: Layer, chart: Chart) -> None:
         shapes, colors = chart.shapes(mark, _WIDTH, height)
         kind: Any = rr.Points2D if mark.kind == "dots" else rr.LineStrips2D
         layer.at(mark.name).fixed(kind(shapes, radii=_RADII[mark.kind], colors=colors, draw_order=float(order)))
+
+
+def _apart(chart: Chart) -> float:
+    """How far below the axis its label is: text has one size, charts of names are drawn larger than others."""
+    return _LABEL if chart.y.names is None else _LABEL_OF_NAMES
 
 
 def _room(chart: Chart) -> tuple[float, float]:

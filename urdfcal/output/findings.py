@@ -74,13 +74,13 @@ def headline(document: ResultData) -> str:
 
 
 def lenses_found(document: ResultData) -> bool:
-    """Whether lenses were estimated with the arm: the nominal arm is judged with those as given, or those found."""
+    """Whether lenses were estimated with the arm: the nominal arm is judged with those as given, or its own."""
     return any(camera["sigma"].get("intrinsics") for camera in document["cameras"].values())
 
 
 def meaning(document: ResultData) -> str:
     """What the one number means that says what a calibration is worth."""
-    return _HEADLINE + (", the lenses found for both arms" if lenses_found(document) else "")
+    return _HEADLINE + (", each arm with lenses found for it" if lenses_found(document) else "")
 
 
 def claims(document: ResultData) -> tuple[str, ...]:

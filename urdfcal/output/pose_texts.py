@@ -10,9 +10,7 @@ from urdfcal.output.findings import counted, fastening_sentences, lenses_found, 
 from urdfcal.output.palette import SIGMA_LEGEND
 
 if TYPE_CHECKING:
-    from urdfcal.arrays import Bools
     from urdfcal.output.findings import Overview, ResultData
-    from urdfcal.output.scene import LedTable
 
 ELLIPSOID = 2.0
 """Half axes of the covariance ellipsoids, in standard deviations."""
@@ -27,6 +25,11 @@ measurement, enlarged alike. Curves: residual of each pose, in the arms' colours
 _RAYS = "\nLong lines: the cameras' rays."
 _DEPTH = " Along them a place is known several times worse than across; mm with depth hold both."
 _ONE_RAY = " A light that a single camera saw has one ray, and no measured distance: its mm are across the ray."
+# Lenses as given would put the nominal arm anywhere in space, and its own would be another world.
+_LENSES = (
+    " Nominal: px with the lenses as given, mm before the calibrated arm's cameras; on held-out poses each arm has "
+    "lenses found for it."
+)
 _ENLARGED = "Its deviation and the residual arrows are enlarged **{factor:g} times**."
 _TRUE_SIZE = "Its deviation and the residual arrows are large enough to be seen as they are."
 _PLACED = "placed to fit best"
@@ -40,24 +43,24 @@ def pose_texts(overview: Overview) -> list[str]:
     """For each pose its residuals in space, and what colours and enlarged things mean."""
     scene, session = overview.scene, overview.calibration.session
     poses, names, leds = session.poses, (*session.led_names, *session.attachments.targets), scene.leds
-    found = lenses_found(overview.document)
-    # In the images the nominal arm has the lenses as given; in space, where these would put it anywhere, those found.
-    as_given, as_found = (f" (lenses as {how})" if found else "" for how in ("given", "found"))
-    alone = _seen_alone(leds)
-    new, old = (1e3 * np.linalg.norm(of - leds.measured, axis=1) for of in (leds.predicted, leds.nominal))
+    # Along the ray of a single camera nothing was measured: how far the nominal arm is off there is unknown.
+    off = [of - leds.measured for of in (leds.predicted, leds.nominal)]
+    across = [v - np.sum(v * leds.ray, axis=1, keepdims=True) * leds.ray for v in off]
+    new, old = (1e3 * np.linalg.norm(v, axis=1) for v in across)
+    alone = np.asarray(leds.ray.any(axis=1))
     lines: list[list[str]] = [[] for _ in poses]
     for table in scene.tables if scene.pixels is not None else ():
         (where, after), (_, before) = (table.rms_by(table.pose, table.by_arm[arm]) for arm in ("calibrated", "nominal"))
         for pose, new_rms, old_rms in zip(where, after, before, strict=True):
-            lines[pose].append(f"{new_rms:.2g} {table.unit} rms, nominal{as_given} {old_rms:.2g}")
+            lines[pose].append(f"{new_rms:.2g} {table.unit} rms, nominal {old_rms:.2g}")
     for m, (pose, led, cut) in enumerate(zip(leds.pose, leds.led, leds.outlier, strict=True)):
         taken_out = ", taken out of the fit" if cut else ""
         how = "" if scene.pixels is None else ", across the ray" if alone[m] else ", depth included"
-        lines[pose].append(f"{names[led]} {new[m]:.2f} mm off{how}, nominal{as_found} {old[m]:.2f} mm{taken_out}")
+        lines[pose].append(f"{names[led]} {new[m]:.2f} mm off{how}, nominal {old[m]:.2f} mm{taken_out}")
     what = counted(overview.document).removesuffix("s").capitalize()
-    legend = _legend(overview)
+    legend, lenses = _legend(overview), _LENSES if lenses_found(overview.document) else ""
     return [
-        f"**{what} {pose}**: {'; '.join(line) or 'nothing seen'}.\n\n{legend}"
+        f"**{what} {pose}**: {'; '.join(line) or 'nothing seen'}.{lenses}\n\n{legend}"
         for pose, line in zip(poses, lines, strict=True)
     ]
 
@@ -70,19 +73,13 @@ def _legend(overview: Overview) -> str:
     placed = _LAID_OVER.format(apart=1e3 * scene.apart, known=known) if scene.apart else _PLACED
     legend = _LEGEND.format(enlarged=enlarged, placed=placed)
     if scene.pixels is not None:
-        alone = _seen_alone(scene.leds)
+        alone = np.asarray(scene.leds.ray.any(axis=1))
         legend += f"{_RAYS}{'' if alone.all() else _DEPTH}{_ONE_RAY if alone.any() else ''}\n"
     if fastened := fastening_sentences(overview.calibration.session):
         legend += "\n" + " ".join(fastened) + "\n"
     if reasons := to_check(overview.calibration):
         legend = "**To check:**\n" + "\n".join(f"- {text}" for text in reasons) + f"\n\n{legend}"
     return legend
-
-
-def _seen_alone(leds: LedTable) -> Bools:
-    """Whether a single camera saw each of the LEDs: it has no covariance in space."""
-    result: Bools = np.asarray(np.isnan(leds.covariance).any(axis=(1, 2)))
-    return result
 
 
 def _known_on_links(document: ResultData) -> str:

@@ -154,9 +154,11 @@ class LedTable(Residuals):
 
     Attributes:
         covariance: (S, 3, 3) of the measurement, by the declared noise; NaN where a single camera saw it. [m2]
+        ray: (S, 3) direction from that single camera, along which nothing was measured; zero of all others.
     """
 
     covariance: Floats
+    ray: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -321,9 +323,10 @@ def _leds(
     else:  # what was measured does not say where the LED was: it is shown where it is predicted
         measured, covariance = poses.leds[pose, led], np.zeros((len(pose), 3, 3))
     # Where a single camera sees an LED there is no distance: its ray is taken at the predicted distance.
-    alone = np.isnan(measured[row]).any(axis=1)
+    alone, ray = np.isnan(measured[row]).any(axis=1), np.zeros((len(pose), 3))
     if alone.any():
-        measured[row[alone]] = rays[alone, 1]
+        measured[row[alone]], along = rays[alone, 1], rays[alone, 1] - rays[alone, 0]
+        ray[row[alone]] = along / np.linalg.norm(along, axis=1, keepdims=True)
     size, size_nominal = (
         np.sqrt(np.bincount(row, of**2) / np.bincount(row)) for of in (block.size, block.size_nominal)
     )
@@ -337,6 +340,7 @@ def _leds(
         size_nominal=size_nominal,
         outlier=np.bincount(row, block.outlier) > 0,
         covariance=covariance,
+        ray=ray,
     )
 
 
@@ -374,4 +378,4 @@ def _bodies(block: ResidualTable, poses: RobotPoses) -> LedTable:
     measured, covariance = _moved(T_base_world, block.measured, block.sigma[:, None, None] ** 2 * np.eye(3))
     predicted, nominal = (_moved(T_base_world, of, covariance)[0] for of in (block.predicted, block.nominal))
     own = (block.size, block.size_nominal, block.outlier)
-    return LedTable(block.pose, block.led, measured, predicted, nominal, *own, covariance)
+    return LedTable(block.pose, block.led, measured, predicted, nominal, *own, covariance, np.zeros_like(measured))
