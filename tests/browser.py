@@ -52,6 +52,11 @@ class Browser:
         """How wide the page is, which may be wider than the screen."""
         return int(self._send("Page.getLayoutMetrics")["cssContentSize"]["width"])
 
+    def style(self, selector: str, name: str) -> str:
+        """A property of the first element of a CSS selector, as it is shown."""
+        expression = f"getComputedStyle(document.querySelector('{selector}')).{name}"
+        return str(self._send("Runtime.evaluate", expression=expression)["result"]["value"])
+
     def close(self) -> None:
         self._process.terminate()
         self._process.wait(20)

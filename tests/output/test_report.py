@@ -392,6 +392,9 @@ def test_on_a_telephone_nothing_runs_off_the_page_and_dark_is_dark(path, tmp_pat
         browser.emulate(400, dark=True)
         assert browser.content_width() == 400
         picture = cv2.imdecode(np.frombuffer(browser.screenshot(), np.uint8), cv2.IMREAD_GRAYSCALE)
+        for width in (400, 1280):  # a table of many rows is wider than the page on any screen
+            browser.emulate(width, dark=True)
+            assert browser.style(".wide", "backgroundImage").count("gradient") == 4
     finally:
         browser.close()
     assert np.median(picture) < 60

@@ -34,11 +34,10 @@ def contribution_chart(calibration: FittedCalibration) -> Chart | None:
     names = {place: f"{of.joint} {of.what}" for place, of in zip(y.tolist(), shown, strict=True)}
     height = Scale(0.3, len(shown) + 0.7, names=names)
     geometry = np.array([of.what == GEOMETRY for of in shown])
-    left_out = len(found) - len(shown)
-    smaller = f"; {left_out} smaller {'one' if left_out == 1 else 'ones'} not shown" if left_out else ""
+    some = f": {len(shown)} largest of {len(found)}" if len(shown) < len(found) else ""
     return Chart(
         "contributions",
-        f"Tip error by cause{smaller}",
+        f"Tip error by cause{some}",
         Scale(0.0, 1.05 * float(ends.max())),
         height,
         [

@@ -179,8 +179,7 @@ def layout(overview: Overview, active: int = 0) -> rrb.Blueprint:
         rrb.TextDocumentView(origin=f"{ROOT}/texts/about", name="What you see"),
         rrb.TimeSeriesView(
             origin=f"{ROOT}/plots/residual_{unit}",
-            # The axis is that of the frames' times: on the timeline pose it is empty.
-            name=f"rms of each pose [{unit}]" if times is None else f"rms of each frame [{unit}], on the timeline time",
+            name=_curves(scene.tables[0], moved=times is not None),
             axis_x=None if times is None else _all_of(times),
             plot_legend=rrb.PlotLegend(visible=False),  # it would cover the curves
         ),
@@ -209,6 +208,14 @@ def layout(overview: Overview, active: int = 0) -> rrb.Blueprint:
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
     )
+
+
+def _curves(table: ResidualTable, *, moved: bool) -> str:
+    """The title of the residuals' curves: rerun often leaves but the zero on their axis."""
+    largest = max(float(np.max(table.rms_by(table.pose, of)[1], initial=0.0)) for of in table.by_arm.values())
+    # Their axis is then that of the frames' times: on the timeline pose it is empty.
+    of = "frame, on the timeline time" if moved else "pose"
+    return f"rms of each {of}: up to {largest:.2g} {table.unit}"
 
 
 def _all_of(times: Floats) -> rrb.archetypes.TimeAxis:
