@@ -122,7 +122,7 @@ def test_residuals_have_their_unit_and_what_they_are_drawn_over(overview):
         f"{joint.name} [rad]",
         "",
     )
-    assert found["distance"].title == "distance to the camera [m]"
+    assert found["distance"].title == "camera distance [m]"
 
 
 def test_cost_falls_from_that_of_the_nominal_arm(overview):

@@ -16,6 +16,7 @@ from urdfcal.output.recording import layout
 from urdfcal.output.report import _not_chosen, write_report
 from urdfcal.output.texts import NO_DIFFERENCE, cost_rises, noise_of, tab_texts, together, unseen
 from urdfcal.pipeline import calibrate
+from urdfcal.rotations import rpy_to_matrix
 from urdfcal.session.knowledge import Estimate
 
 if TYPE_CHECKING:
@@ -61,11 +62,20 @@ def test_a_light_with_one_ray_has_its_error_across_it(overview: Overview, tagged
     assert not overview.scene.leds.ray.any()
 
 
+def test_curves_have_gaps_where_nothing_was_seen(overview: Overview) -> None:
+    cameras = {name: {**camera, "time_offset": {}} for name, camera in overview.document["cameras"].items()}
+    moving = replace(overview, document={**overview.document, "cameras": cameras})
+    for of, one in ((overview, "pose"), (moving, "frame")):
+        assert f"residual of each {one}, in the arms' colours, with gaps where nothing was seen" in pose_texts(of)[0]
+
+
 def test_targets_are_listed_where_there_are_no_leds(overview: Overview, tagged: Overview, tmp_path: Path) -> None:
     leds, targets = page(overview, tmp_path), page(tagged, tmp_path)
     assert ("<th>LED</th><th>on link</th>" in leds, "<th>target</th>" in leds) == (True, False)
     assert ("<th>LED</th><th>on link</th>" in targets, "<th>target</th>" in targets) == (False, True)
     assert "<td>tag</td><td>gripper_frame_link</td>" in targets
+    tag = tagged.document["targets"]["tag"]
+    np.testing.assert_allclose(rpy_to_matrix(tag["rpy"]), np.array(tag["T_link_target"])[:3, :3], atol=1e-12)
     for key in (*(f"T_link_target/{k}/3" for k in range(3)), *(f"rpy/{k}" for k in range(3)), "sigma/0", "sigma/5"):
         assert f'data-key="targets/tag/{key}"' in targets
 

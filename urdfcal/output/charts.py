@@ -59,7 +59,7 @@ def residual_charts(overview: Overview) -> list[Chart]:
     if scene.pixels is not None:
         charts.insert(1, _by_camera(scene.pixels, [camera.name for camera in calibration.estimate.cameras]))
         distance = np.linalg.norm(scene.rays[:, 1] - scene.rays[:, 0], axis=1)
-        charts.append(_against("distance", "distance to the camera [m]", distance, scene.pixels))
+        charts.append(_against("distance", "camera distance [m]", distance, scene.pixels))
     for j, joint in enumerate(calibration.chain.joints):
         unit = "m" if joint.prismatic else "rad"
         value = calibration.session.q[table.pose, j]

@@ -20,7 +20,7 @@ Solid arm, or green where it has no meshes: **calibrated**. Blue ghost: **nomina
 
 LED: white as measured, green by the calibrated arm, blue by the nominal one. Arrows from measured to predicted, thin at
 other poses: {SIGMA_LEGEND}. Purple: taken out of the fit. White ellipsoid: {ELLIPSOID:g} standard deviations of the
-measurement, enlarged alike. Curves: residual of each pose, in the arms' colours.
+measurement, enlarged alike. Curves: residual of each {{one}}, in the arms' colours, with gaps where nothing was seen.
 """
 _RAYS = "\nLong lines: the cameras' rays."
 _DEPTH = " Along them a place is known several times worse than across; mm with depth hold both."
@@ -71,7 +71,8 @@ def _legend(overview: Overview) -> str:
     enlarged = _ENLARGED.format(factor=scene.factor) if scene.factor > 1.0 else _TRUE_SIZE
     known = _known_on_links(overview.document)
     placed = _LAID_OVER.format(apart=1e3 * scene.apart, known=known) if scene.apart else _PLACED
-    legend = _LEGEND.format(enlarged=enlarged, placed=placed)
+    one = counted(overview.document).removesuffix("s")
+    legend = _LEGEND.format(enlarged=enlarged, placed=placed, one=one)
     if scene.pixels is not None:
         alone = np.asarray(scene.leds.ray.any(axis=1))
         legend += f"{_RAYS}{'' if alone.all() else _DEPTH}{_ONE_RAY if alone.any() else ''}\n"

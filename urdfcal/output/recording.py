@@ -256,7 +256,7 @@ def _rows(overview: Overview) -> rrb.Container:
 def _workspace(overview: Overview) -> rrb.Container:
     rows = [rrb.Horizontal(*_clouds(of, further=k > 0)) for k, of in enumerate(overview.workspaces)]
     first, *others = charts.workspace_charts(overview.workspaces)
-    first = replace(first, title=f"{first.title}; bar: colours of all clouds [mm]")
+    first = replace(first, title=f"{first.title}; bar: all clouds [mm]")
     shares = [chart_view(chart, ROOT) for chart in (first, *others)]
     below = rrb.Horizontal(*shares, _text("workspace"))
     return rrb.Vertical(*rows, below, row_shares=[*([6 // len(rows)] * len(rows)), 4], name="Workspace")
