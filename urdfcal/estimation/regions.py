@@ -40,10 +40,12 @@ def _clusters(problem: Problem, points: Floats) -> Ints:
         apart = np.linalg.norm(means[:, None] - centres, axis=2).min(axis=1)
         centres = np.vstack([centres, means[int(np.argmax(apart))]])
     for _ in range(_ROUNDS):
-        nearest = np.linalg.norm(means[:, None] - centres, axis=2).argmin(axis=1)
+        nearest, before = np.linalg.norm(means[:, None] - centres, axis=2).argmin(axis=1), centres
         centres = np.array(
             [means[nearest == c].mean(axis=0) if np.any(nearest == c) else centres[c] for c in range(count)]
         )
+        if np.array_equal(centres, before):
+            break
     region = np.zeros(int(unit.max()) + 1, dtype=np.intp)
     region[used] = nearest
     result: Ints = region[unit]
