@@ -9,6 +9,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # Commands that tests start would each compile all of urdfcal, which takes 0.8 s: the first keeps what it compiled.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,12 +19,15 @@ import pytest
 from tests.states import true_state_of
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
+from urdfcal.pipeline import calibrate
 from urdfcal.simulation.simulate import simulate
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from urdfcal.estimation.state import State
+    from urdfcal.result.fitted import FittedCalibration
+    from urdfcal.session.knowledge import Estimate
     from urdfcal.simulation.truth import Simulated
 
 # Workers come to hold more than a gigabyte of fixtures: to look through it for garbage as often as Python does by
@@ -59,6 +63,18 @@ def simulated() -> Callable[..., Simulated]:
 
     def make(rig: str, poses: int = 30, seed: int = 0, pixel: float = 0.1, outliers: float = 0.0) -> Simulated:
         return _simulated(rig, poses, seed, pixel, outliers)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def fitted(simulated: Callable[..., Simulated]) -> Callable[..., FittedCalibration]:
+    """The calibration of a simulated session, made once for equal arguments."""
+
+    @cache
+    def make(rig: str, poses: int = 30, seed: int = 0, estimate: Estimate | None = None) -> FittedCalibration:
+        session = simulated(rig, poses=poses, seed=seed).session
+        return calibrate(session if estimate is None else replace(session, estimate=estimate))
 
     return make
 

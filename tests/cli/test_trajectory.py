@@ -29,7 +29,7 @@ def offsets_of(result: Path) -> dict[str, dict[str, float]]:
 
 def test_tables_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     session, out = tmp_path / "s", tmp_path / "out"
-    assert run(["simulate", "elbow3r", "-o", str(session), *MOVING, "--poses", "8", "--frame-rate", "10"]) == 0
+    assert run(["simulate", "elbow3r", "-o", str(session), *MOVING, "--poses", "8", "--frame-rate", "4"]) == 0
     assert json.loads((session / "truth.json").read_text())["time_offsets"] == OFFSETS
     capsys.readouterr()
     assert run(["calibrate", str(session), "-o", str(out)]) == 0
@@ -51,7 +51,7 @@ def test_offsets_that_are_fixed_are_zero_and_do_not_explain_the_motion(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     session, out = tmp_path / "s", tmp_path / "out"
-    assert run(["simulate", "elbow3r", "-o", str(session), *MOVING, "--poses", "6", "--frame-rate", "5"]) == 0
+    assert run(["simulate", "elbow3r", "-o", str(session), *MOVING, "--poses", "6", "--frame-rate", "3"]) == 0
     text = (session / "session.yaml").read_text()
     (session / "session.yaml").write_text(text + "estimate: {time_offset: fixed, geometry: dh, intrinsics: fixed}\n")
     assert run(["calibrate", str(session), "-o", str(out), "--force"]) == 0
@@ -64,7 +64,7 @@ def test_pictures_and_videos_are_detected_and_calibrated(
     form: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     session, out = tmp_path / "s", tmp_path / "out"
-    rate = ["--poses", "5", "--frame-rate", "1"]
+    rate = ["--poses", "3", "--frame-rate", "1"]
     assert run(["simulate", str(halved("elbow3r", tmp_path / "rig")), "-o", str(session), *MOVING, *rate, form]) == 0
     assert not (session / "detections.csv").exists()
     names = {path.name for path in (session / "images").iterdir()}
@@ -81,7 +81,7 @@ def test_a_video_that_lost_pictures_is_refused_and_nothing_is_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     session = tmp_path / "s"
-    rate = ["--poses", "4", "--frame-rate", "1"]
+    rate = ["--poses", "3", "--frame-rate", "1"]
     assert (
         run(["simulate", str(halved("elbow3r", tmp_path / "rig")), "-o", str(session), *MOVING, *rate, "--video"]) == 0
     )

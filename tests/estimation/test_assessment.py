@@ -36,9 +36,9 @@ ARM_ONLY = Estimate("dh", "fixed", "fixed")
 
 
 @pytest.fixture(scope="module")
-def good(simulated: Callable) -> FittedCalibration:
+def good(fitted: Callable) -> FittedCalibration:
     """A calibration that nothing speaks against."""
-    calibration = calibrate(replace(simulated("elbow3r").session, estimate=ARM_ONLY))
+    calibration = fitted("elbow3r", estimate=ARM_ONLY)
     assert calibration.assessment.level == "good"
     assert calibration.assessment.reasons == calibration.failures == calibration.warnings == ()
     return calibration
@@ -420,9 +420,9 @@ def test_noise_declared_too_large_is_told_before_effects_that_come_of_it(good: F
     assert again(good, noise=(too_small, joint), findings=(finding,)).warnings[0].startswith(finding.sentence)
 
 
-def test_poses_that_are_few_configurations(simulated: Callable) -> None:
+def test_poses_that_are_few_configurations(simulated: Callable, fitted: Callable) -> None:
     session = replace(repeated(simulated("ur5", poses=50), 0.0), estimate=ARM_ONLY)
     calibration = calibrate(session, force=True)
     words = "50 poses are only 10 distinct configurations"
     assert sum(text.startswith(words) for text in calibration.assessment.warnings) == 1
-    assert not any("distinct" in text for text in calibrate(simulated("ur5", poses=50).session).assessment.warnings)
+    assert not any("distinct" in text for text in fitted("ur5", poses=50).assessment.warnings)

@@ -128,13 +128,13 @@ def test_prior_residuals_are_white(data: Simulated, true_state: Callable) -> Non
     centre = true_state(data)
     parameters = chosen(data, centre, ("refine",) * 2, ("fixed", "refine"))
     cameras = slice(parameters.columns(pose_key(data.session.rig.names[1])).start, parameters.size)
-    draws = np.random.default_rng(2).multivariate_normal(np.zeros(COUNT), COVARIANCE, 4000)[:, PRIOR_ORDER]
+    draws = np.random.default_rng(2).multivariate_normal(np.zeros(COUNT), COVARIANCE, 2000)[:, PRIOR_ORDER]
     residuals = []
     for draw in draws:
         step = np.zeros(parameters.size)
         step[cameras] = draw
         residuals.append(parameters.prior_residuals(parameters.retract(centre, step[parameters.active]))[0][-COUNT:])
-    np.testing.assert_allclose(np.cov(np.transpose(residuals)), np.eye(COUNT), atol=0.1)
+    np.testing.assert_allclose(np.cov(np.transpose(residuals)), np.eye(COUNT), atol=0.12)
 
 
 def test_a_fixed_parameter_is_what_the_rest_is_known_by(data: Simulated, true_state: Callable) -> None:
@@ -190,7 +190,7 @@ def test_a_camera_of_unknown_place_cannot_be_fixed(data: Simulated, true_state: 
         candidates(session, true_state(data))
 
 
-def test_cameras_that_are_off_are_refined(simulated: Callable) -> None:
+def test_cameras_that_are_off_are_refined(simulated: Callable, fitted: Callable) -> None:
     # A pair drawn from its covariance: refined, it is nearer to the truth than as given, and as near as it says.
     ratios, squares = [], []
     for seed in range(4):
@@ -198,7 +198,7 @@ def test_cameras_that_are_off_are_refined(simulated: Callable) -> None:
         truth, rng = data.session.rig, np.random.default_rng([5, seed])
         known = calibrated(truth)
         session, attachments = replace(data.session, rig=known), data.session.attachments
-        problem, centre = Problem.of(session, DHTable.from_chain(session.chain)), calibrate(data.session).fit.state
+        problem, centre = Problem.of(session, DHTable.from_chain(session.chain)), fitted("ur5", seed=seed).fit.state
         centre = centre.replace(camera_state(session, np.array(truth.T_cam_world)))
         spec = ModelSpec("none", ("refine",) * 2, ("fixed", "refine"))
         parameters = choose_parameters(session, problem, centre, spec)

@@ -31,9 +31,9 @@ if TYPE_CHECKING:
 @pytest.mark.parametrize(
     ("rig", "rank"), [("elbow3r", 15), ("ur5", 27), ("panda", 31), ("stanford", 25), ("so101", 23)]
 )
-def test_ranks_are_those_of_theory(rig: str, rank: int, simulated: Callable) -> None:
+def test_ranks_are_those_of_theory(rig: str, rank: int, fitted: Callable) -> None:
     # r + 3 with r = 4 R + 2 P: one LED of unknown position seen by two known cameras.
-    identifiability = calibrate(simulated(rig).session).identifiability
+    identifiability = fitted(rig).identifiability
     assert identifiability.rank == rank
     assert 1.0 < identifiability.condition_number < 1e4
 
@@ -42,8 +42,8 @@ def test_the_indices_of_sun_and_hollerbach() -> None:
     assert _observability(np.array([8.0, 2.0]), 16) == pytest.approx((1.0, 0.25, 2.0, 0.5, 1.6))
 
 
-def test_gauge_freedoms_are_named(simulated: Callable) -> None:
-    unidentifiable = calibrate(simulated("ur5").session).identifiability.unidentifiable
+def test_gauge_freedoms_are_named(fitted: Callable) -> None:
+    unidentifiable = fitted("ur5").identifiability.unidentifiable
     base, leds = "where the robot stands (T_world_base)", "where the LEDs sit"
     expected = [
         ("d of row 1 (shoulder_pan_joint)", base),
@@ -76,8 +76,8 @@ def test_an_led_on_the_last_axis_identifies_less(simulated: Callable) -> None:
     assert identify(problem, state, parameters).rank == 25
 
 
-def test_two_runs_fix_the_same_parameters(simulated: Callable) -> None:
-    a, b = (calibrate(simulated("stanford", seed=seed).session).identifiability for seed in (0, 1))
+def test_two_runs_fix_the_same_parameters(fitted: Callable) -> None:
+    a, b = (fitted("stanford", seed=seed).identifiability for seed in (0, 1))
     assert a.unidentifiable == b.unidentifiable
     assert list(a.parameters.reasons) == list(b.parameters.reasons)
 

@@ -46,6 +46,12 @@ def calibrated(session: Session, **joint_models: object) -> FittedCalibration:
     return calibrate(replace(session, estimate=estimate, joint_models=joint_models), force=True)
 
 
+@pytest.fixture(scope="module")
+def sagged(simulated: Callable) -> FittedCalibration:
+    """An arm that bends under its weight, with all that may be the reason to choose from."""
+    return calibrated(sagging(simulated("panda", poses=60), 3e-5))
+
+
 def chosen(calibration: FittedCalibration) -> dict[str, set[str]]:
     found: dict[str, set[str]] = {}
     for term in calibration.comparison.chosen.spec.terms:
@@ -67,7 +73,6 @@ def load_backlash(data, size: float):
 
 
 WORLDS: dict[str, tuple[Callable, float, str | None]] = {
-    "compliance": (sagging, 3e-5, None),
     "lag": (lagging, 5e-4, None),
     "gain": (partial(gain, share=0.33), 1e-3, "panda_joint3"),
     "harmonics": (partial(harmonic, share=0.5, order=1), 1e-3, "panda_joint4"),
@@ -86,6 +91,10 @@ def test_what_an_arm_does_is_chosen_and_nothing_else(model: str, simulated: Call
         assert found[model] == {joint}
 
 
+def test_that_an_arm_sags_is_chosen_and_nothing_else(sagged: FittedCalibration) -> None:
+    assert set(chosen(sagged)) == {"compliance"}
+
+
 @pytest.mark.parametrize("rig", ["ur5", "stanford", "so101", "tiago_dual"])
 def test_a_rigid_arm_stays_rigid(rig: str, simulated: Callable) -> None:
     calibration = calibrated(simulated(rig, poses=60).session)
@@ -94,7 +103,7 @@ def test_a_rigid_arm_stays_rigid(rig: str, simulated: Callable) -> None:
 
 
 def test_what_is_switched_off_is_not_chosen(simulated: Callable) -> None:
-    session = sagging(simulated("panda", poses=60), 3e-5)
+    session = sagging(simulated("panda", poses=40), 3e-5)
     assert "compliance" not in chosen(calibrated(session, compliance=False))
     assert not calibrated(session, **OFF).comparison.chosen.joint_models
 
@@ -136,9 +145,8 @@ def test_a_parameter_that_is_not_certain_makes_the_tip_uncertain(simulated: Call
     assert known < expected
 
 
-def test_what_a_model_brings_is_told_of_each_joint_and_in_other_regions(simulated: Callable) -> None:
-    data = simulated("panda", poses=60)
-    trials = {trial.term.model: trial for trial in calibrated(sagging(data, 3e-5)).comparison.chosen.joint_models}
+def test_what_a_model_brings_is_told_of_each_joint_and_in_other_regions(sagged: FittedCalibration) -> None:
+    trials = {trial.term.model: trial for trial in sagged.comparison.chosen.joint_models}
     sag, harmonics = trials["compliance"], trials["harmonics"]
     assert sag.included
     assert min(sag.inside, sag.elsewhere) > 1e-4
@@ -150,9 +158,8 @@ def test_what_a_model_brings_is_told_of_each_joint_and_in_other_regions(simulate
     assert abs(harmonics.inside) < 1e-4
 
 
-def test_what_a_urdf_cannot_hold_is_said(simulated: Callable) -> None:
-    data = simulated("panda", poses=60)
-    calibration = calibrated(sagging(data, 3e-5))
+def test_what_a_urdf_cannot_hold_is_said(simulated: Callable, sagged: FittedCalibration) -> None:
+    data, calibration = simulated("panda", poses=60), sagged
     (said,) = [reason for reason in calibration.warnings if "URDF cannot hold it" in reason]
     assert said.startswith("sag of the joints under the arm's weight, by up to 1.")
     # Against the truth: the calibrated arm at the readings, and at where gravity truly takes the joints.

@@ -102,8 +102,8 @@ def test_cameras_have_no_part_in_other_starts_from_points(simulated: Callable) -
 
 
 @pytest.fixture(scope="module")
-def calibration(simulated: Callable) -> FittedCalibration:
-    return calibrate(replace(simulated("elbow3r").session, estimate=Estimate("dh", "fixed", "fixed")))
+def calibration(fitted: Callable) -> FittedCalibration:
+    return fitted("elbow3r", estimate=Estimate("dh", "fixed", "fixed"))
 
 
 def moved(calibration: FittedCalibration, parameter: str, tolerances: float, cost: float = 0.0) -> Solution:

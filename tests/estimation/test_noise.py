@@ -147,8 +147,8 @@ def test_noise_of_joints_that_move_nothing_that_is_seen_is_unknown(
     assert joint.ratio == 1.0
 
 
-def test_the_quick_way_finds_the_same_noise(simulated: Callable) -> None:
-    calibration = calibrate(simulated("ur5", poses=40).session)
+def test_the_quick_way_finds_the_same_noise(fitted: Callable) -> None:
+    calibration = fitted("ur5", poses=40)
     problem, fit = calibration.problem, calibration.fit
     *kinds, joint = find_noise(problem, fit)
     *factors, quick = noise_factors(problem, fit)

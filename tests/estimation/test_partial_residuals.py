@@ -48,5 +48,5 @@ def test_harmonics_are_shown_over_the_joint_s_angle(simulated: Callable) -> None
     assert np.std(of.left) < 0.5 * np.std(of.value + of.left)
 
 
-def test_a_rigid_arm_has_none(simulated: Callable) -> None:
-    assert found(calibrate(simulated("elbow3r").session)) == {}
+def test_a_rigid_arm_has_none(fitted: Callable) -> None:
+    assert found(fitted("elbow3r")) == {}

@@ -224,8 +224,8 @@ def test_many_outliers_do_not_run_away(seed: int, simulated: Callable) -> None:
     assert calibration.document.fit.rms_px < 0.5
 
 
-def test_intervals_are_widened_only_by_a_misfit_that_is_certain(simulated: Callable) -> None:
-    fit = calibrate(replace(simulated("elbow3r").session, estimate=Estimate("dh", "fixed", "fixed"))).fit
+def test_intervals_are_widened_only_by_a_misfit_that_is_certain(fitted: Callable) -> None:
+    fit = fitted("elbow3r", estimate=Estimate("dh", "fixed", "fixed")).fit
     chance = 3.0 * np.sqrt(2.0 / fit.freedom)  # three standard deviations of a reduced chi-square
     expected = np.linalg.inv(fit.information)
     for reduced, factor in ((0.5, 1.0), (1.0 + 0.99 * chance, 1.0), (1.0 + 1.01 * chance, 1.0 + 1.01 * chance)):

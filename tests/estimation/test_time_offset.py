@@ -110,7 +110,7 @@ def test_a_moving_arm_calibrates_as_well_as_a_still_one_and_the_time_offsets_are
     # offsets two or three of their standard deviations off make a single arm half as bad again: so rms over three.
     errors = []
     for seed in range(3):
-        moving = filmed("ur5", 20, 1.0, seed=seed)
+        moving = filmed("ur5", 15, 1.0, seed=seed)
         found, still = (
             calibrate(replace(session, estimate=ARM_ALONE), force=True) for session in (moving.session, at_rest(moving))
         )
@@ -128,7 +128,7 @@ def test_a_moving_arm_calibrates_as_well_as_a_still_one_and_the_time_offsets_are
 
 @pytest.mark.usefixtures("no_trials")
 def test_without_the_offsets_the_arm_would_be_wrong() -> None:
-    moving = filmed("elbow3r", 12, 15.0)
+    moving = filmed("elbow3r", 12, 5.0)
     found, fixed = (
         calibrate(replace(moving.session, estimate=replace(ARM_ALONE, time_offset=word)), force=True)
         for word in (None, "fixed")
@@ -140,7 +140,7 @@ def test_without_the_offsets_the_arm_would_be_wrong() -> None:
 
 @pytest.mark.parametrize("offsets", [(0.73, -0.9), (0.0, 0.45)])
 def test_time_offsets_of_a_second_are_found_by_trying(offsets: tuple[float, float]) -> None:
-    moving = filmed("ur5", 12, 4.0, offsets)
+    moving = filmed("ur5", 12, 2.0, offsets)
     start = start_state(moving.session, DHTable.from_chain(moving.session.chain), np.zeros((6, 5)))
     assert np.abs(start[TIME_OFFSETS] - offsets).max() <= 0.1
     found = calibrate(replace(moving.session, estimate=ARM_ALONE), force=True)
@@ -167,7 +167,7 @@ def test_frames_that_the_log_does_not_reach_once_the_time_offsets_are_known_are_
 
 
 def test_outliers_are_found_in_motion_as_well() -> None:
-    moving = filmed("elbow3r", 12, 8.0, OFFSETS, 0.1)
+    moving = filmed("elbow3r", 12, 4.0, OFFSETS, 0.1)
     found = calibrate(replace(moving.session, estimate=ARM_ALONE), force=True)
     assert np.abs(found.estimate.time_offsets - OFFSETS).max() < 3e-4
     assert len(found.document.outliers) == pytest.approx(len(moving.truth.outliers), rel=0.05)

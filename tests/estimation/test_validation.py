@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 
 @pytest.fixture(scope="module")
-def calibration(simulated: Callable) -> FittedCalibration:
-    return calibrate(replace(simulated("elbow3r").session, estimate=Estimate("dh", "fixed", "fixed")))
+def calibration(fitted: Callable) -> FittedCalibration:
+    return fitted("elbow3r", estimate=Estimate("dh", "fixed", "fixed"))
 
 
 def test_the_loss_is_the_mean_over_measurements_without_padding() -> None:
@@ -142,8 +142,8 @@ def test_repeats_of_a_configuration_are_left_out_together(simulated: Callable) -
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_without_misfit_the_jackknife_agrees_with_the_covariance(seed: int, simulated: Callable) -> None:
-    calibration = calibrate(simulated("so101", poses=60, seed=seed).session)
+def test_without_misfit_the_jackknife_agrees_with_the_covariance(seed: int, fitted: Callable) -> None:
+    calibration = fitted("so101", poses=60, seed=seed)
     problem, fit = calibration.problem, calibration.comparison.chosen.fit
     assert not fit.misfit
     assert fit.spread is None
@@ -168,7 +168,7 @@ def test_where_the_arm_bends_intervals_are_what_regions_show(simulated: Callable
     assert inside > max(before, 0.85)
 
 
-def test_what_one_joint_was_found_to_do_others_may_do_below_the_noise(simulated: Callable) -> None:
+def test_what_one_joint_was_found_to_do_others_may_do_below_the_noise(simulated: Callable, fitted: Callable) -> None:
     inside, before = [], []
     for seed in (2, 6):  # found in some joints, of seven that err
         data = simulated("panda", poses=50, seed=seed)
@@ -186,5 +186,5 @@ def test_what_one_joint_was_found_to_do_others_may_do_below_the_noise(simulated:
         low, high = calibration.evidence.tip.interval
         assert low < rms(compare(true, found, q).position) < high
     assert np.mean(inside) > 0.9 > np.mean(before)
-    clean = calibrate(simulated("panda", poses=50).session)
+    clean = fitted("panda", poses=50)
     assert clean.comparison.chosen.fit.spread is None

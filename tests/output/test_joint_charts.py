@@ -28,8 +28,8 @@ def bent(simulated: Callable) -> Overview:
 
 
 @pytest.fixture(scope="module")
-def rigid(simulated: Callable) -> Overview:
-    return Overview.of(calibrate(simulated("elbow3r").session))
+def rigid(fitted: Callable) -> Overview:
+    return Overview.of(fitted("elbow3r"))
 
 
 def test_causes_are_ranked_with_their_size_and_interval(bent: Overview) -> None:

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 
 @pytest.fixture(scope="module")
-def calibration(simulated: Callable) -> FittedCalibration:
-    return calibrate(simulated("elbow3r").session)
+def calibration(fitted: Callable) -> FittedCalibration:
+    return fitted("elbow3r")
 
 
 def test_the_workspace_forgives_where_the_base_stands(calibration):

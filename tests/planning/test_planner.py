@@ -30,6 +30,7 @@ from urdfcal.study.monte_carlo import Variation, varied_rig
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from urdfcal.result.fitted import FittedCalibration
     from urdfcal.session.rig_description import RigDescription
     from urdfcal.simulation.truth import Simulated
 
@@ -44,15 +45,20 @@ def few(simulated: Callable[..., Simulated]) -> Simulated:
 
 
 @pytest.fixture(scope="module")
+def calibration(few: Simulated) -> FittedCalibration:
+    return calibrate(few.session, force=True)
+
+
+@pytest.fixture(scope="module")
 def planner(few: Simulated) -> Planner:
-    return Planner(few.session, candidates=600)
+    return Planner(few.session, candidates=400)
 
 
 def test_planned_poses_bring_more_than_as_many_random_ones_and_what_is_expected_of_them(
-    simulated: Callable[..., Simulated], few: Simulated, planner: Planner
+    simulated: Callable[..., Simulated], few: Simulated, planner: Planner, calibration: FittedCalibration
 ) -> None:
     plan = planner.plan(8)
-    belief = Belief.of_calibration(calibrate(few.session, force=True)).identified_by(plan.q)
+    belief = Belief.of_calibration(calibration).identified_by(plan.q)
     at = belief.candidates(plan.q[plan.rank >= 0], few.session.chain.random_values(300, np.random.default_rng(0)))
     random = at.error(belief.with_session(simulated("ur5", poses=16).session).information)
     planned = at.error(belief.information + at.information(range(8)))
@@ -88,11 +94,11 @@ def test_random_poses_are_kept_to_check_by(few: Simulated, planner: Planner) -> 
     assert scene.in_image(scene.pixels(checks)).all()
 
 
-def test_the_next_pose_is_new_and_brings_most(few: Simulated, planner: Planner) -> None:
+def test_the_next_pose_is_new_and_brings_most(few: Simulated, planner: Planner, calibration: FittedCalibration) -> None:
     q = planner.next(few.session)
     one = planner.plan(1)
     workspace, random = (few.session.chain.random_values(300, np.random.default_rng(seed)) for seed in (0, 1))
-    belief = Belief.of_calibration(calibrate(few.session, force=True)).identified_by(random)
+    belief = Belief.of_calibration(calibration).identified_by(random)
     measured = one.q[one.rank == 0]
     assert belief.told_by(measured).shape[0] == 1
     gains = belief.candidates(np.vstack([measured, q[None], few.session.q]), workspace).gains(belief.information)
@@ -102,8 +108,8 @@ def test_the_next_pose_is_new_and_brings_most(few: Simulated, planner: Planner) 
     assert np.abs(planner.next(longer) - q).max() > 1e-2
 
 
-def test_a_misfit_makes_what_is_measured_worth_less(few: Simulated) -> None:
-    belief = Belief.of_calibration(calibrate(few.session, force=True))
+def test_a_misfit_makes_what_is_measured_worth_less(few: Simulated, calibration: FittedCalibration) -> None:
+    belief = Belief.of_calibration(calibration)
     worse = replace(belief, misfit=3.0).with_session(few.session)
     same = replace(belief, misfit=1.0).with_session(few.session)
     assert np.trace(worse.information) < np.trace(same.information)
@@ -147,12 +153,12 @@ def test_the_arm_keeps_clear_of_the_table_though_many_poses_reach_below_it() -> 
 def test_what_stands_around_is_kept_clear_of_and_hides_leds(few: Simulated) -> None:
     assert few.session.urdf is not None
     chain, nominal, urdf = few.session.chain, nominal_scene(read_rig(find_rig("ur5"))), few.session.urdf
-    plain = Planner(few.session, candidates=400).plan(4)
+    plain = Planner(few.session, candidates=200).plan(4)
     measured = plain.q[plain.rank >= 0]
     tips = tip_poses(chain, measured)[:, :3, 3]
     furthest = int(np.argmax(np.linalg.norm(tips, axis=1)))
     crate = Obstacle("crate", np.full(3, 0.2), tips[furthest])
-    plan = Planner(few.session, candidates=400, scene=(crate,)).plan(4)
+    plan = Planner(few.session, candidates=200, scene=(crate,)).plan(4)
     around = CollisionChecker(chain, urdf, *nominal.outlined().points_on_joints(), 0.0, [crate])
     assert not around.is_free(measured[furthest])
     here = plan.q[0]

@@ -10,7 +10,6 @@ import pytest
 
 import urdfcal
 from urdfcal.errors import OutputError
-from urdfcal.pipeline import calibrate
 from urdfcal.robot.dh import DHTable
 from urdfcal.robot.kinematics import tip_poses
 
@@ -21,9 +20,9 @@ if TYPE_CHECKING:
 
 @pytest.fixture(scope="module", params=["ur5", "so101", "stanford"])
 def saved(
-    request: pytest.FixtureRequest, simulated: Callable, tmp_path_factory: pytest.TempPathFactory
+    request: pytest.FixtureRequest, fitted: Callable, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[urdfcal.FittedCalibration, Path]:
-    calibration = calibrate(simulated(request.param).session)
+    calibration = fitted(request.param)
     path = tmp_path_factory.mktemp("saved") / "calibration.json"
     calibration.save(path)
     return calibration, path
@@ -115,10 +114,8 @@ def test_threads_share_a_loaded_calibration(saved: tuple[urdfcal.FittedCalibrati
         (lambda d: d["T_world_base"][0].__setitem__(3, float("nan")), "NaN is no number"),
     ],
 )
-def test_files_that_are_no_result_are_refused(
-    edit: Callable, message: str, simulated: Callable, tmp_path: Path
-) -> None:
-    document = calibrate(simulated("ur5").session).to_dict()
+def test_files_that_are_no_result_are_refused(edit: Callable, message: str, fitted: Callable, tmp_path: Path) -> None:
+    document = fitted("ur5").to_dict()
     edit(document)
     path = tmp_path / "calibration.json"
     path.write_text(json.dumps(document))

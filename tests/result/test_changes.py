@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 
 @pytest.fixture(scope="module")
-def elbow3r(simulated: Callable) -> Calibration:
-    return loaded(calibrate(simulated("elbow3r").session).to_dict())
+def elbow3r(fitted: Callable) -> Calibration:
+    return loaded(fitted("elbow3r").to_dict())
 
 
 @pytest.fixture(scope="module")
@@ -232,8 +232,8 @@ def test_a_link_on_the_base_is_no_tip_that_moves(elbow3r: Calibration) -> None:
     assert list(find_changes(loaded(data), loaded(data)).tips) == ["tool0"]
 
 
-def test_each_tip_of_a_tree_is_compared(simulated: Callable) -> None:
-    one = loaded(calibrate(simulated("tiago_dual").session).to_dict())
+def test_each_tip_of_a_tree_is_compared(fitted: Callable) -> None:
+    one = loaded(fitted("tiago_dual").to_dict())
     changes = find_changes(one, one)
     assert next(iter(changes.tips)) == one.chain.tip_link
     assert len(changes.tips) == len([tip for tip in one.chain.tips if tip.joint >= 0]) > 1

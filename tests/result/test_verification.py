@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 
 @pytest.fixture(scope="module")
-def calibration(simulated: Callable) -> FittedCalibration:
-    return calibrate(replace(simulated("elbow3r").session, estimate=Estimate("dh", "fixed", "fixed")))
+def calibration(fitted: Callable) -> FittedCalibration:
+    return fitted("elbow3r", estimate=Estimate("dh", "fixed", "fixed"))
 
 
 def lifted(T: Floats, metres: float) -> Floats:

@@ -19,6 +19,7 @@ from urdfcal.estimation.blocks.arm import no_offsets
 from urdfcal.estimation.blocks.base_pose import BASE
 from urdfcal.estimation.blocks.targets import target_key
 from urdfcal.estimation.evaluation import compare, explain
+from urdfcal.estimation.joint_models import JOINT_MODELS
 from urdfcal.estimation.measurements import Points, Poses
 from urdfcal.estimation.measurements.poses import _inverse_left_jacobian
 from urdfcal.estimation.noise import find_noise
@@ -223,6 +224,7 @@ def test_a_measured_arm_is_as_good_by_poses_as_by_points(shared: Path) -> None:
     if not source.is_dir():
         pytest.skip(f"the measured data are not here: {source}")
     by_points = read_session(source)
+    by_points = replace(by_points, joint_models={model.name: False for model in JOINT_MODELS})
     target = Target("probe", FramePattern(), by_points.chain.tip_link)
     known = {"pose": by_points.poses, "target": ("probe",)}
     table = read_measurements(source / "poses.csv", Poses, known, {"sigma": 1e-4, "sigma_rad": 2e-4}).measurements

@@ -31,7 +31,7 @@ class Result(NamedTuple):
 
 
 @pytest.fixture(scope="session")
-def results(simulated: Callable, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Result]:
+def results(fitted: Callable, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Result]:
     """The result of a rig, or of a small arm in which a joint follows another; made once each."""
 
     @cache
@@ -40,11 +40,11 @@ def results(simulated: Callable, tmp_path_factory: pytest.TempPathFactory) -> Ca
         if rig == "mimic":
             # It is built as drawn: nothing gets better, and noise alone makes the offsets.
             read = read_session(write_valid(folder / "session", 30))
-            fitted = calibrate(replace(read, estimate=Estimate(geometry="dh")), force=True)
+            found = calibrate(replace(read, estimate=Estimate(geometry="dh")), force=True)
         else:
-            fitted = calibrate(simulated(rig).session)
-        fitted.save(folder / "calibration.json")
-        (folder / fitted.urdf_name).write_bytes(fitted.calibrated_urdf())
+            found = fitted(rig)
+        found.save(folder / "calibration.json")
+        (folder / found.urdf_name).write_bytes(found.calibrated_urdf())
         loaded = urdfcal.Calibration.load(folder)
         return Result(loaded, corrected_urdf(loaded, folder), folder)
 
