@@ -7,9 +7,9 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pytest
 
 import urdfcal
 from urdfcal.cli import run
@@ -19,9 +19,6 @@ from urdfcal.io.writing import write_session
 from urdfcal.robot.urdf.urdf import find_urdf
 from urdfcal.simulation.simulate import simulate
 
-if TYPE_CHECKING:
-    import pytest
-
 README = Path(__file__).parents[1] / "README.md"
 
 
@@ -29,6 +26,7 @@ def blocks(language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
 
 
+@pytest.mark.no_cover
 def test_what_people_do_and_the_library_example_work_as_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

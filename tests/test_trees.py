@@ -43,6 +43,7 @@ def calibrated(simulated: Callable) -> Callable[[str], tuple[Simulated, FittedCa
     return make
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("rig", TREES)
 def test_new_poses_are_predicted(rig: str, calibrated: Callable, simulated: Callable, true_state: Callable) -> None:
     """Where the cameras should see the LEDs at poses of the same robot that calibration has not seen."""

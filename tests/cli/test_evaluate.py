@@ -124,6 +124,7 @@ def test_poses_outside_what_a_result_has_measured_are_counted(
     assert f"- {count} of {len(values)} poses lie outside the measured domain" in captured.err
 
 
+@pytest.mark.no_cover
 def test_an_arm_that_bends_holds_where_it_was_not_measured(
     shared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -239,6 +239,7 @@ class TestChecks:
         assert "neither cameras nor places" in capsys.readouterr().err.replace("\n", " ")
 
 
+@pytest.mark.no_cover
 def test_measured_sockets_one_tool_place_left_out(
     shared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -59,6 +59,7 @@ def test_offsets_that_are_fixed_are_zero_and_do_not_explain_the_motion(
     assert "cam0 0 (fixed)" in capsys.readouterr().out
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("form", ["--images", "--video"])
 def test_pictures_and_videos_are_detected_and_calibrated(
     form: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -117,6 +118,7 @@ def test_wrong_calls_say_what_is_wrong(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.no_cover
 @pytest.mark.usefixtures("no_trials")
 def test_a_rolling_shutter_is_found_with_the_arm(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rig = str(halved("elbow3r", tmp_path / "rig"))

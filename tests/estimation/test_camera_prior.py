@@ -123,6 +123,7 @@ def test_the_derivative_of_priors_agrees_with_finite_differences(
         np.testing.assert_allclose(J[:, k], numeric, rtol=1e-6, atol=1e-6 * np.abs(J[:, k]).max())
 
 
+@pytest.mark.no_cover
 def test_prior_residuals_are_white(data: Simulated, true_state: Callable) -> None:
     # Cameras drawn from their calibration's covariance: residuals of unit variance that know nothing of each other.
     centre = true_state(data)
@@ -190,6 +191,7 @@ def test_a_camera_of_unknown_place_cannot_be_fixed(data: Simulated, true_state: 
         candidates(session, true_state(data))
 
 
+@pytest.mark.no_cover
 def test_cameras_that_are_off_are_refined(simulated: Callable, fitted: Callable) -> None:
     # A pair drawn from its covariance: refined, it is nearer to the truth than as given, and as near as it says.
     ratios, squares = [], []

@@ -81,6 +81,7 @@ WORLDS: dict[str, tuple[Callable, float, str | None]] = {
 }
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("model", WORLDS)
 def test_what_an_arm_does_is_chosen_and_nothing_else(model: str, simulated: Callable) -> None:
     make, size, joint = WORLDS[model]
@@ -95,6 +96,7 @@ def test_that_an_arm_sags_is_chosen_and_nothing_else(sagged: FittedCalibration) 
     assert set(chosen(sagged)) == {"compliance"}
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("rig", ["ur5", "stanford", "so101", "tiago_dual"])
 def test_a_rigid_arm_stays_rigid(rig: str, simulated: Callable) -> None:
     calibration = calibrated(simulated(rig, poses=60).session)
@@ -102,6 +104,7 @@ def test_a_rigid_arm_stays_rigid(rig: str, simulated: Callable) -> None:
     assert not any(trial.included for trial in calibration.comparison.chosen.joint_models)
 
 
+@pytest.mark.no_cover
 def test_what_is_switched_off_is_not_chosen(simulated: Callable) -> None:
     session = sagging(simulated("panda", poses=40), 3e-5)
     assert "compliance" not in chosen(calibrated(session, compliance=False))
@@ -199,6 +202,7 @@ def test_left_out_regions_of_both_kinds_bear_a_model_out(
     assert _transfers(before, [np.full(3, 9.0), np.array(joints), np.array(tips)]) is borne_out
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize(("here", "there", "most"), [("spread", "cubes", 0.62e-3), ("cubes", "spread", 0.53e-3)])
 def test_a_measured_ur10_holds_in_another_region(here: str, there: str, most: float, shared: Path) -> None:
     # As drawn 0.78 and 0.98 mm, rigid 0.80 and 0.63 mm.

@@ -74,6 +74,7 @@ def off(calibration: FittedCalibration, simulated: Simulated) -> np.ndarray:
     return np.asarray(error / calibration.sigmas_of(TIME_OFFSETS))
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("seed", range(3))
 def test_line_times_are_found_to_what_is_claimed(seed: int) -> None:
     simulated = filmed("elbow3r", 6, 8.0, seed=seed)
@@ -82,6 +83,7 @@ def test_line_times_are_found_to_what_is_claimed(seed: int) -> None:
     assert (calibration.sigmas_of(TIME_OFFSETS)[2:] < 0.2 * SIGMA).all()
 
 
+@pytest.mark.no_cover
 def test_points_of_a_board_at_several_rows_of_an_image_and_coarse_encoders_do_not_bend_it() -> None:
     """The velocities of a curve through readings of 0.4 mrad at 125 Hz would make it a fifth too small."""
     simulated = filmed("so101_apriltag", 8, 8.0)

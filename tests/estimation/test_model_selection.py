@@ -124,6 +124,7 @@ def test_another_fit_takes_the_place_of_the_chosen_one(open_choice: FittedCalibr
     assert with_fit(replace(comparison, best=free), fit, open_choice.problem, 0).best is free
 
 
+@pytest.mark.no_cover
 def test_a_session_decides_about_its_lenses_but_free_ones_are_tried(simulated: Callable) -> None:
     session = simulated("ur5").session
     cameras = tuple(replace(c, intrinsics=c.intrinsics * [1.02, 1.02, 1.0, 1.0]) for c in session.rig.cameras)

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from urdfcal.session.model import Session
 
 
+@pytest.mark.no_cover
 def test_the_problem_of_rossi_et_al_a_3r_arm_from_far_starts(simulated: Callable, true_state: Callable) -> None:
     # a, d and alpha of a three-axis arm unknown, no priors, no noise: the example of Rossi et al..
     data = simulated("elbow3r", poses=30)

@@ -99,6 +99,7 @@ def test_without_a_standing_camera_the_base_link_is_the_world_of_a_session(simul
     assert np.array_equal(start[second], np.eye(4))
 
 
+@pytest.mark.no_cover
 def test_after_a_bump_nothing_measured_is_thrown_away(simulated: Callable) -> None:
     data = simulated("ur5", poses=60)
     late = bumped(data, 0.02)
@@ -117,6 +118,7 @@ def test_after_a_bump_nothing_measured_is_thrown_away(simulated: Callable) -> No
     np.testing.assert_allclose(said.estimate.T_world_bases, together.estimate.T_world_bases, atol=2e-3)
 
 
+@pytest.mark.no_cover
 def test_what_moved_is_something_else_from_then_on(simulated: Callable) -> None:
     data = simulated("ur5", poses=60)
     whole = tip_error(calibrate(data.session), data)

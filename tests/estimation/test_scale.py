@@ -45,6 +45,7 @@ def as_points(session: Session) -> Session:
     )
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("rig", ["ur5", "panda", "so101"])
 def test_a_rig_that_is_too_long_comes_out_so_within_the_tolerances(rig: str, simulated: Callable) -> None:
     data = simulated(rig, poses=50)

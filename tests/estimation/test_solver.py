@@ -56,6 +56,7 @@ def test_noise_free_detections_give_the_truth(rig: str, simulated: Callable, tru
     assert calibration.document.fit.rms_px < 1e-5
 
 
+@pytest.mark.no_cover
 def test_the_order_of_poses_does_not_matter(simulated: Callable) -> None:
     session = simulated("ur5").session
     d = session.find(Detections)
@@ -115,6 +116,7 @@ def test_where_it_stops_another_run_does_not_move(simulated: Callable) -> None:
     assert np.abs(again.state[ARM] - fit.state[ARM]).max() < 1e-3 * sigma
 
 
+@pytest.mark.no_cover
 def test_standard_deviations_are_true(simulated: Callable) -> None:
     # Whitened errors of all estimated offsets over a few runs: mean square 1 within what chance allows.
     squares = []
@@ -211,6 +213,7 @@ def test_joint_noise_counts(simulated: Callable) -> None:
     assert ignored > 10.0
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("seed", [0, 1])
 def test_many_outliers_do_not_run_away(seed: int, simulated: Callable) -> None:
     # Three tenths of the detections moved, the second camera's pose unknown: the robust scale must not follow them.

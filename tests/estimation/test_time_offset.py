@@ -105,6 +105,7 @@ def test_priors_of_the_time_offsets_have_their_derivatives(true_state: Callable)
     assert r[: len(with_prior)][own] == pytest.approx([0.3, -0.2])
 
 
+@pytest.mark.no_cover
 def test_a_moving_arm_calibrates_as_well_as_a_still_one_and_the_time_offsets_are_found() -> None:
     # ur5: its encoders' noise, drawn anew for the arm at rest, is small beside the pixels', which are the same. Time
     # offsets two or three of their standard deviations off make a single arm half as bad again: so rms over three.
@@ -126,6 +127,7 @@ def test_a_moving_arm_calibrates_as_well_as_a_still_one_and_the_time_offsets_are
     assert moved < 1.3 * rested
 
 
+@pytest.mark.no_cover
 @pytest.mark.usefixtures("no_trials")
 def test_without_the_offsets_the_arm_would_be_wrong() -> None:
     moving = filmed("elbow3r", 12, 5.0)
@@ -166,6 +168,7 @@ def test_frames_that_the_log_does_not_reach_once_the_time_offsets_are_known_are_
     assert moving.session.recorded(np.array([0.93, -0.9])) is moving.session
 
 
+@pytest.mark.no_cover
 def test_outliers_are_found_in_motion_as_well() -> None:
     moving = filmed("elbow3r", 12, 4.0, OFFSETS, 0.1)
     found = calibrate(replace(moving.session, estimate=ARM_ALONE), force=True)

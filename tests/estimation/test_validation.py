@@ -141,6 +141,7 @@ def test_repeats_of_a_configuration_are_left_out_together(simulated: Callable) -
     assert np.sqrt(np.mean(held_out**2)) > 0.5 * metres
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("seed", range(2))
 def test_without_misfit_the_jackknife_agrees_with_the_covariance(seed: int, fitted: Callable) -> None:
     calibration = fitted("so101", poses=60, seed=seed)
@@ -152,6 +153,7 @@ def test_without_misfit_the_jackknife_agrees_with_the_covariance(seed: int, fitt
     assert 0.7 < np.median(ratio) < 1.4
 
 
+@pytest.mark.no_cover
 def test_where_the_arm_bends_intervals_are_what_regions_show(simulated: Callable) -> None:
     data = simulated("ur5", poses=50)
     rigid = {model.name: False for model in JOINT_MODELS if issubclass(model, LinearJointModel)}
@@ -168,6 +170,7 @@ def test_where_the_arm_bends_intervals_are_what_regions_show(simulated: Callable
     assert inside > max(before, 0.85)
 
 
+@pytest.mark.no_cover
 def test_what_one_joint_was_found_to_do_others_may_do_below_the_noise(simulated: Callable, fitted: Callable) -> None:
     inside, before = [], []
     for seed in (2, 6):  # found in some joints, of seven that err

@@ -68,6 +68,7 @@ def test_some_pictures_are_passed_over_and_one_is_found(path: Path) -> None:
         assert f"image {rows[i] + 1}" in frame.where
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("threads", [1, 3])
 def test_leds_are_found_in_a_video_as_in_files(path: Path, threads: int) -> None:
     spots = find_spots(Video(path, tuple(range(COUNT)), COUNT), SIZE, threads=threads)
@@ -93,6 +94,7 @@ def test_a_few_pictures_are_in_memory_at_a_time(path: Path, monkeypatch: pytest.
     assert 1 <= most <= 6
 
 
+@pytest.mark.no_cover
 def test_an_arm_that_waits_is_no_lamp(tmp_path: Path) -> None:
     rng, wall = np.random.default_rng(0), Scenery.flat(SIZE, 25.0)
     at = [0] * 12 + list(range(8)) + [8] * 12 + list(range(9, 15)) + [15] * 20

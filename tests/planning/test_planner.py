@@ -54,6 +54,7 @@ def planner(few: Simulated) -> Planner:
     return Planner(few.session, candidates=400)
 
 
+@pytest.mark.no_cover
 def test_planned_poses_bring_more_than_as_many_random_ones_and_what_is_expected_of_them(
     simulated: Callable[..., Simulated], few: Simulated, planner: Planner, calibration: FittedCalibration
 ) -> None:

@@ -183,6 +183,7 @@ def test_a_print_is_in_the_images_as_it_came_out(changes: dict[str, float], tmp_
     assert np.nanmax(np.abs(elsewhere)) > 1.0
 
 
+@pytest.mark.no_cover
 def test_of_a_rolling_shutter_what_moves_is_where_it_was_when_its_row_was_taken(tmp_path: Path) -> None:
     rig = read_rig(find_rig("so101_apriltag"))
     cameras = tuple(replace(camera, line_time=4e-5) for camera in rig.rig.cameras)

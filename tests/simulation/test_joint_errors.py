@@ -97,6 +97,7 @@ def test_what_a_joint_reads_is_what_it_would_without_errors() -> None:
     assert none.session.find(Detections).uv.tobytes() == plain.session.find(Detections).uv.tobytes()
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("rig", ["ur5", "stanford"])
 def test_realistic_ones_are_drawn_for_each_kind_on_its_own(rig: str) -> None:
     kinds = get_args(JointError)

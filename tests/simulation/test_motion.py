@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("rig", ["elbow3r", "ur5", "stanford", "so101"])
 def test_the_arm_moves_smoothly_within_its_limits_and_clear_of_itself(rig: str, simulated: Callable) -> None:
     still = simulated(rig, poses=12)

@@ -123,6 +123,7 @@ def filmed(folder: Path, sigma: float, peak: float, vignetting: float) -> tuple[
     return places, seen[seen.good]
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize(("sigma", "peak"), [(6.5, 4000.0), (14.0, 10000.0), (22.0, 1500.0)])
 def test_large_spots_are_measured_to_what_is_claimed(tmp_path: Path, sigma: float, peak: float) -> None:
     """Saturated or not, and though in a third of the images they lie over the same place."""
@@ -134,6 +135,7 @@ def test_large_spots_are_measured_to_what_is_claimed(tmp_path: Path, sigma: floa
     assert 0.75 < np.sqrt(np.mean((error / own[:, None]) ** 2)) < 1.25
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("sigma", [5.5, 14.0])
 def test_that_a_lens_darkens_towards_the_corners_is_in_what_is_claimed(tmp_path: Path, sigma: float) -> None:
     places, seen = filmed(tmp_path, sigma, 1500.0, 0.35)

@@ -101,6 +101,7 @@ def test_an_event_is_named_with_its_pose(what: str, simulated: Callable) -> None
         assert f"; say that it moved (moved: {{base: [{session.poses[first.pose]}]}}), or leave out" in first.sentence
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize(("first", "which"), [(0, "these poses"), (20, "the poses before")])
 def test_an_event_says_how_to_do_without_the_shorter_side(first: int, which: str, simulated: Callable) -> None:
     session = slipped(simulated("panda", poses=50), 1e-3).at(np.arange(first, 50))
@@ -127,6 +128,7 @@ def test_two_causes_are_both_named(simulated: Callable) -> None:
     assert set(names[:2]) == {"panda_joint2: harmonic 1", "LED 'led': change"}
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("rig", ["ur5", "stanford", "ur5_handeye", "tiago_dual"])
 def test_nothing_is_found_in_a_clean_session(rig: str, simulated: Callable) -> None:
     assert diagnose_whole(simulated(rig, poses=50).session) == ()

@@ -36,6 +36,7 @@ MISTAKES = {
 }
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("what", MISTAKES)
 def test_the_mistake_is_named_with_what_mending_it_brings(what: str, simulated: Callable) -> None:
     data = simulated("ur5", poses=12)

@@ -219,6 +219,7 @@ class TestFiles:
         assert re.search(message, str(caught.value))
 
 
+@pytest.mark.no_cover
 def test_a_measured_arm_is_as_good_by_poses_as_by_points(shared: Path) -> None:
     source = shared / "ur10_cubes"
     if not source.is_dir():
