@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from tests.states import true_state_of
-from urdfcal.io.folder import read_rig
+from urdfcal.io.folder import read_rig, read_session
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.pipeline import calibrate
 from urdfcal.simulation.simulate import simulate
@@ -77,6 +77,12 @@ def fitted(simulated: Callable[..., Simulated]) -> Callable[..., FittedCalibrati
         return calibrate(session if estimate is None else replace(session, estimate=estimate))
 
     return make
+
+
+@pytest.fixture(scope="session")
+def measured(shared: Path) -> Callable[[str], FittedCalibration]:
+    """The calibration of a measured session by the name of its folder, made once."""
+    return cache(lambda name: calibrate(read_session(shared / name)))
 
 
 @pytest.fixture(scope="session")

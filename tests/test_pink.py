@@ -9,8 +9,6 @@ import pink
 import pinocchio as pin
 import pytest
 
-import urdfcal
-
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -32,9 +30,8 @@ def solve(model: pin.Model, tip: str, target: pin.SE3, start: np.ndarray) -> np.
 
 
 @pytest.mark.parametrize("rig", ["ur5", "panda"])
-def test_the_true_arm_meets_the_targets_as_well_as_it_is_known(rig: str, simulated: Callable) -> None:
-    data = simulated(rig, poses=50)
-    calibration = urdfcal.calibrate(data.session)
+def test_the_true_arm_meets_the_targets_as_well_as_it_is_known(rig: str, simulated: Callable, fitted: Callable) -> None:
+    data, calibration = simulated(rig, poses=50), fitted(rig, poses=50)
     tip = calibration.chain.tip_link
     robot = pin.RobotWrapper(pin.buildModelFromXML(data.session.urdf.data.decode()))
     nominal, true = robot.model.copy(), pin.buildModelFromXML(data.truth.urdf.decode())

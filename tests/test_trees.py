@@ -31,16 +31,8 @@ TREES = ["tiago", "tiago_dual", "ur5_handeye"]
 
 
 @pytest.fixture(scope="module")
-def calibrated(simulated: Callable) -> Callable[[str], tuple[Simulated, FittedCalibration]]:
-    made: dict[str, tuple[Simulated, FittedCalibration]] = {}
-
-    def make(rig: str) -> tuple[Simulated, FittedCalibration]:
-        if rig not in made:
-            data = simulated(rig, poses=40)
-            made[rig] = data, calibrate(data.session)
-        return made[rig]
-
-    return make
+def calibrated(simulated: Callable, fitted: Callable) -> Callable[[str], tuple[Simulated, FittedCalibration]]:
+    return lambda rig: (simulated(rig, poses=40), fitted(rig, poses=40))
 
 
 @pytest.mark.no_cover

@@ -116,9 +116,10 @@ def test_a_trajectory_is_not_compensated_over_itself(
 
 
 def test_the_other_arm_is_said_not_to_be_compensated(
-    calibrated: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    fitted: Callable, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    result = calibrated("tiago_dual") / "result"
+    result = tmp_path / "calibration.json"
+    fitted("tiago_dual", poses=40).save(result)
     loaded = urdfcal.Calibration.load(result)
     chain = loaded.chain
     q = chain.readings(chain.random_values(50, np.random.default_rng(2)))

@@ -126,12 +126,11 @@ def test_poses_outside_what_a_result_has_measured_are_counted(
 
 @pytest.mark.no_cover
 def test_an_arm_that_bends_holds_where_it_was_not_measured(
-    shared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    shared: Path, measured: Callable, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A UR10 before a tracker; calibrated as if it were rigid it is 0.59 mm off there."""
-    assert run(["calibrate", str(shared / "ur10_cubes"), "-o", str(tmp_path / "out"), "--quiet"]) == 0
-    capsys.readouterr()
-    assert run(["evaluate", str(tmp_path / "out"), str(shared / "ur10_spread"), "--json"]) == 0
+    measured("ur10_cubes").save(tmp_path / "calibration.json")
+    assert run(["evaluate", str(tmp_path / "calibration.json"), str(shared / "ur10_spread"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["residual_mm"]["rms"] < 0.53
 
 

@@ -142,6 +142,7 @@ def test_reasons_to_check_stand_out(
 
 
 @pytest.mark.usefixtures("no_trials")
+@pytest.mark.usefixtures("no_trials")
 def test_nothing_is_printed_in_the_spinners_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
     small_session: Path,

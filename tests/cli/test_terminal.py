@@ -16,6 +16,7 @@ from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.simulation.simulate import simulate, write_simulated
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
 WIDTH = 80
@@ -112,8 +113,8 @@ def test_no_digit_of_a_row_is_cut(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_of_an_arm_of_many_rows_it_is_said_where_its_offsets_are(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    simulated: Callable, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    write_simulated(tmp_path / "s", simulate(read_rig(find_rig("tiago_dual")), poses=30, seed=0))
+    write_simulated(tmp_path / "s", simulated("tiago_dual", poses=40))
     assert run(["calibrate", str(tmp_path / "s"), "-o", str(tmp_path / "r"), "--force"]) == 0
     assert "16 rows of offsets: in the report and in calibration.json" in capsys.readouterr().out

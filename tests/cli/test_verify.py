@@ -228,11 +228,11 @@ def test_a_missing_result_is_told_how_to_make_one(new: Path, capsys: pytest.Capt
 
 
 def test_an_arm_that_bends_is_judged_with_its_joint_models(
-    shared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    shared: Path, measured: Callable, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A UR10 before a tracker: 0.73 mm off with the corrected URDF alone, which cannot bend."""
-    assert run(["calibrate", str(shared / "ur10_spread"), "-o", str(tmp_path / "out"), "--quiet"]) == 0
-    assert run(["verify", str(tmp_path / "out"), str(shared / "ur10_cubes"), "--limit", "0.6mm"]) == 0
+    measured("ur10_spread").save(tmp_path / "calibration.json")
+    assert run(["verify", str(tmp_path / "calibration.json"), str(shared / "ur10_cubes"), "--limit", "0.6mm"]) == 0
     assert "within 0.6 mm" in capsys.readouterr().out
 
 

@@ -374,8 +374,8 @@ def test_where_zeros_alone_are_estimated_they_are_what_moves_and_that_is_said(si
     assert any(text.startswith("the joints' zeros alone are estimated") for text in found.assessment.reasons)
 
 
-def test_each_of_two_arms_has_its_correction(simulated: Callable) -> None:
-    found = calibrate(simulated("tiago_dual", poses=40).session, force=True).evidence.corrections
+def test_each_of_two_arms_has_its_correction(fitted: Callable) -> None:
+    found = fitted("tiago_dual", poses=40).evidence.corrections
     assert [of.link for of in found] == ["arm_left_tool_link", "arm_right_tool_link"]
     assert all(0.0 < of.expected < of.moved for of in found)
 

@@ -45,14 +45,14 @@ def test_what_joints_do_beside_is_a_cause_of_its_own(simulated: Callable) -> Non
     assert {of.what for of in found} == {GEOMETRY, "compliance"}
 
 
-def test_of_two_arms_each_joint_counts_by_the_tip_that_it_moves_most(simulated: Callable) -> None:
-    calibration = calibrate(simulated("tiago_dual", poses=40).session, force=True)
+def test_of_two_arms_each_joint_counts_by_the_tip_that_it_moves_most(fitted: Callable) -> None:
+    calibration = fitted("tiago_dual", poses=40)
     found = {of.joint: of.tip for of in contributions(calibration.problem, calibration.fit) if of.what == GEOMETRY}
     for side in ("left", "right"):
         assert found[f"arm_{side}_5_joint"] > 1e-5
 
 
-def test_an_arm_that_stays_nominal_has_nothing_wrong(simulated: Callable) -> None:
-    calibration = calibrate(simulated("elbow3r").session, force=True)
+def test_an_arm_that_stays_nominal_has_nothing_wrong(fitted: Callable) -> None:
+    calibration = fitted("elbow3r")
     nominal = calibration.comparison.nominal_arm.fit
     assert contributions(calibration.problem, nominal) == ()

@@ -204,9 +204,11 @@ def test_left_out_regions_of_both_kinds_bear_a_model_out(
 
 @pytest.mark.no_cover
 @pytest.mark.parametrize(("here", "there", "most"), [("spread", "cubes", 0.62e-3), ("cubes", "spread", 0.53e-3)])
-def test_a_measured_ur10_holds_in_another_region(here: str, there: str, most: float, shared: Path) -> None:
+def test_a_measured_ur10_holds_in_another_region(
+    here: str, there: str, most: float, shared: Path, measured: Callable
+) -> None:
     # As drawn 0.78 and 0.98 mm, rigid 0.80 and 0.63 mm.
-    calibration = calibrate(read_session(shared / f"ur10_{here}"))
+    calibration = measured(f"ur10_{here}")
     assert "compliance" in chosen(calibration)
     chain = calibration.chain.with_placements(calibration.placements)
     (residual,) = explain(chain, read_session(shared / f"ur10_{there}"), bends=calibration.joint_models).residuals

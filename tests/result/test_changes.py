@@ -233,7 +233,7 @@ def test_a_link_on_the_base_is_no_tip_that_moves(elbow3r: Calibration) -> None:
 
 
 def test_each_tip_of_a_tree_is_compared(fitted: Callable) -> None:
-    one = loaded(fitted("tiago_dual").to_dict())
+    one = loaded(fitted("tiago_dual", poses=40).to_dict())
     changes = find_changes(one, one)
     assert next(iter(changes.tips)) == one.chain.tip_link
     assert len(changes.tips) == len([tip for tip in one.chain.tips if tip.joint >= 0]) > 1

@@ -130,14 +130,10 @@ def test_two_causes_are_both_named(simulated: Callable) -> None:
 
 @pytest.mark.no_cover
 @pytest.mark.parametrize("rig", ["ur5", "stanford", "ur5_handeye", "tiago_dual"])
-def test_nothing_is_found_in_a_clean_session(rig: str, simulated: Callable) -> None:
-    assert diagnose_whole(simulated(rig, poses=50).session) == ()
-
-
-def diagnose_whole(session: Session) -> tuple[Finding, ...]:
-    calibration = calibrate(session, force=True)
-    problem, fit = calibration.problem, calibration.fit
-    return diagnose(calibration.session, Unexplained.of(session, problem, fit, find_noise(problem, fit)))
+def test_nothing_is_found_in_a_clean_session(rig: str, fitted: Callable) -> None:
+    calibration = fitted(rig, poses=40)
+    session, problem, fit = calibration.session, calibration.problem, calibration.fit
+    assert diagnose(session, Unexplained.of(session, problem, fit, find_noise(problem, fit))) == ()
 
 
 def test_outliers_are_no_event(simulated: Callable) -> None:

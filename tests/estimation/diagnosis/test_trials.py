@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 MISTAKES = {
-    "elbow_joint's sign": partial(other_sign, share=0.4),
-    "the columns of shoulder_lift_joint and elbow_joint are exchanged": partial(exchanged, first=1),
+    "joint_2's sign": partial(other_sign, share=0.4),
+    "the columns of joint_2 and joint_3 are exchanged": partial(exchanged, first=1),
     "joint readings are shifted by 1 row against what was measured": partial(shifted, by=1),
     "joint readings are shifted by 2 rows against what was measured": partial(shifted, by=-2),
     "T_cn_cnm1 of cam1 is inverted": inverted,
@@ -39,7 +39,7 @@ MISTAKES = {
 @pytest.mark.no_cover
 @pytest.mark.parametrize("what", MISTAKES)
 def test_the_mistake_is_named_with_what_mending_it_brings(what: str, simulated: Callable) -> None:
-    data = simulated("ur5", poses=12)
+    data = simulated("ur5" if what.startswith("the robot is ur5") else "elbow3r", poses=12)
     suspicion = suspect(MISTAKES[what](data, 0.0))
     assert suspicion is not None
     assert suspicion.what == what
@@ -50,11 +50,11 @@ def test_the_mistake_is_named_with_what_mending_it_brings(what: str, simulated: 
 
 
 def test_nothing_is_suspected_of_a_good_session(simulated: Callable) -> None:
-    assert suspect(simulated("ur5", poses=12).session) is None
+    assert suspect(simulated("elbow3r", poses=12).session) is None
 
 
 def test_two_mistakes_are_not_blamed_on_one(simulated: Callable) -> None:
-    data = simulated("ur5", poses=12)
+    data = simulated("elbow3r", poses=12)
     both = other_sign(data, 0.0, share=0.4)
     both = shifted(type(data)(session=both, truth=data.truth), 0.0, by=1)
     assert suspect(both) is None
