@@ -47,6 +47,11 @@ def serial_chains() -> list[tuple[Path, str, str]]:
 CHAINS = serial_chains()
 
 
+@cache
+def table_of(path: Path, base: str, tip: str) -> DHTable:
+    return DHTable.from_chain(Chain.from_model(model_of(path), tip, base))
+
+
 def offsets_of(table: DHTable, rng: np.random.Generator, scale: float) -> np.ndarray:
     offsets = rng.normal(0.0, scale, table.nominal.shape)
     last = PARAMETERS.index(table.rows[-1].variable)
@@ -66,7 +71,7 @@ def test_fk_of_the_rows_is_pinocchios(convention: Any) -> None:
     for path, base, tip in CHAINS:
         model = model_of(path)
         data = model.createData()
-        table = DHTable.from_chain(Chain.from_model(model, tip, base))
+        table = table_of(path, base, tip)
         printed = json.loads(json.dumps(table.to_dict(convention)))
         for _ in range(3):
             q, T = pin.neutral(model), np.array(printed["base"])
@@ -87,7 +92,7 @@ def test_fk_of_the_rows_is_pinocchios(convention: Any) -> None:
 def test_parameters_stay_within_the_robots_size() -> None:
     # Plain DH needs hundreds of metres where axes are almost parallel.
     for path, base, tip in CHAINS:
-        table = DHTable.from_chain(Chain.from_model(model_of(path), tip, base))
+        table = table_of(path, base, tip)
         assert np.abs(table.nominal[:, 1:3]).max() < 3.0, (path.name, tip)
         assert not np.any(table.nominal[[not row.parallel for row in table.rows], 4])
 
@@ -95,7 +100,7 @@ def test_parameters_stay_within_the_robots_size() -> None:
 def test_corrected_placements_move_as_the_corrected_rows_do() -> None:
     rng = np.random.default_rng(2)
     for path, base, tip in CHAINS:
-        table = DHTable.from_chain(Chain.from_model(model_of(path), tip, base))
+        table = table_of(path, base, tip)
         for scale in (1e-3, 1e-2):
             offsets = offsets_of(table, rng, scale)
             q = rng.uniform(-3.0, 3.0, (2, len(table.rows)))
@@ -106,7 +111,7 @@ def test_corrected_placements_move_as_the_corrected_rows_do() -> None:
 
 def test_no_offset_leaves_the_placements_bit_for_bit() -> None:
     for path, base, tip in CHAINS[::10]:
-        table = DHTable.from_chain(Chain.from_model(model_of(path), tip, base))
+        table = table_of(path, base, tip)
         np.testing.assert_array_equal(table.placements(np.zeros_like(table.nominal)), table.chain.placements)
         one = np.zeros_like(table.nominal)
         one[0, PARAMETERS.index(table.rows[0].variable)] = 0.01
@@ -127,7 +132,7 @@ def test_twists_are_the_derivative_of_the_placements() -> None:
     chosen = [chain for chain in CHAINS if chain[0].stem in ("ur5_robot", "panda", "tiago", "pr2", "kinova")][::3]
     assert len(chosen) > 8
     for path, base, tip in chosen:
-        table = DHTable.from_chain(Chain.from_model(model_of(path), tip, base))
+        table = table_of(path, base, tip)
         offsets = offsets_of(table, rng, 0.02)
         last = len(table.rows) - 1
         parameters = [(i, p) for i, row in enumerate(table.rows) for p in PARAMETERS if i < last or p == row.variable]
