@@ -11,6 +11,7 @@ import pytest
 
 from tests.cameras.board.boards import CHARUCO, PAIR, errors, held
 from tests.cameras.board.rendering import BoardRenderer
+from urdfcal.cameras.board.detection import detect_board
 from urdfcal.cameras.io.formats import read_cameras, read_kalibr, write_kalibr
 from urdfcal.cameras.rig import CameraSigma, Rig
 from urdfcal.cli.cameras import command
@@ -18,11 +19,30 @@ from urdfcal.errors import CameraError
 from urdfcal.images.files import write_image
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
     from pathlib import Path
+
+    from urdfcal.cameras.board.board import Board
+    from urdfcal.cameras.board.corners import Corners
 
 CHARUCO_OPTIONS = "--board charuco 10x7 --square 0.03 --marker 0.022 --dictionary DICT_5X5_100"
 CHARUCO_FILE = "{type: charuco, columns: 10, rows: 7, square: 0.03, marker: 0.022, dictionary: DICT_5X5_100}"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def looked_at_once() -> Iterator[None]:
+    """The same board is looked for in the same picture once, which takes most of the time."""
+    seen: dict[object, Corners | None] = {}
+
+    def look(image: np.ndarray, board: Board) -> Corners | None:
+        key = image.shape, image.tobytes(), board
+        if key not in seen:
+            seen[key] = detect_board(image, board)
+        return seen[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("urdfcal.cameras.board.views.detect_board", look)
+        yield
 
 
 def cameras(*arguments: object) -> None:

@@ -47,9 +47,8 @@ def test_a_camera_that_scatters_more_is_named(simulated: Callable) -> None:
 
 
 @pytest.mark.no_cover
-def test_what_is_far_away_scatters_more(simulated: Callable) -> None:
-    data = simulated("panda", poses=60)
-    calibration = calibrate(data.session, force=True)
+def test_what_is_far_away_scatters_more(simulated: Callable, fitted: Callable) -> None:
+    data, calibration = simulated("panda", poses=50), fitted("panda", poses=50)
     (observed,), state = calibration.problem.observations, calibration.comparison.chosen.fit.state
     depth = calibration.problem.metres_per_unit(observed, state)
     far = np.zeros(len(data.session.find(Detections)), dtype=bool)
