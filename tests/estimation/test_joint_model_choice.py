@@ -99,7 +99,7 @@ def test_that_an_arm_sags_is_chosen_and_nothing_else(sagged: FittedCalibration) 
 @pytest.mark.no_cover
 @pytest.mark.parametrize("rig", ["ur5", "stanford", "so101", "tiago_dual"])
 def test_a_rigid_arm_stays_rigid(rig: str, simulated: Callable) -> None:
-    calibration = calibrated(simulated(rig, poses=60).session)
+    calibration = calibrated(simulated(rig, poses=40).session)
     assert chosen(calibration) == {}
     assert not any(trial.included for trial in calibration.comparison.chosen.joint_models)
 

@@ -179,7 +179,7 @@ def test_one_detector_after_the_other_is_tried(monkeypatch: pytest.MonkeyPatch) 
     assert np.nanmax(np.abs(detect_board(image, CHESSBOARD).uv - uv)) < 0.03
 
 
-@pytest.mark.parametrize("shape", [(8, 6), (7, 5), (9, 5), (11, 8)])
+@pytest.mark.parametrize("shape", [(8, 6), (9, 5), (11, 8)])
 def test_another_size_is_named_and_no_part_of_it_taken(shape: tuple[int, int]) -> None:
     other = Board("chessboard", *shape, 0.03)
     T, _ = images(CHESSBOARD, 1)[0]

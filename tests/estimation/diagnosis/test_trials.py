@@ -11,6 +11,7 @@ from tests.worlds import exchanged, images, inverted, other_robot, other_sign, s
 from urdfcal.errors import CalibrationError
 from urdfcal.estimation.diagnosis.trials import suspect
 from urdfcal.pipeline import calibrate
+from urdfcal.session.knowledge import Estimate
 from urdfcal.simulation.motion import MotionSettings, set_in_motion
 
 if TYPE_CHECKING:
@@ -62,9 +63,10 @@ def test_two_mistakes_are_not_blamed_on_one(simulated: Callable) -> None:
 
 def test_a_calibration_that_fails_says_what_would_mend_it(simulated: Callable) -> None:
     data = simulated("elbow3r", poses=12)
+    wrong = replace(other_sign(data, 0.0, share=0.4), estimate=Estimate("dh", "fixed", "fixed"))
     steps: list[float] = []
     with pytest.raises(CalibrationError, match="joint_2's sign: with that mended"):
-        calibrate(other_sign(data, 0.0, share=0.4), progress=lambda _, cost: steps.append(cost))
+        calibrate(wrong, progress=lambda _, cost: steps.append(cost))
     assert len(steps) > 100  # the trials show that they go on
 
 
