@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+import rerun.blueprint as rrb
 
 import urdfcal
 from tests.recorded import Recorded
@@ -18,7 +19,7 @@ from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.output import arms
 from urdfcal.output.chart import Chart, Mark, Scale
-from urdfcal.output.charts import parameter_charts
+from urdfcal.output.charts import convergence_charts, parameter_charts
 from urdfcal.output.entities import chart_view
 from urdfcal.output.findings import Overview, headline
 from urdfcal.output.images import arm_in_images, compressed, overlays
@@ -336,6 +337,18 @@ def test_every_bar_has_its_name_and_the_rows_a_tab_of_their_own(calibration, rec
         assert set(chart.y.names.values()) <= set(labels)
     tabs = layout(Overview.of(calibration)).root_container.contents
     assert [tab.name for tab in tabs][3:6] == ["Joints", "Parameters", "DH rows"]
+    assert isinstance(tabs[5], rrb.Vertical), "the table needs the window's width"
+
+
+def test_the_label_of_an_axis_is_below_its_numbers_and_in_the_view(calibration, recorded):
+    """In a pane of 320 x 180 points a text of 24 is as high as 18 units."""
+    (cost,) = (chart for chart in convergence_charts(calibration) if chart.name == "cost")
+    places = recorded.static("/base/charts/cost/ticks", "Points2D:positions")
+    labels = recorded.static("/base/charts/cost/ticks", "Points2D:labels").tolist()
+    label, numbers = places[labels.index("iteration"), 1], places[labels.index("0"), 1]
+    bounds = chart_view(cost, "base").properties["VisualBounds2D"].range.as_arrow_array().to_pylist()[0]
+    assert label - numbers >= 18.0
+    assert bounds["y_range"][1] - label >= 18.0
 
 
 def test_a_tick_is_not_cut_at_the_edge_of_its_view():
