@@ -141,7 +141,7 @@ def test_poses_that_nothing_was_measured_in_are_counted(
     blind = replace(overview, calibration=replace(overview.calibration, session=more))
     assert (unseen(overview), unseen(blind)) == (0, 1)
     assert "without a measurement" not in page(overview, tmp_path)
-    assert "Poses without a measurement: 1." in page(blind, tmp_path)
+    assert "parameters. Poses without a measurement: 1. The residuals are" in page(blind, tmp_path)
     for of, said in ((overview, "30 poses, "), (blind, "30 poses (1 more without a measurement), ")):
         print_summary(of, (), ())
         assert said in capsys.readouterr().out
