@@ -154,7 +154,7 @@ def test_the_measured_motoman_finds_its_lenses(shared: Path) -> None:
     # Models of its joints would be weighed, and not chosen, for as long again.
     off = {model.name: False for model in JOINT_MODELS if issubclass(model, LinearJointModel)}
     rigid = replace(session, joint_models=off)
-    calibration = calibrate(rigid.at(np.arange(0, len(session.poses), 3)))
+    calibration = calibrate(rigid.at(np.arange(0, len(session.poses), 2)))
     assert str(calibration.comparison.chosen.spec) == "DH rows, free intrinsics, free camera poses"
     assert calibration.document.fit.rms_px <= 1.02
     points, leds = read_points(shared / "motoman_right" / "check_points.csv", session)
