@@ -263,7 +263,8 @@ def _descend(
     normal = least_squares.evaluate(at, whitening)
     history: list[Iteration] = []
     most = _MAX_ITERATIONS if steps is None else steps
-    growth, length, ahead, fresh = 2.0, np.inf, np.inf, False
+    growth, ahead, fresh = 2.0, np.inf, False
+    step = _damped_step(normal, damping)
     while damping < _MOST_DAMPING and len(history) < most:
         if ahead < tolerance or not history:
             renewed = renew(observations, normal.norms, weights)
@@ -273,8 +274,8 @@ def _descend(
             if not same:
                 weights, whitening = renewed, least_squares.whitening(at.noise, renewed)
                 normal = least_squares.evaluate(at, whitening)
-            length, fresh = np.inf, True
-        step = _damped_step(normal, damping)
+                step = _damped_step(normal, damping)
+            fresh = True
         promised = -float(step @ (2.0 * normal.g + normal.H @ step))
         try:
             candidate = least_squares.step(at, step)
@@ -285,14 +286,17 @@ def _descend(
         # NaN (an LED behind a camera) is no improvement either.
         if not cost <= normal.cost * (1.0 + _COST_ROUNDING) + _COST_ROUNDING:
             damping, growth = damping * growth, 2.0 * growth
+            step = _damped_step(normal, damping)
             continue
-        before, length = length, float(np.sqrt(max(float(step @ normal.H @ step), 0.0)))
-        ratio = min(length / before, 0.5) if before < np.inf else 0.5
-        ahead = length * ratio / (1.0 - ratio)  # what is left if every step shrinks as this one did
-        fresh = fresh and ahead < tolerance
+        length = _length(normal, step)
         gain = (normal.cost - new.cost) / promised if promised > 0.0 else 1.0
         damping, growth = damping * max(0.1, 1.0 - (2.0 * gain - 1.0) ** 3), 2.0
         at, normal = candidate, new
+        step = _damped_step(normal, damping)
+        following = _length(normal, step)
+        # What is left if every step shrinks as the next one does, of which half is believed.
+        ahead = following / (1.0 - min(following / length, 0.5)) if length > 0.0 else 0.0
+        fresh = fresh and ahead < tolerance
         history.append(Iteration(normal.cost, damping, length, at.state))
         if progress is not None:
             progress(len(history), normal.cost)
@@ -302,6 +306,11 @@ def _descend(
 def _settled(problem: Problem) -> float:
     """The step below which weights are settled."""
     return _SETTLED * float(np.sqrt(sum(observed.count for observed in problem.observations)))
+
+
+def _length(normal: NormalEquations, step: Floats) -> float:
+    """The length of a step in standard deviations of the estimate."""
+    return float(np.sqrt(max(float(step @ normal.H @ step), 0.0)))
 
 
 def _damped_step(normal: NormalEquations, damping: float) -> Floats:
