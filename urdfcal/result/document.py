@@ -133,14 +133,11 @@ class PlaneEntry(Section):
 
 
 class TargetEntry(Section):
-    """The pose of a target on its link, or in the world; sigma of a small motion x, y, z, rx, ry, rz of the target.
-
-    ``rpy`` is what a session says of its rotation, absent from earlier files.
-    """
+    """The pose of a target on its link, or in the world; sigma of a small motion x, y, z, rx, ry, rz of the target."""
 
     link: str
     T_link_target: Transform
-    rpy: Triple | None = None
+    rpy: Triple | None = None  # absent from earlier files
     sigma: Sigmas
 
 
