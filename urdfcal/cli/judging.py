@@ -61,7 +61,8 @@ def verify(
     """Judge a calibration by SESSION, a dozen new poses, and say whether the rms error at the LED is within a limit.
 
     Base pose and LED positions (and camera poses, for pixels) are fitted; the arm is that of RESULT, a folder that
-    calibrate has written, its calibration.json, or a URDF. The measurements' own noise counts as error; in pixels, a
+    calibrate has written, its calibration.json, or a URDF. The measurements' own noise counts as error, and the rms is
+    made larger by as much as what is fitted takes out of few poses; calibrate's and evaluate's are not. In pixels, a
     common factor of all lengths is not seen.
 
     Exit code 0: the 95 % interval is within the limit; 1: it is not, or that cannot be told.
