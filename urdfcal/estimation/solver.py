@@ -296,7 +296,7 @@ def _descend(
         following = _length(normal, step)
         # What is left if every step shrinks as the next one does, of which half is believed.
         ahead = following / (1.0 - min(following / length, 0.5)) if length > 0.0 else 0.0
-        fresh = fresh and ahead < tolerance
+        fresh = fresh and length < tolerance
         history.append(Iteration(normal.cost, damping, length, at.state))
         if progress is not None:
             progress(len(history), normal.cost)
