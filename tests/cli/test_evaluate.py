@@ -51,6 +51,25 @@ def test_a_session_is_explained_by_the_nominal_arm_for_comparison(
     assert f"{nominal['rms']:.4f}" in printed
 
 
+def test_pixels_have_their_size_at_the_led(folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    session = folder / "session"
+    found = evaluated(capsys, folder / "result", session)
+    held_out = json.loads((folder / "result" / "calibration.json").read_text())["validation"]
+    assert found["across_rays_mm"]["rms"] == pytest.approx(held_out["rms_mm"], rel=0.2)
+    assert found["across_rays_mm"]["rms_nominal"] == pytest.approx(held_out["rms_nominal_mm"], rel=0.2)
+    assert found["across_rays_mm"]["sightings"] == found["residual_px"]["sightings"]
+    assert run(["evaluate", str(folder / "result"), str(session)]) == 0
+    printed = capsys.readouterr()
+    assert "across rays (mm)" in printed.out
+    assert "this is the session that it was calibrated with" in printed.err
+    measured = points(tmp_path / "points.csv", 0.1)
+    measured.write_text(measured.read_text().replace("\n000", "\n0"))
+    assert run(["evaluate", str(folder / "result"), str(session), "--points", str(measured)]) == 0
+    printed = capsys.readouterr()
+    assert "across rays (mm)" not in printed.out
+    assert "that it was calibrated with" not in printed.err
+
+
 def points(path: Path, scale: float) -> Path:
     rng = np.random.default_rng(0)
     rows = [f"{k:04d},led,{','.join(map(str, scale * rng.normal(size=3)))}" for k in range(1, 9)]

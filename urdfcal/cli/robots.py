@@ -25,6 +25,10 @@ if TYPE_CHECKING:
 _FAR = 20.0
 # As in urdfcal.result.calibration, which takes long to import.
 _RESULT = "calibration.json"
+_FITTED_ANEW = (
+    "this is the session that it was calibrated with: another one will be further off; residuals differ a little from "
+    "calibrate's, since base, LEDs and camera poses are fitted anew, by themselves"
+)
 
 
 @click.command("evaluate")
@@ -52,7 +56,8 @@ def evaluate(
     is A's, and for comparison the session's own as its URDF and cameras have it (nominal). Of a RESULT, a folder that
     calibrate has written or its calibration.json, arm and LEDs are as calibrated, and lenses that it estimated where
     they suit better than the session's. Poses outside its measured domain are counted. Known distances of places take
-    no part: they are shown beside those that come out.
+    no part: they are shown beside those that come out. Pixels are given in mm as well, at the LED across the ray, as
+    calibrate gives held-out poses.
     """
     if turned := _reversed(Path(urdf), Path(other)):
         raise click.UsageError(turned)
@@ -107,7 +112,7 @@ def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
     import numpy as np
 
     from urdfcal.arrays import rms
-    from urdfcal.cli.judging import arm_of, domain_of, is_urdf, lenses_as_calibrated
+    from urdfcal.cli.judging import arm_of, calibrated_with, domain_of, is_urdf, lenses_as_calibrated
     from urdfcal.estimation.blocks.places import PLACES
     from urdfcal.estimation.evaluation import explain
     from urdfcal.io.folder import read_points, read_session
@@ -150,7 +155,8 @@ def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
             for of in session.place_distances
         ]
     domain = domain_of(calibration, session.chain, session.chain.readings(session.q))
-    for remark in (*lenses.remarks, *domain.remarks):
+    known = calibration is not None and points is None and calibrated_with(calibration, session)
+    for remark in (*([_FITTED_ANEW] if known else []), *lenses.remarks, *domain.remarks):
         say(f"- {remark}", err=True)
     return result | lenses.data | domain.data
 
@@ -168,6 +174,10 @@ def _sizes(session: Session, explained: Explanation) -> dict[str, Floats]:
         sizes[f"residual_{unit}"] = np.concatenate(list(by_kind.values()))
         if len(by_kind) > 1:
             sizes |= {f"residual_{kind}_{unit}": values for kind, values in by_kind.items()}
+    seen = [of for of in explained.problem.observations if of.table.report[0] == "px"]
+    if seen:
+        off = (of.by_row(explained.problem.off(of, explained.fit.state)) for of in seen)
+        sizes["across_rays_mm"] = 1e3 * np.concatenate(list(off))
     return sizes
 
 

@@ -37,6 +37,7 @@ class Acceptance:
         outliers: how many were left out.
         limit: what the rms may be at most. [m]
         repeats: poses in the configuration of an earlier one, or next to it.
+        enlarged: rms over that of the residuals, which base, LEDs and cameras were fitted to.
     """
 
     rms: float
@@ -46,6 +47,7 @@ class Acceptance:
     outliers: int
     limit: float
     repeats: tuple[str, ...] = ()
+    enlarged: float = 1.0
 
     @property
     def too_many_outliers(self) -> bool:
@@ -118,6 +120,7 @@ def accept(
         outliers=outliers,
         limit=limit,
         repeats=() if moving else tuple(session.poses[pose] for pose in np.delete(poses, first).tolist()),
+        enlarged=scale,
     )
 
 
