@@ -161,7 +161,18 @@ def test_dh_prints_a_table_and_json(convention: str, capsys: pytest.CaptureFixtu
     assert result["convention"] == convention
     assert next(row["joint"] for row in result["rows"]) == "shoulder_pan_joint"
     assert run(arguments) == 0
-    assert "425.0000" in capsys.readouterr().out
+    assert "425.000 " in capsys.readouterr().out
+
+
+def test_dh_leaves_names_whole_in_80_columns_which_a_pipe_has_if_told(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    tiago = "package://example-robot-data/robots/tiago_description/robots/tiago_dual.urdf"
+    assert run(["dh", tiago, "--tip", "arm_left_7_link"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) == 80
+    assert [line.split()[0] for line in lines[4:6]] == ["torso_lift_joint", "arm_left_1_joint"]
 
 
 @pytest.mark.parametrize("broken", BROKEN, ids=lambda broken: broken.name)

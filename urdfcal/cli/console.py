@@ -33,11 +33,12 @@ INDENT = "  "
 
 
 def terminal() -> Console:
-    """Standard output: as wide as the terminal, or as a table needs where it is piped."""
+    """Standard output: as wide as the terminal or $COLUMNS, or as a table needs where it is piped."""
     from rich.console import Console
 
     console = Console(highlight=False)
-    return console if console.is_terminal else Console(highlight=False, width=_PIPE_WIDTH)
+    told = console.is_terminal or os.environ.get("COLUMNS", "").isdigit()
+    return console if told else Console(highlight=False, width=_PIPE_WIDTH)
 
 
 def say(text: str, *, err: bool = False) -> None:

@@ -270,13 +270,17 @@ def _print_rows(table: DHTable, data: Mapping[str, Any], convention: Convention,
         ["joint", "type", *(f"{name}\n({unit})" for name, (_, unit) in scales.items())],
         texts=2,
     )
+    rows.show_edge = False
     for column in rows.columns[2:]:
         column.no_wrap = True  # names continue below, digits are not cut
     for column in rows.columns[:2]:
         column.no_wrap, column.overflow = False, "fold"
     for row in data["rows"]:
-        # Rounding first, or tiny negative numbers print as -0.0000.
-        cells = [f"{round(scale * row[name], 4) + 0.0:.4f}" for name, (scale, _) in scales.items()]
+        # Rounding first, or tiny negative numbers print as -0.0000. Micrometres leave names their room at 80 columns.
+        digits = {name: 3 if name in "da" else 4 for name in scales}
+        cells = [
+            f"{round(scale * row[name], digits[name]) + 0.0:.{digits[name]}f}" for name, (scale, _) in scales.items()
+        ]
         rows.add_row(row["joint"], row["type"], *cells)
     console = terminal()
     console.print(rows)
