@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +16,7 @@ from urdfcal.output.findings import Overview
 from urdfcal.output.joint_charts import contribution_chart, joint_model_charts
 from urdfcal.output.recording import layout
 from urdfcal.output.report import write_report
+from urdfcal.output.texts import tab_texts
 from urdfcal.pipeline import calibrate
 
 if TYPE_CHECKING:
@@ -54,6 +56,16 @@ def test_causes_that_are_too_small_to_be_seen_are_counted(bent: Overview, rigid:
     whole = contribution_chart(rigid.calibration)
     assert len(whole.y.names) == sum(each["tip_mm"] > 0.0 for each in rigid.document["contributions"])
     assert whole.title == "Tip error by cause"
+
+
+def test_that_no_cause_is_sure_by_itself_is_said(rigid: Overview, tmp_path: Path) -> None:
+    listed = rigid.document["contributions"]
+    wider = [{**each, "sigma_mm": max(each["sigma_mm"], 0.6 * each["tip_mm"])} for each in listed]
+    doubtful = replace(rigid, document={**rigid.document, "contributions": wider})
+    for overview, said in ((rigid, False), (doubtful, True)):
+        write_report(tmp_path / "report.html", overview)
+        assert ("Every interval reaches 0" in (tmp_path / "report.html").read_text()) is said
+        assert ("Every interval reaches 0" in tab_texts(overview)["joints"]) is said
 
 
 def test_a_joint_model_is_shown_with_what_is_seen_of_it(bent: Overview) -> None:

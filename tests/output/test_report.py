@@ -20,7 +20,7 @@ from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.output.arms import Shape
 from urdfcal.output.charts import parameter_charts
-from urdfcal.output.figures import _magnitudes, figures
+from urdfcal.output.figures import _magnitudes, _projections, figures
 from urdfcal.output.findings import Overview, headline, look_up
 from urdfcal.output.portrait import portrait, triangles
 from urdfcal.output.pose_texts import pose_texts
@@ -220,6 +220,8 @@ def test_frames_are_not_called_poses(calibration, tmp_path):
         text = Page((tmp_path / "report.html").read_text()).text
         assert f"20 {one}s with" in text
         assert f"the timeline has the {one}s by these numbers" in text
+        assert f"rms error on held-out {one}s" in text
+        assert f"held-out {one}s, 95 % below" in text
 
 
 def test_what_was_seen_outside_of_the_image_is_told_and_the_first_row_belongs_to_it(calibration):
@@ -250,6 +252,22 @@ def test_what_was_seen_outside_of_the_image_is_told_and_the_first_row_belongs_to
     for name in ("fields", "magnitudes"):
         one, other = found[name].rows[0][:2]
         assert (one.x, one.y) == (other.x, other.y), "images of one size are in one scale"
+
+
+def test_where_a_lens_was_used_outside_of_the_image_it_has_an_uncertainty_too(simulated):
+    session = simulated("elbow3r").session
+    overview = Overview.of(calibrate(replace(session, estimate=replace(session.estimate, intrinsics="free"))))
+    pixels = overview.scene.pixels
+    inside = _projections(overview.scene, overview.calibration)
+    assert [(chart.x.low, chart.y.high) for chart in inside] == [(0.0, 0.0)] * 2
+    wide = pixels.measured.copy()
+    wide[np.flatnonzero(pixels.camera == 0)[0]] = [-100.0, 1100.0]
+    beyond = _projections(replace(overview.scene, pixels=replace(pixels, measured=wide)), overview.calibration)
+    assert all(chart.x.low <= -100.0 and chart.x.high == inside[0].x.high for chart in beyond)
+    cells, _ = beyond[1].marks
+    assert all(chart.y.low <= -1100.0 + cells.size / 2 and chart.y.high == 0.0 for chart in beyond)
+    assert inside[0].y.low > -1100.0 + cells.size / 2
+    assert np.min(cells.x) < -90.0
 
 
 def test_tolerances_stand_beside_the_corrections(calibration):

@@ -288,9 +288,14 @@ def _projections(scene: CalibrationScene, calibration: FittedCalibration) -> lis
         return []
     distance = np.linalg.norm(scene.rays[:, 1] - scene.rays[:, 0], axis=1)
     for c, camera in _all(calibration.estimate.cameras):
-        used, (width, height) = (pixels.camera == c) & pixels.used & np.isfinite(distance), camera.resolution
+        used = (pixels.camera == c) & pixels.used & np.isfinite(distance)
         size = max(camera.resolution) / (2 * _IMAGE_CELLS)
-        u, v = (np.arange(0.5 * size, end, size) for end in (width, height))
+        # Some images are larger than they are said to be; those of one size are drawn in one scale.
+        alike = [k for k, other in _all(calibration.estimate.cameras) if other.resolution == camera.resolution]
+        seen = pixels.measured[np.isin(pixels.camera, alike) & pixels.used] + CORNER
+        first = np.floor(seen.min(axis=0, initial=0.0) / size) * size
+        last = np.maximum(seen.max(axis=0, initial=0.0), camera.resolution)
+        u, v = (np.arange(low + 0.5 * size, high, size) for low, high in zip(first, last, strict=True))
         uv = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
         sigma = projection_sigma(calibration.problem, calibration.fit, c, uv, pixels.measured[used], distance[used])
         if sigma is not None:
@@ -305,8 +310,8 @@ def _projections(scene: CalibrationScene, calibration: FittedCalibration) -> lis
             Chart(
                 f"{camera.name} projection",
                 f"{camera.name}: standard deviation [px]",
-                Scale(0.0, float(uv[:, 0].max() + size / 2)),
-                Scale(-float(uv[:, 1].max() + size / 2), 0.0),
+                Scale(float(uv[:, 0].min() - size / 2), float(uv[:, 0].max() + size / 2)),
+                Scale(-float(uv[:, 1].max() + size / 2), -float(uv[:, 1].min() - size / 2)),
                 [
                     Mark("cells", "sigma", uv[:, 0], -uv[:, 1], _shades(colors, sigma), size),
                     Mark("hairlines", "border", border[:, 0], border[:, 1], palette.FAINT),

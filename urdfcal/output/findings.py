@@ -35,7 +35,6 @@ _TRIANGULATED = "triangulated, depth included"
 _FAR_MORE = 3.0
 # Of so few poses a fold takes a share that is felt: what they leave is farther off than the calibration from all.
 _FEW = 20
-_HEADLINE = "rms error on held-out poses"
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +79,8 @@ def lenses_found(document: ResultData) -> bool:
 
 def meaning(document: ResultData) -> str:
     """What the one number means that says what a calibration is worth."""
-    return _HEADLINE + (", each arm with lenses found for it" if lenses_found(document) else "")
+    lenses = ", each arm with lenses found for it" if lenses_found(document) else ""
+    return f"rms error on held-out {counted(document)}{lenses}"
 
 
 def claims(document: ResultData) -> tuple[str, ...]:

@@ -43,6 +43,7 @@ from urdfcal.output.texts import (
     directions,
     moved_most,
     noise_of,
+    none_alone,
     together,
     unseen,
 )
@@ -120,6 +121,7 @@ def write_report(path: Path, overview: Overview, *, refused: bool = False) -> No
         cost_rises=cost_rises(overview),
         directions=directions(overview),
         moved_most=moved_most(overview),
+        none_alone=none_alone(overview),
         noise_of=noise_of(overview),
         together=together(overview.scene.tables[0]),
         unseen=unseen(overview),

@@ -52,7 +52,7 @@ The same as time series: below `plots`, on the timeline `iteration`.
 """
 _JOINTS = """\
 **Joints.** What was wrong with this arm: how far each joint's geometry (blue) moves the tip{whose} over the workspace
-(rms, the bases aligned), with its 95 % interval (grey). Joint by joint they may cancel.
+(rms, the bases aligned), with its 95 % interval (grey). Joint by joint they may cancel.{unsure}
 """
 _MODELS = """
 Amber: the same of what a joint does beside. Its charts: blue is what the measurements show of the joint without the
@@ -77,7 +77,8 @@ def tab_texts(overview: Overview) -> dict[str, str]:
         "residuals": residuals,
         "pixels": pixels + (_LIGHTS if find_rejected(calibration.session) else ""),
         "convergence": _CONVERGENCE.format(rises=cost_rises(overview)),
-        "joints": _JOINTS.format(whose=moved_most(overview)) + (_MODELS if joint_model_charts(calibration) else ""),
+        "joints": _JOINTS.format(whose=moved_most(overview), unsure=none_alone(overview))
+        + (_MODELS if joint_model_charts(calibration) else ""),
         "workspace": _WORKSPACE,
     }
 
@@ -86,6 +87,14 @@ def moved_most(overview: Overview) -> str:
     """Of which tip the causes of an error are counted; nothing of one arm."""
     several = len(overview.document["robot"]["tips"]) > 1
     return ", of several arms that of the one that it moves most," if several else ""
+
+
+def none_alone(overview: Overview) -> str:
+    """That no cause of the tip's error is beyond doubt by itself; nothing where one is."""
+    found = overview.document["contributions"]
+    if any(each["tip_mm"] > 1.96 * each["sigma_mm"] for each in found):
+        return ""
+    return " Every interval reaches 0: the arm was off, but which joint it was these measurements do not tell."
 
 
 def noise_of(overview: Overview) -> str:
