@@ -174,6 +174,10 @@ def _condition(document: ResultData) -> str:
     tip = f"0.1 % of it is {permille:.2g} mm at the tip{factor}"
     if declared is not None:
         return f"the scale is known to {1e2 * declared:.2g} %, which is in the interval: {tip}"
+    if declared is None and (size := document["tip"].get("size")) is not None and size["is_limit"]:
+        # Whose factor it is is said above: another factor beside it, of what was given, would contradict it.
+        given = f"0.1 % of the scale that was given is {permille:.2g} mm of it"
+        return f"{given}: tolerances of the nominal arm hold its size, too"
     if scale.get("unit") == "distances":
         return f"if the known distances are right: 0.1 % of them is {permille:.2g} mm at the tip{factor}"
     return f"if the scale is right: {tip}"
