@@ -16,6 +16,7 @@ from urdfcal.estimation.joint_model_choice import Alternatives
 from urdfcal.estimation.joint_model_search import _as_good, _transfers, better_terms
 from urdfcal.estimation.joint_models import JOINT_MODELS, Readings, Term
 from urdfcal.estimation.joint_models.compliance import Compliance
+from urdfcal.estimation.joint_models.gain import Gain
 from urdfcal.estimation.joint_models.leaning_compliance import LeaningCompliance
 from urdfcal.estimation.joint_models.linear import LinearJointModel
 from urdfcal.estimation.uncertainty import tip_error
@@ -320,3 +321,36 @@ def test_of_two_models_forced_on_the_same_joint_both_stay() -> None:
     told = Told({"lag": -5.0, "backlash": -5.0}, forced=frozenset({"lag", "backlash"}))
     start = (*told.included, Term("lag", ("a",)), Term("backlash", ("a",)))
     assert set(joint_model_search._weighed(told, start)) == set(start)
+
+
+class Rivals:
+    """A rigid arm that two models explain: by evidence, each at one scale; regions bear nothing out."""
+
+    included: tuple[Term, ...] = ()
+
+    def __init__(self, *rivals: tuple[str, float, float], certain: float = 0.0) -> None:
+        self.gains = {name: (scale, gain) for name, scale, gain in rivals}
+        self.units = tuple(
+            SimpleNamespace(term=Term(name, ("a",)), forced=False, certain=certain) for name in self.gains
+        )
+
+    def score(self, terms: tuple[Term, ...]) -> float:
+        return sum(gain for t in terms for scale, gain in [self.gains[t.model]] if t.scale == scale) - 100.0 * (
+            len(terms) > 1
+        )
+
+    def errors(self, terms: tuple[Term, ...]) -> list[np.ndarray]:
+        del terms
+        return [np.ones(3)] * 3
+
+
+@pytest.mark.parametrize(("more", "taken"), [(1.0, "gain"), (2.0, "compliance")])
+def test_of_two_that_explain_as_much_the_one_of_usual_size_is_chosen(more: float, taken: str) -> None:
+    told = Rivals(("compliance", 25.0, 40.0 + more), ("gain", 5.0, 40.0))
+    (term,) = joint_model_search._step(told, ())
+    assert term.model == taken  # five times the scale is worth log 5 = 1.6
+
+
+@pytest.mark.parametrize(("gain", "taken"), [(6.1, True), (5.9, False)])
+def test_a_gear_ratio_is_chosen_by_evidence_that_regions_do_not_bear_out(gain: float, taken: bool) -> None:
+    assert (joint_model_search._step(Rivals(("gain", 1.0, gain), certain=Gain.certain), ()) is not None) is taken

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-import numpy as np
-
 from urdfcal.estimation.joint_models.linear import LinearJointModel, Prior
 
 if TYPE_CHECKING:
@@ -29,7 +27,7 @@ class Gain(LinearJointModel):
     groups: ClassVar[Mapping[str, tuple[int, ...]]] = {"gain": (0,)}
     revolute: ClassVar[Prior | None] = Prior("1", 2e-4)
     prismatic: ClassVar[Prior | None] = Prior("1", 2e-4)
-    certain: ClassVar[float] = np.inf  # gear ratios are exact: evidence alone may be of something else
+    certain: ClassVar[float] = 6.0  # of an SO-101's joint off by 0.1 % regions bear out 12 of 30, and 16 with it
 
     def features(self, readings: Readings) -> Floats:
         """Return the readings."""
