@@ -24,14 +24,40 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+    from urdfcal.result.fitted import FittedCalibration
+    from urdfcal.session.model import Session
+
+
+pytestmark = pytest.mark.usefixtures("no_trials", "once")
+
+
+@pytest.fixture(scope="module")
+def session(simulated: Callable, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A session whose pixels have five times the noise that it declares."""
+    folder = tmp_path_factory.mktemp("noisy") / "session"
+    arm_alone = replace(simulated("elbow3r", poses=12).session, estimate=Estimate("dh", "fixed", "fixed"))
+    write_session(folder, arm_alone)
+    swap("session.yaml", "pixel: 0.1", "pixel: 0.02")(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def made() -> dict[tuple, FittedCalibration]:
+    return {}
+
 
 @pytest.fixture
-def session(simulated: Callable, no_trials: None, tmp_path: Path) -> Path:
-    """A session whose pixels have five times the noise that it declares."""
-    arm_alone = replace(simulated("elbow3r", poses=12).session, estimate=Estimate("dh", "fixed", "fixed"))
-    write_session(tmp_path / "session", arm_alone)
-    swap("session.yaml", "pixel: 0.1", "pixel: 0.02")(tmp_path / "session")
-    return tmp_path / "session"
+def once(made: dict[tuple, FittedCalibration], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands calibrate a folder once: the tests are of what they then do with it. The library does each time."""
+    calibrate = urdfcal.calibrate
+
+    def known(session: Session, *, progress: object, **how: object) -> FittedCalibration:
+        key = (session.folder, session.poses, *sorted(how.items()))
+        if key not in made:
+            made[key] = calibrate(session, **how)
+        return made[key]
+
+    monkeypatch.setattr("urdfcal.pipeline.calibrate", known)
 
 
 def test_library_and_command_line_refuse_the_same(
@@ -94,7 +120,6 @@ def test_what_is_refused_where_nothing_can_be_written_is_still_refused(
     assert "shows it" not in said
 
 
-@pytest.mark.usefixtures("no_trials")
 def test_what_is_refused_says_which_poses_to_leave_out(
     tmp_path: Path, simulated: Callable, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -108,7 +133,6 @@ def test_what_is_refused_says_which_poses_to_leave_out(
     assert not (tmp_path / "out" / "refused").exists()
 
 
-@pytest.mark.usefixtures("no_trials")
 def test_what_is_so_wrong_that_some_numbers_are_none_is_written_by_force_alone(
     tmp_path: Path, simulated: Callable, capsys: pytest.CaptureFixture[str]
 ) -> None:
