@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.estimation.blocks.arm import no_offsets
+from urdfcal.estimation.identifiability import identify
 from urdfcal.estimation.joint_models import JOINT_MODELS
-from urdfcal.estimation.model_spec import ModelSpec
+from urdfcal.estimation.model_spec import ModelSpec, nominal
 from urdfcal.estimation.parameters import Parameters, choose_parameters
 from urdfcal.estimation.problem import Problem
+from urdfcal.estimation.solver import solve
 from urdfcal.estimation.start import first_state
 from urdfcal.robot.placements import PlacementTable
 from urdfcal.robot.tree_dh import rows_of
@@ -21,6 +23,7 @@ from urdfcal.simulation.motion import MotionSettings, set_in_motion
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from urdfcal.estimation.solver import Solution
     from urdfcal.estimation.state import State
     from urdfcal.session.knowledge import ArmGeometry
 
@@ -59,6 +62,18 @@ class Example:
         size = np.minimum(_STEP, parameters.prior[parameters.active])
         step = size * np.random.default_rng(0).normal(size=parameters.count)
         return cls(session, problem, start, parameters.retract(start, step), parameters)
+
+
+def estimated(session: Session) -> tuple[Problem, Solution]:
+    """The rigid arm before the cameras as they are given: what `calibrate` then compares and judges for a second."""
+    arm = rows_of(session.chain)
+    problem = Problem.of(session, arm)
+    start = first_state(session, arm, no_offsets(arm))
+    base = nominal(session, start)
+    drawn = solve(problem, start, choose_parameters(session, problem, start, base)).state
+    spec = replace(base, geometry="dh")
+    found = identify(problem, drawn, choose_parameters(session, problem, drawn, spec))
+    return problem, solve(problem, drawn, found.parameters)
 
 
 def at_rest(simulated: Callable) -> Session:

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -9,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from tests.estimation.problems import estimated
 from tests.worlds import (
     EVENT,
     backlash,
@@ -26,18 +26,15 @@ from tests.worlds import (
 from urdfcal.estimation.blocks.targets import target_key
 from urdfcal.estimation.diagnosis.doctor import diagnose
 from urdfcal.estimation.diagnosis.residuals import Unexplained
-from urdfcal.estimation.joint_models import JOINT_MODELS
-from urdfcal.estimation.joint_models.linear import LinearJointModel
 from urdfcal.estimation.noise import find_noise
 from urdfcal.pipeline import calibrate
 from urdfcal.session.exclusion import labels, leave_out
-from urdfcal.session.knowledge import Estimate, Excluded
+from urdfcal.session.knowledge import Excluded
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from urdfcal.estimation.diagnosis.doctor import Finding
-    from urdfcal.result.fitted import FittedCalibration
     from urdfcal.session.model import Session
 
 pytestmark = pytest.mark.usefixtures("no_trials")
@@ -62,18 +59,14 @@ EVENTS = {
 }
 
 
-def unexplained(session: Session) -> tuple[FittedCalibration, Unexplained]:
+def unexplained(session: Session) -> Unexplained:
     """Residuals of a rigid arm between perfect joints."""
-    rigid = dict.fromkeys((model.name for model in JOINT_MODELS if issubclass(model, LinearJointModel)), False)
-    session = replace(session, estimate=Estimate("dh", "fixed", "fixed"), joint_models=rigid)
-    calibration = calibrate(session, force=True)
-    problem, fit = calibration.problem, calibration.fit
-    return calibration, Unexplained.of(calibration.session, problem, fit, find_noise(problem, fit))
+    problem, fit = estimated(session)
+    return Unexplained.of(session, problem, fit, find_noise(problem, fit))
 
 
 def findings(session: Session) -> tuple[Finding, ...]:
-    calibration, left = unexplained(session)
-    return diagnose(calibration.session, left)
+    return diagnose(session, unexplained(session))
 
 
 @pytest.mark.parametrize("name", EFFECTS)
@@ -130,10 +123,8 @@ def test_two_causes_are_both_named(simulated: Callable) -> None:
 
 @pytest.mark.no_cover
 @pytest.mark.parametrize("rig", ["ur5", "stanford", "ur5_handeye", "tiago_dual"])
-def test_nothing_is_found_in_a_clean_session(rig: str, fitted: Callable) -> None:
-    calibration = fitted(rig, poses=40)
-    session, problem, fit = calibration.session, calibration.problem, calibration.fit
-    assert diagnose(session, Unexplained.of(session, problem, fit, find_noise(problem, fit))) == ()
+def test_nothing_is_found_in_a_clean_session(rig: str, simulated: Callable) -> None:
+    assert findings(simulated(rig, poses=40).session) == ()
 
 
 def test_outliers_are_no_event(simulated: Callable) -> None:
@@ -147,7 +138,7 @@ def test_a_camera_bumped_so_far_that_all_later_detections_are_outliers(simulated
 
 
 def test_what_an_effect_explains_is_what_least_squares_with_it_would(simulated: Callable) -> None:
-    _, left = unexplained(simulated("elbow3r", poses=20).session)
+    left = unexplained(simulated("elbow3r", poses=20).session)
     rng = np.random.default_rng(0)
     effect = np.vstack([rng.normal(size=(len(left.pose), 2)), np.zeros((len(left.r) - len(left.pose), 2))])
     gain, size, covariance = left.explained(effect)
@@ -162,7 +153,7 @@ def test_what_an_effect_explains_is_what_least_squares_with_it_would(simulated: 
 
 
 def test_the_estimate_itself_explains_nothing_more(simulated: Callable) -> None:
-    _, left = unexplained(simulated("elbow3r", poses=20).session)
+    left = unexplained(simulated("elbow3r", poses=20).session)
     assert left.explained(left.Q[:, :3])[0] == pytest.approx(0.0, abs=1e-9 * left.total)
     np.testing.assert_allclose(left.Q.T @ left.r, 0.0, atol=1e-8)
 

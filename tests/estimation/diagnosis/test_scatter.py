@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from tests.estimation.problems import estimated
 from tests.worlds import with_detections
 from urdfcal.estimation.diagnosis.scatter import scatter
 from urdfcal.estimation.measurements import Detections, Points
 from urdfcal.estimation.measurements.pixels import triangulate
 from urdfcal.pipeline import calibrate
-from urdfcal.session.knowledge import Estimate, Led
+from urdfcal.session.knowledge import Led
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -25,8 +26,7 @@ pytestmark = pytest.mark.usefixtures("no_trials")
 
 
 def found(session: Session) -> tuple[Finding, ...]:
-    calibration = calibrate(replace(session, estimate=Estimate("dh", "fixed")), force=True)
-    return scatter(session, calibration.problem, calibration.comparison.chosen.fit)
+    return scatter(session, *estimated(session))
 
 
 def noisier(session: Session, which: Callable[[Detections], np.ndarray], times: float) -> Session:
@@ -47,10 +47,11 @@ def test_a_camera_that_scatters_more_is_named(simulated: Callable) -> None:
 
 
 @pytest.mark.no_cover
-def test_what_is_far_away_scatters_more(simulated: Callable, fitted: Callable) -> None:
-    data, calibration = simulated("panda", poses=50), fitted("panda", poses=50)
-    (observed,), state = calibration.problem.observations, calibration.comparison.chosen.fit.state
-    depth = calibration.problem.metres_per_unit(observed, state)
+def test_what_is_far_away_scatters_more(simulated: Callable) -> None:
+    data = simulated("panda", poses=50)
+    problem, fit = estimated(data.session)
+    (observed,) = problem.observations
+    depth = problem.metres_per_unit(observed, fit.state)
     far = np.zeros(len(data.session.find(Detections)), dtype=bool)
     far[observed.row[observed.valid]] = (depth > np.median(depth[observed.valid]))[observed.valid]
     (finding,) = found(noisier(data.session, lambda _: far, 3.0))
