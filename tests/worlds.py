@@ -13,6 +13,8 @@ from urdfcal.arrays import inverse
 from urdfcal.estimation.blocks.base_pose import BASE
 from urdfcal.estimation.blocks.cameras import pose_key
 from urdfcal.estimation.blocks.leds import LEDS
+from urdfcal.estimation.joint_models import JOINT_MODELS
+from urdfcal.estimation.joint_models.linear import LinearJointModel
 from urdfcal.estimation.measurements import Detections
 from urdfcal.estimation.problem import Problem
 from urdfcal.robot.chain import Chain
@@ -29,6 +31,8 @@ if TYPE_CHECKING:
     from urdfcal.session.model import Session
     from urdfcal.simulation.truth import Simulated
 
+RIGID = {model.name: False for model in JOINT_MODELS if issubclass(model, LinearJointModel)}
+"""A session's joint models where the arm is rigid between perfect joints, and that is not weighed."""
 EVENT = 30
 """The pose from which on something is otherwise."""
 

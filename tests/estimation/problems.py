@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from urdfcal.estimation.blocks.arm import no_offsets
-from urdfcal.estimation.identifiability import identify
+from urdfcal.estimation.identifiability import Identifiability, identify
 from urdfcal.estimation.joint_models import JOINT_MODELS
+from urdfcal.estimation.joint_models.time_offset import time_offsets
 from urdfcal.estimation.model_spec import ModelSpec, nominal
 from urdfcal.estimation.parameters import Parameters, choose_parameters
 from urdfcal.estimation.problem import Problem
-from urdfcal.estimation.solver import solve
+from urdfcal.estimation.solver import Solution, solve
 from urdfcal.estimation.start import first_state
+from urdfcal.estimation.time_offset_start import start_state
 from urdfcal.robot.placements import PlacementTable
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.session.model import Session  # noqa: TC001  # a field's type
@@ -23,8 +25,8 @@ from urdfcal.simulation.motion import MotionSettings, set_in_motion
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from urdfcal.estimation.solver import Solution
-    from urdfcal.estimation.state import State
+    from urdfcal.arrays import Floats
+    from urdfcal.estimation.state import Key, State
     from urdfcal.session.knowledge import ArmGeometry
 
 # Random steps from the start: derivatives there are not those of a special case, and LEDs stay in front of the cameras.
@@ -64,16 +66,44 @@ class Example:
         return cls(session, problem, start, parameters.retract(start, step), parameters)
 
 
-def estimated(session: Session) -> tuple[Problem, Solution]:
-    """The rigid arm before the cameras as they are given: what `calibrate` then compares and judges for a second."""
-    arm = rows_of(session.chain)
-    problem = Problem.of(session, arm)
-    start = first_state(session, arm, no_offsets(arm))
-    base = nominal(session, start)
-    drawn = solve(problem, start, choose_parameters(session, problem, start, base)).state
-    spec = replace(base, geometry="dh")
-    found = identify(problem, drawn, choose_parameters(session, problem, drawn, spec))
-    return problem, solve(problem, drawn, found.parameters)
+@dataclass(frozen=True, eq=False)
+class Estimated:
+    """The rigid arm before the cameras as they are given, its offsets in DH rows.
+
+    Attributes:
+        session: of a moving arm with the time offsets that were found.
+        problem: of all its measurements.
+        identifiability: of the arm's parameters.
+        fit: the estimate.
+    """
+
+    session: Session
+    problem: Problem
+    identifiability: Identifiability
+    fit: Solution
+
+    @classmethod
+    def of(cls, session: Session, *, priors: bool = True) -> Estimated:
+        """Estimate, without what takes `calibrate` most of a second: models to compare, folds, regions and causes."""
+        arm = rows_of(session.chain)
+        start = start_state(session, arm, no_offsets(arm))
+        problem = Problem.of(session.recorded(time_offsets(start)), arm)
+        base = nominal(session, start, priors=priors)
+        drawn = solve(problem, start, choose_parameters(session, problem, start, base)).state
+        parameters = choose_parameters(session, problem, drawn, replace(base, geometry="dh"))
+        found = identify(problem, drawn, parameters)
+        fit = solve(problem, drawn, found.parameters)
+        return cls(session.with_time_offsets(time_offsets(fit.state)), problem, found, fit)
+
+    @property
+    def placements(self) -> Floats:
+        """(n, 4, 4) of each joint in the frame of its parent joint. [m]"""
+        return self.problem.arm.placements(self.problem.offsets(self.fit.state))
+
+    def sigmas_of(self, key: Key[Any]) -> Floats:
+        """Standard deviations of a block's coordinates; NaN where one is fixed."""
+        parameters = self.fit.parameters
+        return parameters.sigmas(self.fit.covariance)[parameters.columns(key)]
 
 
 def at_rest(simulated: Callable) -> Session:

@@ -7,30 +7,23 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from tests.estimation.problems import Estimated
 from tests.worlds import declared
 from urdfcal.estimation.noise import _Likelihood, _Part, find_noise, noise_factors
 from urdfcal.estimation.whitening import joint_noise
-from urdfcal.pipeline import calibrate
-from urdfcal.session.knowledge import Estimate
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from urdfcal.estimation.noise import FoundNoise
-    from urdfcal.result.fitted import FittedCalibration
     from urdfcal.session.model import Session
 
-pytestmark = pytest.mark.usefixtures("no_trials")
-
-
-@cache
-def calibrated(session: Session) -> FittedCalibration:
-    return calibrate(replace(session, estimate=Estimate("dh", "fixed")), force=True)
+estimated = cache(Estimated.of)
 
 
 def noise_of(session: Session, undeclared: tuple[str, ...] = ()) -> dict[str, FoundNoise]:
-    calibration = calibrated(session)
-    return {of.name: of for of in find_noise(calibration.problem, calibration.fit, undeclared)}
+    estimate = estimated(session)
+    return {of.name: of for of in find_noise(estimate.problem, estimate.fit, undeclared)}
 
 
 @pytest.mark.parametrize("rig", ["so101", "tiago", "panda"])
@@ -76,8 +69,8 @@ def test_outliers_are_no_noise(simulated: Callable) -> None:
 
 @pytest.fixture
 def likelihood(simulated: Callable) -> _Likelihood:
-    calibration = calibrated(simulated("so101", poses=20).session)
-    problem, fit = calibration.problem, calibration.fit
+    estimate = estimated(simulated("so101", poses=20).session)
+    problem, fit = estimate.problem, estimate.fit
     parts = [_Part.of(problem, fit, of, kept) for of, kept in zip(problem.observations, fit.kept, strict=True)]
     return _Likelihood(tuple(parts), *fit.parameters.prior_residuals(fit.state))
 
@@ -140,17 +133,17 @@ def test_noise_of_joints_that_move_nothing_that_is_seen_is_unknown(
     def nothing(*arguments: object) -> np.ndarray:
         return 0.0 * joint_noise(*arguments)
 
-    calibration = calibrated(simulated("so101", poses=20).session)
+    estimate = estimated(simulated("so101", poses=20).session)
     monkeypatch.setattr("urdfcal.estimation.noise.joint_noise", nothing)
-    pixel, joint = find_noise(calibration.problem, calibration.fit)
+    pixel, joint = find_noise(estimate.problem, estimate.fit)
     assert pixel.known
     assert not joint.known
     assert joint.ratio == 1.0
 
 
-def test_the_quick_way_finds_the_same_noise(fitted: Callable) -> None:
-    calibration = fitted("ur5", poses=40)
-    problem, fit = calibration.problem, calibration.fit
+def test_the_quick_way_finds_the_same_noise(simulated: Callable) -> None:
+    estimate = estimated(simulated("ur5", poses=40).session)
+    problem, fit = estimate.problem, estimate.fit
     *kinds, joint = find_noise(problem, fit)
     *factors, quick = noise_factors(problem, fit)
     assert quick == joint.found

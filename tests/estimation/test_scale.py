@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.estimation.derivatives import assert_derivatives
-from tests.estimation.problems import Example, at_rest
+from tests.estimation.problems import Estimated, Example, at_rest
 from tests.worlds import scaled
 from urdfcal.estimation.blocks.scale import SCALE
 from urdfcal.estimation.diagnosis.residuals import Unexplained, _everything
@@ -27,15 +27,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from urdfcal.result.fitted import FittedCalibration
     from urdfcal.session.model import Session
 
 
-def scale_of(session: Session) -> tuple[FittedCalibration, LengthScale]:
-    calibration = calibrate(replace(session, estimate=Estimate("dh", "fixed", "fixed")), force=True)
-    problem, fit = calibration.problem, calibration.fit
-    left = Unexplained.of(calibration.session, problem, fit, find_noise(problem, fit))
-    return calibration, find_scale(problem, fit, left)
+def scale_of(session: Session) -> tuple[Estimated, LengthScale]:
+    found = Estimated.of(session)
+    left = Unexplained.of(session, found.problem, found.fit, find_noise(found.problem, found.fit))
+    return found, find_scale(found.problem, found.fit, left)
 
 
 def as_points(session: Session) -> Session:
@@ -62,7 +60,7 @@ def test_a_permille_is_worth_what_it_does_to_the_tip(simulated: Callable) -> Non
     data = simulated("ur5", poses=50)
     before, scale = scale_of(data.session)
     after, _ = scale_of(scaled(data, 1e-3))
-    chain = before.chain
+    chain = data.session.chain
     arms = (chain.with_placements(of.placements) for of in (before, after))
     moved = compare(*arms, chain.random_values(300, np.random.default_rng(0))).position
     assert scale.tip_per_permille == pytest.approx(np.sqrt(np.mean(moved**2)), rel=0.02)

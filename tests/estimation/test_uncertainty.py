@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from tests.estimation.problems import Estimated
 from urdfcal.estimation.alignment import kabsch
 from urdfcal.estimation.blocks.arm import no_offsets
 from urdfcal.estimation.model_spec import ModelSpec
@@ -96,12 +97,13 @@ def test_an_arm_that_grows_as_a_whole_is_wrong_in_its_size_alone(arm: tuple[Prob
 
 
 def test_more_of_the_same_narrows_what_is_measured_and_not_what_is_known(simulated: Callable) -> None:
-    calibration = calibrate(simulated("ur5", poses=16).session, force=True)
-    problem, fit = calibration.problem, calibration.fit
+    session = simulated("ur5", poses=16).session
+    found = Estimated.of(session)
+    problem, fit = found.problem, found.fit
     rms, _ = tip_error(problem, fit)
     assert tip_rms_with(problem, fit, 1.0) == pytest.approx(rms)
     assert 0.5 * rms < tip_rms_with(problem, fit, 4.0) < 0.8 * rms
-    without = calibrate(simulated("ur5", poses=16).session, force=True, priors=False)
+    without = Estimated.of(session, priors=False)
     rms, _ = tip_error(without.problem, without.fit)
     assert tip_rms_with(without.problem, without.fit, 4.0) == pytest.approx(0.5 * rms, rel=1e-3)
 

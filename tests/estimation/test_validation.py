@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from tests.worlds import erring, repeated, sagging
+from tests.estimation.problems import Estimated
+from tests.worlds import RIGID, erring, repeated, sagging
 from urdfcal.arrays import rms
 from urdfcal.estimation.blocks.arm import ARM
 from urdfcal.estimation.evaluation import compare
-from urdfcal.estimation.joint_models import JOINT_MODELS
-from urdfcal.estimation.joint_models.linear import LinearJointModel
 from urdfcal.estimation.validation import FOLDS, hold_out, loss, random_folds, region_interval, rms_interval
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.dh import PARAMETERS
@@ -21,12 +20,10 @@ from urdfcal.session.knowledge import Estimate
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from urdfcal.result.fitted import FittedCalibration
-
 
 @pytest.fixture(scope="module")
-def calibration(fitted: Callable) -> FittedCalibration:
-    return fitted("elbow3r", estimate=Estimate("dh", "fixed", "fixed"))
+def calibration(simulated: Callable) -> Estimated:
+    return Estimated.of(simulated("elbow3r").session)
 
 
 def test_the_loss_is_the_mean_over_measurements_without_padding() -> None:
@@ -36,7 +33,7 @@ def test_the_loss_is_the_mean_over_measurements_without_padding() -> None:
     assert loss(norms, observations) == pytest.approx(np.mean(np.log1p([1.0, 4.0, 9.0, 16.0])))
 
 
-def test_a_pose_has_no_part_in_its_own_prediction(calibration: FittedCalibration) -> None:
+def test_a_pose_has_no_part_in_its_own_prediction(calibration: Estimated) -> None:
     problem, fit = calibration.problem, calibration.fit
     (observed,) = problem.observations
     folds = random_folds(problem, seed=0)
@@ -52,7 +49,7 @@ def test_a_pose_has_no_part_in_its_own_prediction(calibration: FittedCalibration
     assert np.all(after.norms[0][elsewhere] != before.norms[0][elsewhere])
 
 
-def test_distances_are_residuals_in_metres_across_the_ray(calibration: FittedCalibration) -> None:
+def test_distances_are_residuals_in_metres_across_the_ray(calibration: Estimated) -> None:
     problem, held_out = (
         calibration.problem,
         hold_out(calibration.problem, calibration.fit, random_folds(calibration.problem, 0)),
@@ -65,7 +62,7 @@ def test_distances_are_residuals_in_metres_across_the_ray(calibration: FittedCal
     assert np.mean(held_out.residual[0][observed.valid] ** 2) > np.mean(lengths**2)
 
 
-def test_other_seeds_divide_the_poses_otherwise(calibration: FittedCalibration) -> None:
+def test_other_seeds_divide_the_poses_otherwise(calibration: Estimated) -> None:
     a, b, again = (
         hold_out(calibration.problem, calibration.fit, random_folds(calibration.problem, seed)).norms[0]
         for seed in (0, 1, 0)
@@ -143,11 +140,10 @@ def test_repeats_of_a_configuration_are_left_out_together(simulated: Callable) -
 
 @pytest.mark.no_cover
 @pytest.mark.parametrize("seed", range(2))
-def test_without_misfit_the_jackknife_agrees_with_the_covariance(seed: int, fitted: Callable) -> None:
-    calibration = fitted("so101", poses=60, seed=seed)
-    problem, fit = calibration.problem, calibration.comparison.chosen.fit
+def test_without_misfit_the_jackknife_agrees_with_the_covariance(seed: int, simulated: Callable) -> None:
+    found = Estimated.of(simulated("so101", poses=60, seed=seed).session)
+    problem, fit = found.problem, found.fit
     assert not fit.misfit
-    assert fit.spread is None
     spread = hold_out(problem, fit, np.arange(60) % 20).spread
     ratio = np.sqrt(np.diag(spread) / np.diag(fit.covariance))
     assert 0.7 < np.median(ratio) < 1.4
@@ -156,8 +152,7 @@ def test_without_misfit_the_jackknife_agrees_with_the_covariance(seed: int, fitt
 @pytest.mark.no_cover
 def test_where_the_arm_bends_intervals_are_what_regions_show(simulated: Callable) -> None:
     data = simulated("ur5", poses=50)
-    rigid = {model.name: False for model in JOINT_MODELS if issubclass(model, LinearJointModel)}
-    session = replace(sagging(data, 4e-5), estimate=Estimate("dh", "fixed"), joint_models=rigid)
+    session = replace(sagging(data, 4e-5), estimate=Estimate("dh", "fixed"), joint_models=RIGID)
     calibration = calibrate(session, force=True)
     fit, table = calibration.comparison.chosen.fit, calibration.table
     assert fit.misfit

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from tests.estimation.problems import estimated
+from tests.estimation.problems import Estimated
 from tests.worlds import (
     EVENT,
     backlash,
@@ -61,8 +61,8 @@ EVENTS = {
 
 def unexplained(session: Session) -> Unexplained:
     """Residuals of a rigid arm between perfect joints."""
-    problem, fit = estimated(session)
-    return Unexplained.of(session, problem, fit, find_noise(problem, fit))
+    of = Estimated.of(session)
+    return Unexplained.of(session, of.problem, of.fit, find_noise(of.problem, of.fit))
 
 
 def findings(session: Session) -> tuple[Finding, ...]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from tests.estimation.problems import estimated
+from tests.estimation.problems import Estimated
 from tests.worlds import with_detections
 from urdfcal.estimation.diagnosis.scatter import scatter
 from urdfcal.estimation.measurements import Detections, Points
@@ -26,7 +26,8 @@ pytestmark = pytest.mark.usefixtures("no_trials")
 
 
 def found(session: Session) -> tuple[Finding, ...]:
-    return scatter(session, *estimated(session))
+    estimate = Estimated.of(session)
+    return scatter(session, estimate.problem, estimate.fit)
 
 
 def noisier(session: Session, which: Callable[[Detections], np.ndarray], times: float) -> Session:
@@ -49,9 +50,9 @@ def test_a_camera_that_scatters_more_is_named(simulated: Callable) -> None:
 @pytest.mark.no_cover
 def test_what_is_far_away_scatters_more(simulated: Callable) -> None:
     data = simulated("panda", poses=50)
-    problem, fit = estimated(data.session)
-    (observed,) = problem.observations
-    depth = problem.metres_per_unit(observed, fit.state)
+    estimate = Estimated.of(data.session)
+    (observed,) = estimate.problem.observations
+    depth = estimate.problem.metres_per_unit(observed, estimate.fit.state)
     far = np.zeros(len(data.session.find(Detections)), dtype=bool)
     far[observed.row[observed.valid]] = (depth > np.median(depth[observed.valid]))[observed.valid]
     (finding,) = found(noisier(data.session, lambda _: far, 3.0))
