@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from tests.estimation.problems import Estimated
+from tests.worlds import RIGID
 from urdfcal.cameras.rig import CameraSigma, Rig
 from urdfcal.errors import SessionError
 from urdfcal.estimation.blocks.cameras import camera_poses, camera_values, lens_key, pose_key
@@ -192,7 +194,7 @@ def test_a_camera_of_unknown_place_cannot_be_fixed(data: Simulated, true_state: 
 
 
 @pytest.mark.no_cover
-def test_cameras_that_are_off_are_refined(simulated: Callable, fitted: Callable) -> None:
+def test_cameras_that_are_off_are_refined(simulated: Callable) -> None:
     # A pair drawn from its covariance: refined, it is nearer to the truth than as given, and as near as it says.
     ratios, squares = [], []
     for seed in range(4):
@@ -200,7 +202,7 @@ def test_cameras_that_are_off_are_refined(simulated: Callable, fitted: Callable)
         truth, rng = data.session.rig, np.random.default_rng([5, seed])
         known = calibrated(truth)
         session, attachments = replace(data.session, rig=known), data.session.attachments
-        problem, centre = Problem.of(session, DHTable.from_chain(session.chain)), fitted("ur5", seed=seed).fit.state
+        problem, centre = Problem.of(session, DHTable.from_chain(session.chain)), Estimated.of(data.session).fit.state
         centre = centre.replace(camera_state(session, np.array(truth.T_cam_world)))
         spec = ModelSpec("none", ("refine",) * 2, ("fixed", "refine"))
         parameters = choose_parameters(session, problem, centre, spec)
@@ -209,7 +211,7 @@ def test_cameras_that_are_off_are_refined(simulated: Callable, fitted: Callable)
         step[first:] = rng.multivariate_normal(np.zeros(COUNT), COVARIANCE)[PRIOR_ORDER]
         moved = parameters.retract(centre, step[parameters.active])
         given = Rig(camera_values(attachments, moved), tuple(camera_poses(attachments, moved)), known.sigmas)
-        fit = calibrate(replace(data.session, rig=given)).fit
+        fit = calibrate(replace(data.session, rig=given, estimate=Estimate("dh"), joint_models=RIGID)).fit
         sigma = np.zeros(fit.parameters.size)
         sigma[fit.parameters.active] = np.sqrt(np.diag(fit.covariance))
         for c, name in enumerate(truth.names):

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from tests.estimation.problems import Estimated
+from tests.worlds import RIGID
 from urdfcal.arrays import rms
 from urdfcal.errors import CalibrationError
 from urdfcal.estimation.evaluation import compare, explain
 from urdfcal.estimation.identifiability import identify
-from urdfcal.estimation.joint_models import JOINT_MODELS
 from urdfcal.estimation.joint_models.found import FoundJointModels
-from urdfcal.estimation.joint_models.linear import LinearJointModel
 from urdfcal.estimation.joint_models.time_offset import TIME_OFFSETS
 from urdfcal.estimation.linearize import Tangent
 from urdfcal.estimation.model_spec import ModelSpec
@@ -60,11 +60,11 @@ def at_rest(moving: Simulated) -> Session:
     return replace(session, q=session.chain.joint_values(readings), motion=AT_REST)
 
 
-def tip_error(calibration: FittedCalibration, simulated: Simulated) -> float:
-    nominal = calibration.chain
+def tip_error(found: FittedCalibration | Estimated, simulated: Simulated) -> float:
+    nominal = found.session.chain
     q = nominal.random_values(300, np.random.default_rng(0))
     calibrated, true = (
-        replace(nominal, placements=placements) for placements in (calibration.placements, simulated.truth.placements)
+        replace(nominal, placements=placements) for placements in (found.placements, simulated.truth.placements)
     )
     return float(np.sqrt(np.mean(compare(calibrated, true, q).position ** 2)))
 
@@ -112,20 +112,14 @@ def test_a_moving_arm_calibrates_as_well_as_a_still_one_and_the_time_offsets_are
     # ur5: its encoders' noise, drawn anew for the arm at rest, is small beside the pixels', which are the same. Time
     # offsets two or three of their standard deviations off make a single arm half as bad again: so rms over three.
     errors = []
-    rigid = {model.name: False for model in JOINT_MODELS if issubclass(model, LinearJointModel)}
     for seed in range(3):
         moving = filmed("ur5", 15, 1.0, seed=seed)
-        found, still = (
-            calibrate(replace(session, estimate=ARM_ALONE, joint_models=rigid), force=True)
-            for session in (moving.session, at_rest(moving))
-        )
-        assert np.abs(found.estimate.time_offsets - OFFSETS).max() < 2e-4
+        found, still = (Estimated.of(session) for session in (moving.session, at_rest(moving)))
+        off, sigma = np.abs(found.fit.state[TIME_OFFSETS] - OFFSETS), found.sigmas_of(TIME_OFFSETS)
+        assert off.max() < 2e-4
+        assert np.all(off < 4.0 * sigma)
+        assert sigma.max() < 1e-4
         errors.append((tip_error(found, moving), tip_error(still, moving)))
-        cameras = found.to_dict()["cameras"]
-        for c, offset in zip(("cam0", "cam1"), OFFSETS, strict=True):
-            value, sigma = cameras[c]["time_offset"]["value"], cameras[c]["time_offset"]["sigma"]
-            assert abs(value - offset) < 4.0 * sigma
-            assert sigma < 1e-4
         np.testing.assert_allclose(found.session.q, moving.truth.q, atol=6.0 * moving.session.noise.joint)
     moved, rested = np.sqrt(np.mean(np.square(errors), axis=0))
     assert moved < 1.3 * rested
@@ -135,9 +129,9 @@ def test_a_moving_arm_calibrates_as_well_as_a_still_one_and_the_time_offsets_are
 @pytest.mark.usefixtures("no_trials")
 def test_without_the_offsets_the_arm_would_be_wrong() -> None:
     moving = filmed("elbow3r", 12, 5.0)
+    rigid = replace(moving.session, joint_models=RIGID)
     found, fixed = (
-        calibrate(replace(moving.session, estimate=replace(ARM_ALONE, time_offset=word)), force=True)
-        for word in (None, "fixed")
+        calibrate(replace(rigid, estimate=replace(ARM_ALONE, time_offset=word)), force=True) for word in (None, "fixed")
     )
     assert not fixed.estimate.time_offsets.any()
     assert fixed.to_dict()["cameras"]["cam0"]["time_offset"] == {"value": 0.0, "sigma": None}
@@ -149,8 +143,7 @@ def test_time_offsets_of_a_second_are_found_by_trying(offsets: tuple[float, floa
     moving = filmed("ur5", 12, 2.0, offsets)
     start = start_state(moving.session, DHTable.from_chain(moving.session.chain), np.zeros((6, 5)))
     assert np.abs(start[TIME_OFFSETS] - offsets).max() <= 0.1
-    found = calibrate(replace(moving.session, estimate=ARM_ALONE), force=True)
-    assert np.abs(found.estimate.time_offsets - offsets).max() < 5e-4
+    assert np.abs(Estimated.of(moving.session).fit.state[TIME_OFFSETS] - offsets).max() < 5e-4
 
 
 def test_frames_that_the_log_does_not_reach_once_the_time_offsets_are_known_are_left_out() -> None:
@@ -162,7 +155,7 @@ def test_frames_that_the_log_does_not_reach_once_the_time_offsets_are_known_are_
     read = replace(moving.session, motion=replace(trajectory, log=log)).at(np.flatnonzero(log.covers(trajectory.time)))
     true = read.motion.robot_time(np.array([0.93, -0.9]))
     assert np.count_nonzero((true < log.time[0]) | (true > log.time[-1])) > 4
-    found = calibrate(replace(read, estimate=ARM_ALONE), force=True)
+    found = calibrate(replace(read, estimate=ARM_ALONE, joint_models=RIGID), force=True)
     assert np.abs(found.estimate.time_offsets - (0.93, -0.9)).max() < 5e-4
     times = found.session.motion.robot_time(found.estimate.time_offsets)
     assert log.time[0] < times.min() < log.time[0] + 0.5
@@ -175,7 +168,7 @@ def test_frames_that_the_log_does_not_reach_once_the_time_offsets_are_known_are_
 @pytest.mark.no_cover
 def test_outliers_are_found_in_motion_as_well() -> None:
     moving = filmed("elbow3r", 12, 4.0, OFFSETS, 0.1)
-    found = calibrate(replace(moving.session, estimate=ARM_ALONE), force=True)
+    found = calibrate(replace(moving.session, estimate=ARM_ALONE, joint_models=RIGID), force=True)
     assert np.abs(found.estimate.time_offsets - OFFSETS).max() < 3e-4
     assert len(found.document.outliers) == pytest.approx(len(moving.truth.outliers), rel=0.05)
 
