@@ -20,7 +20,7 @@ from urdfcal.estimation.problem import Problem
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.robot.urdf.urdf import Urdf
-from urdfcal.session.knowledge import Noise
+from urdfcal.session.knowledge import Estimate, Noise
 from urdfcal.simulation.joint_errors import draw_joint_errors, true_joint_values
 
 if TYPE_CHECKING:
@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 
 RIGID = {model.name: False for model in JOINT_MODELS if issubclass(model, LinearJointModel)}
 """A session's joint models where the arm is rigid between perfect joints, and that is not weighed."""
+ALONE = {"estimate": Estimate("dh", "fixed"), "joint_models": RIGID}
+"""What a session says of itself where nothing but the rows of a rigid arm is in question."""
 EVENT = 30
 """The pose from which on something is otherwise."""
 

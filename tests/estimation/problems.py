@@ -68,7 +68,7 @@ class Example:
 
 @dataclass(frozen=True, eq=False)
 class Estimated:
-    """The rigid arm before the cameras as they are given, its offsets in DH rows.
+    """The rigid arm before the cameras as they are given.
 
     Attributes:
         session: of a moving arm with the time offsets that were found.
@@ -83,14 +83,14 @@ class Estimated:
     fit: Solution
 
     @classmethod
-    def of(cls, session: Session, *, priors: bool = True) -> Estimated:
+    def of(cls, session: Session, geometry: ArmGeometry = "dh", *, priors: bool = True) -> Estimated:
         """Estimate, without what takes `calibrate` most of a second: models to compare, folds, regions and causes."""
         arm = rows_of(session.chain)
         start = start_state(session, arm, no_offsets(arm))
         problem = Problem.of(session.recorded(time_offsets(start)), arm)
         base = nominal(session, start, priors=priors)
         drawn = solve(problem, start, choose_parameters(session, problem, start, base)).state
-        parameters = choose_parameters(session, problem, drawn, replace(base, geometry="dh"))
+        parameters = choose_parameters(session, problem, drawn, replace(base, geometry=geometry))
         found = identify(problem, drawn, parameters)
         fit = solve(problem, drawn, found.parameters)
         return cls(session.with_time_offsets(time_offsets(fit.state)), problem, found, fit)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from tests.estimation.problems import Estimated
 from tests.worlds import sagging, seen
 from urdfcal.arrays import rms
 from urdfcal.estimation.contributions import GEOMETRY, contributions
@@ -45,9 +46,9 @@ def test_what_joints_do_beside_is_a_cause_of_its_own(simulated: Callable) -> Non
     assert {of.what for of in found} == {GEOMETRY, "compliance"}
 
 
-def test_of_two_arms_each_joint_counts_by_the_tip_that_it_moves_most(fitted: Callable) -> None:
-    calibration = fitted("tiago_dual", poses=40)
-    found = {of.joint: of.tip for of in contributions(calibration.problem, calibration.fit) if of.what == GEOMETRY}
+def test_of_two_arms_each_joint_counts_by_the_tip_that_it_moves_most(simulated: Callable) -> None:
+    estimate = Estimated.of(simulated("tiago_dual", poses=40).session)
+    found = {of.joint: of.tip for of in contributions(estimate.problem, estimate.fit) if of.what == GEOMETRY}
     for side in ("left", "right"):
         assert found[f"arm_{side}_5_joint"] > 1e-5
 

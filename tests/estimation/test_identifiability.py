@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from tests.estimation.problems import Estimated
 from urdfcal.errors import CalibrationError
 from urdfcal.estimation.blocks.arm import no_offsets
 from urdfcal.estimation.blocks.base_pose import BASE
@@ -17,7 +18,6 @@ from urdfcal.estimation.parameters import choose_parameters
 from urdfcal.estimation.problem import Problem
 from urdfcal.estimation.start import first_state
 from urdfcal.estimation.time_offset_start import start_state
-from urdfcal.pipeline import calibrate
 from urdfcal.robot.dh import DHTable
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.session.exclusion import leave_out
@@ -31,9 +31,9 @@ if TYPE_CHECKING:
 @pytest.mark.parametrize(
     ("rig", "rank"), [("elbow3r", 15), ("ur5", 27), ("panda", 31), ("stanford", 25), ("so101", 23)]
 )
-def test_ranks_are_those_of_theory(rig: str, rank: int, fitted: Callable) -> None:
+def test_ranks_are_those_of_theory(rig: str, rank: int, simulated: Callable) -> None:
     # r + 3 with r = 4 R + 2 P: one LED of unknown position seen by two known cameras.
-    identifiability = fitted(rig).identifiability
+    identifiability = Estimated.of(simulated(rig).session).identifiability
     assert identifiability.rank == rank
     assert 1.0 < identifiability.condition_number < 1e4
 
@@ -42,8 +42,8 @@ def test_the_indices_of_sun_and_hollerbach() -> None:
     assert _observability(np.array([8.0, 2.0]), 16) == pytest.approx((1.0, 0.25, 2.0, 0.5, 1.6))
 
 
-def test_gauge_freedoms_are_named(fitted: Callable) -> None:
-    unidentifiable = fitted("ur5").identifiability.unidentifiable
+def test_gauge_freedoms_are_named(simulated: Callable) -> None:
+    unidentifiable = Estimated.of(simulated("ur5").session).identifiability.unidentifiable
     base, leds = "where the robot stands (T_world_base)", "where the LEDs sit"
     expected = [
         ("d of row 1 (shoulder_pan_joint)", base),
@@ -57,12 +57,12 @@ def test_gauge_freedoms_are_named(fitted: Callable) -> None:
 
 def test_a_state_with_an_led_behind_a_camera_is_refused(simulated: Callable) -> None:
     data = simulated("elbow3r")
-    calibration = calibrate(data.session)
-    state = calibration.fit.state
+    found = Estimated.of(data.session)
+    state = found.fit.state
     turned = np.array(state[BASE]) @ np.diag([1.0, -1.0, -1.0, 1.0])
     turned[:3, 3] *= -1.0
     with pytest.raises(CalibrationError, match="the estimate puts an LED behind a camera"):
-        identify(calibration.problem, state.replace({BASE: turned}), calibration.fit.parameters)
+        identify(found.problem, state.replace({BASE: turned}), found.fit.parameters)
 
 
 def test_an_led_on_the_last_axis_identifies_less(simulated: Callable) -> None:
@@ -76,8 +76,8 @@ def test_an_led_on_the_last_axis_identifies_less(simulated: Callable) -> None:
     assert identify(problem, state, parameters).rank == 25
 
 
-def test_two_runs_fix_the_same_parameters(fitted: Callable) -> None:
-    a, b = (fitted("stanford", seed=seed).identifiability for seed in (0, 1))
+def test_two_runs_fix_the_same_parameters(simulated: Callable) -> None:
+    a, b = (Estimated.of(simulated("stanford", seed=seed).session).identifiability for seed in (0, 1))
     assert a.unidentifiable == b.unidentifiable
     assert list(a.parameters.reasons) == list(b.parameters.reasons)
 

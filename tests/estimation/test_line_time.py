@@ -11,7 +11,7 @@ import pytest
 
 from tests.estimation.derivatives import assert_derivatives
 from tests.estimation.problems import Estimated
-from tests.worlds import RIGID
+from tests.worlds import ALONE, RIGID
 from urdfcal.estimation.joint_models.time_offset import TIME_OFFSETS
 from urdfcal.estimation.model_spec import ModelSpec
 from urdfcal.estimation.parameters import choose_parameters
@@ -98,7 +98,7 @@ def test_what_is_known_is_used_and_not_estimated() -> None:
     simulated = filmed("elbow3r", 6, 4.0, sigma=0.0)
     offsets = simulated.truth.time_offsets
     fixed = replace(simulated.session, estimate=Estimate(time_offset="fixed"))
-    free = calibrate(replace(simulated.session, estimate=Estimate("dh", "fixed"), joint_models=RIGID))
+    free = calibrate(replace(simulated.session, **ALONE))
     camera = free.to_dict()["cameras"]["cam0"]
     assert camera["line_time"] == {"value": LINE, "sigma": None}
     assert abs(camera["time_offset"]["value"] - offsets[0]) < 4.0 * camera["time_offset"]["sigma"]
@@ -106,7 +106,7 @@ def test_what_is_known_is_used_and_not_estimated() -> None:
         simulate(read_rig(find_rig("elbow3r")), poses=6, seed=0),
         MotionSettings(frame_rate=4.0, time_offsets=(0.0, 0.0)),
     )
-    known = replace(known.session, estimate=Estimate("dh", "fixed"), joint_models=RIGID)
+    known = replace(known.session, **ALONE)
     assert "line_time" not in calibrate(known).to_dict()["cameras"]["cam0"]
     problem = Problem.of(fixed, rows_of(fixed.chain))
     (model,) = [model for model in problem.joint_models if model.name == "time_offset"]

@@ -10,6 +10,8 @@ import pinocchio as pin
 import pytest
 
 from tests.estimation.derivatives import assert_derivatives
+from tests.estimation.problems import Estimated
+from tests.worlds import ALONE, RIGID
 from urdfcal.arrays import inverse, rms
 from urdfcal.errors import CalibrationError, SessionError
 from urdfcal.estimation.blocks.arm import no_offsets
@@ -27,7 +29,7 @@ from urdfcal.pipeline import calibrate
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.session.combine import combine
 from urdfcal.session.exclusion import leave_out
-from urdfcal.session.knowledge import Excluded, Led
+from urdfcal.session.knowledge import Estimate, Excluded, Led
 from urdfcal.session.moves import resolve_moves
 from urdfcal.session.pattern import DotsPattern
 from urdfcal.session.target import Target
@@ -38,6 +40,7 @@ if TYPE_CHECKING:
 
     from urdfcal.session.model import Session
 
+pytestmark = pytest.mark.usefixtures("no_trials")
 RIGS = {"ur5_charuco": "fixed", "panda_handeye": "free", "so101_apriltag": "fixed"}
 
 
@@ -100,7 +103,8 @@ def test_unknown_poses_are_started_from_pictures_alone(rig: str, simulated: Call
 @pytest.mark.parametrize("given", [True, False])
 def test_the_truth_is_recovered_with_the_claimed_error(rig: str, given: bool, simulated: Callable) -> None:
     data = simulated(rig)
-    found = calibrate(data.session if given else unplaced(data.session))
+    session = data.session if given else unplaced(data.session)
+    found = calibrate(replace(session, estimate=Estimate("dh"), joint_models=RIGID))
     assert found.assessment.level == "good"
     off = pin.log6(pin.SE3(inverse(data.truth.targets[0]) @ found.estimate.targets[0])).vector
     sigma = found.sigmas_of(target_key(data.session.targets[0].name))
@@ -115,13 +119,13 @@ def test_a_print_of_another_size_is_within_what_is_claimed_of_its_scale(simulate
     data = simulated("ur5_charuco")
     (target,) = data.session.targets
     longer = replace(target, pattern=replace(target.pattern, square=target.pattern.square * 1.003))
-    found = calibrate(replace(data.session, targets=(replace(longer, scale_sigma=0.01),)))
+    found = calibrate(replace(data.session, targets=(replace(longer, scale_sigma=0.01),), **ALONE))
     sigma = found.sigmas_of(print_key("board"))[0]
     assert 1e-4 < sigma < 0.005
     assert abs(found.fit.state[print_key("board")][0] - 0.003) < 3.0 * sigma
     assert found.evidence.scale.declared == 0.01
     # Unsaid, the claimed error is conditional on the board's unit of length, and what that is worth is said.
-    silent = calibrate(data.session).evidence.scale
+    silent = calibrate(replace(data.session, **ALONE)).evidence.scale
     assert silent.declared is None
     assert 2e-4 < silent.tip_per_permille < 1e-3
 
@@ -134,13 +138,13 @@ def test_a_bent_print_is_found_as_bent_as_it_is_and_spoils_what_takes_it_for_fla
     (target,) = simulated.session.targets
     off = simulated.truth.leds[simulated.truth.led_count :, 2] - target.points[:, 2]
     assert np.abs(off).max() > 2e-4
-    found = calibrate(simulated.session)
+    found = calibrate(replace(simulated.session, **ALONE))
     assert found.assessment.level == "good"
     key = bend_key(target.name)
     error = found.fit.state[key] - np.linalg.lstsq(target.bends, off, rcond=None)[0]
     assert (np.abs(error) < 3.5 * found.sigmas_of(key)).all()
     assert (found.sigmas_of(key) < 1e-4).all()
-    flat = replace(simulated.session, targets=(replace(target, flatness=None),))
+    flat = replace(simulated.session, targets=(replace(target, flatness=None),), **ALONE)
     assert calibrate(flat, force=True).assessment.level != "good"
 
 
@@ -185,7 +189,7 @@ def test_leds_and_a_target_in_one_session(simulated: Callable) -> None:
     mixed = replace(session, leds=(Led("led"),))
     led = np.where(detections.led == 0, 0, detections.led + 1)
     mixed = replace(mixed, measurements=(replace(detections, led=led),))
-    found = calibrate(mixed)
+    found = calibrate(replace(mixed, **ALONE))
     np.testing.assert_allclose(found.estimate.leds[0], found.estimate.targets[0][:3, 3], atol=1e-4)
     assert len(found.estimate.leds) == 25
 
@@ -233,7 +237,7 @@ def test_a_target_far_from_where_the_session_puts_it_is_named(simulated: Callabl
     data = simulated("ur5_charuco")
     (target,) = data.session.targets
     T = target.T_link_target @ pin.exp6(np.array([0.03, 0.0, 0.0, 0.0, 0.0, 0.0])).homogeneous
-    found = calibrate(replace(data.session, targets=(replace(target, T_link_target=T),)), force=True)
+    found = calibrate(replace(data.session, targets=(replace(target, T_link_target=T),), **ALONE), force=True)
     (warning,) = (text for text in found.warnings if "comes out" in text)
     assert warning.startswith("target 'board' comes out ")
     assert "from where the session puts it" in warning
@@ -250,7 +254,7 @@ def test_sessions_with_targets_are_combined(simulated: Callable) -> None:
     q = chain.random_values(200, np.random.default_rng(0))
     true = chain.with_placements(data.truth.placements)
     together, alone = (
-        rms(compare(chain.with_placements(calibrate(session).placements), true, q).position)
+        rms(compare(chain.with_placements(Estimated.of(session).placements), true, q).position)
         for session in (both, halves[0])
     )
     assert together < 0.8 * alone
