@@ -32,8 +32,13 @@ reveal_type(loaded.document.validation.rms_mm)
 loaded.compensate(session.readings).nonsense
 urdfcal.calibrate(3)
 """
-# What no public name is made of would take half of the time.
-SETTINGS = "[mypy]\n[mypy-cv2.*,jinja2.*,pinocchio.*,rerun.*,rich.*,scipy.*,yaml.*]\nfollow_imports = skip\n"
+# What no public name is made of would take half of the time, what functions do inside most of the rest.
+SETTINGS = """[mypy]
+[mypy-cv2.*,jinja2.*,pinocchio.*,rerun.*,rich.*,scipy.*,yaml.*]
+follow_imports = skip
+[mypy-urdfcal.*]
+ignore_errors = True
+"""
 
 
 def test_a_type_checker_sees_the_types(tmp_path: Path) -> None:

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from tests.worlds import RIGID
 from urdfcal.errors import CalibrationError, OutputError, SessionError
 from urdfcal.estimation.evaluation import compare, explain
-from urdfcal.estimation.joint_models import JOINT_MODELS
-from urdfcal.estimation.joint_models.linear import LinearJointModel
 from urdfcal.estimation.measurements import Detections, Points
 from urdfcal.estimation.measurements.points import CorrelatedPoints
 from urdfcal.estimation.multistart import Minimum
@@ -132,7 +131,7 @@ def test_the_measured_irb120_comes_out_as_published(shared: Path) -> None:
 
 def test_triangulated_points_do_nearly_as_well_as_pixels(simulated: Callable) -> None:
     data = simulated("ur5", poses=50)
-    session = replace(data.session, estimate=Estimate("dh", "fixed", "fixed"))
+    session = replace(data.session, estimate=Estimate("dh", "fixed", "fixed"), joint_models=RIGID)
     pixels, points = (calibrate(session, method=method) for method in ("pixels", "points"))
     assert points.estimate.cameras == ()
     assert points.document.fit.rms_mm < 2.0
@@ -152,8 +151,7 @@ def test_a_wrong_tip_link_is_refused(simulated: Callable) -> None:
 def test_the_measured_motoman_finds_its_lenses(shared: Path) -> None:
     session = read_session(shared / "motoman_right")
     # Models of its joints would be weighed, and not chosen, for as long again.
-    off = {model.name: False for model in JOINT_MODELS if issubclass(model, LinearJointModel)}
-    rigid = replace(session, joint_models=off)
+    rigid = replace(session, joint_models=RIGID, estimate=replace(session.estimate, geometry="dh"))
     calibration = calibrate(rigid.at(np.arange(0, len(session.poses), 2)))
     assert str(calibration.comparison.chosen.spec) == "DH rows, free intrinsics, free camera poses"
     assert calibration.document.fit.rms_px <= 1.02
@@ -169,7 +167,8 @@ def test_predicted_tip_errors_are_true(simulated: Callable) -> None:
     ratios = []
     for seed in range(5):
         data = simulated("elbow3r", poses=20, seed=seed)
-        session = replace(data.session, estimate=Estimate("dh", "fixed", "fixed"), leds=(Led("led"),))
+        alone = Estimate("dh", "fixed", "fixed")
+        session = replace(data.session, estimate=alone, joint_models=RIGID, leds=(Led("led"),))
         calibration = calibrate(session, priors=False)
         q = session.chain.random_values(300, np.random.default_rng(0))
         predicted = np.mean(calibration.tip_sigma(q) ** 2)
@@ -251,7 +250,7 @@ def test_a_good_calibration_has_nothing_said_against_it(fitted: Callable) -> Non
 
 def test_noise_of_which_nothing_is_said_is_found_and_used(simulated: Callable) -> None:
     data = simulated("so101", poses=50)
-    said = data.session
+    said = replace(data.session, estimate=Estimate("dh"), joint_models=RIGID)
     silent = replace(said, noise=Noise())
     assert silent.undeclared_noise == {"pixel", "joint"}
     told, found = calibrate(said), calibrate(silent)
@@ -265,7 +264,8 @@ def test_noise_of_which_nothing_is_said_is_found_and_used(simulated: Callable) -
 
 
 def test_noise_that_makes_predictions_worse_is_not_used(simulated: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    session = replace(simulated("so101", poses=50).session, noise=Noise(pixel=0.1))
+    rigid = replace(simulated("so101", poses=50).session, estimate=Estimate("dh"), joint_models=RIGID)
+    session = replace(rigid, noise=Noise(pixel=0.1))
     monkeypatch.setattr("urdfcal.pipeline._NO_WORSE", 0.0)
     kept = calibrate(session, force=True)
     assert kept.session.noise.joint is None

@@ -30,6 +30,7 @@ from urdfcal.study.monte_carlo import Variation, varied_rig
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from urdfcal.planning.planner import Plan
     from urdfcal.result.fitted import FittedCalibration
     from urdfcal.session.rig_description import RigDescription
     from urdfcal.simulation.truth import Simulated
@@ -54,11 +55,15 @@ def planner(few: Simulated) -> Planner:
     return Planner(few.session, candidates=400)
 
 
+@pytest.fixture(scope="module")
+def plan(planner: Planner) -> Plan:
+    return planner.plan(8)
+
+
 @pytest.mark.no_cover
 def test_planned_poses_bring_more_than_as_many_random_ones_and_what_is_expected_of_them(
-    simulated: Callable[..., Simulated], few: Simulated, planner: Planner, calibration: FittedCalibration
+    simulated: Callable[..., Simulated], few: Simulated, plan: Plan, calibration: FittedCalibration
 ) -> None:
-    plan = planner.plan(8)
     belief = Belief.of_calibration(calibration).identified_by(plan.q)
     at = belief.candidates(plan.q[plan.rank >= 0], few.session.chain.random_values(300, np.random.default_rng(0)))
     random = at.error(belief.with_session(simulated("ur5", poses=16).session).information)
@@ -69,8 +74,7 @@ def test_planned_poses_bring_more_than_as_many_random_ones_and_what_is_expected_
     assert true_error(few, calibrate(both(few.session, more), force=True)) < 1.5 * plan.likely[-1]
 
 
-def test_every_pose_and_move_is_free_and_seen_on_the_true_arm(few: Simulated, planner: Planner) -> None:
-    plan = planner.plan(8)
+def test_every_pose_and_move_is_free_and_seen_on_the_true_arm(few: Simulated, plan: Plan) -> None:
     checker, _ = load_collision_checker(few.truth, few.session)
     assert checker is not None
     here = few.session.q[-1]
@@ -83,15 +87,15 @@ def test_every_pose_and_move_is_free_and_seen_on_the_true_arm(few: Simulated, pl
     assert all(checker.is_seen(q, c) for q, c in zip(measured, centres, strict=True))
 
 
-def test_random_poses_are_kept_to_check_by(few: Simulated, planner: Planner) -> None:
-    alone, plan = planner.plan(6), planner.plan(6, check=True)
-    assert not alone.check.any()
-    assert plan.check.sum() == 4
-    assert sorted(plan.rank[plan.rank >= 0]) == list(range(6))
-    assert not np.any(plan.check & (plan.rank >= 0))
-    np.testing.assert_array_equal(plan.measured, plan.check | (plan.rank >= 0))
-    np.testing.assert_array_equal(plan.errors, alone.errors)
-    checks, scene = plan.q[plan.check], few.truth
+def test_random_poses_are_kept_to_check_by(few: Simulated, planner: Planner, plan: Plan) -> None:
+    checked = planner.plan(8, check=True)
+    assert not plan.check.any()
+    assert checked.check.sum() == 4
+    assert sorted(checked.rank[checked.rank >= 0]) == list(range(8))
+    assert not np.any(checked.check & (checked.rank >= 0))
+    np.testing.assert_array_equal(checked.measured, checked.check | (checked.rank >= 0))
+    np.testing.assert_array_equal(checked.errors, plan.errors)
+    checks, scene = checked.q[checked.check], few.truth
     assert scene.in_image(scene.pixels(checks)).all()
 
 
@@ -154,12 +158,12 @@ def test_the_arm_keeps_clear_of_the_table_though_many_poses_reach_below_it() -> 
 def test_what_stands_around_is_kept_clear_of_and_hides_leds(few: Simulated) -> None:
     assert few.session.urdf is not None
     chain, nominal, urdf = few.session.chain, nominal_scene(read_rig(find_rig("ur5"))), few.session.urdf
-    plain = Planner(few.session, candidates=200).plan(4)
+    plain = Planner(few.session, candidates=100).plan(4)
     measured = plain.q[plain.rank >= 0]
     tips = tip_poses(chain, measured)[:, :3, 3]
     furthest = int(np.argmax(np.linalg.norm(tips, axis=1)))
     crate = Obstacle("crate", np.full(3, 0.2), tips[furthest])
-    plan = Planner(few.session, candidates=200, scene=(crate,)).plan(4)
+    plan = Planner(few.session, candidates=100, scene=(crate,)).plan(4)
     around = CollisionChecker(chain, urdf, *nominal.outlined().points_on_joints(), 0.0, [crate])
     assert not around.is_free(measured[furthest])
     here = plan.q[0]
