@@ -6,12 +6,13 @@ import csv
 import importlib.util
 import json
 import shutil
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
 
 from tests.study.mortals import dying, mortal
-from tests.worlds import scaled
+from tests.worlds import ALONE, scaled
 from urdfcal.cli import run
 from urdfcal.errors import OutputError, UrdfcalError
 from urdfcal.io.folder import read_session
@@ -33,7 +34,7 @@ def fleet(simulated: Callable, tmp_path_factory: pytest.TempPathFactory) -> list
     folder = tmp_path_factory.mktemp("fleet")
     sessions = [folder / name for name in ("a", "b", "broken")]
     for seed, session in enumerate(sessions):
-        write_session(session, simulated("elbow3r", poses=25, seed=seed % 2).session)
+        write_session(session, replace(simulated("elbow3r", poses=25, seed=seed % 2).session, **ALONE))
     (sessions[2] / "detections.csv").unlink()
     return sessions
 
@@ -103,7 +104,7 @@ def test_without_a_report_there_is_none_of_an_earlier_run(
 def test_a_calibration_that_is_refused_has_its_report_alone(
     simulated: Callable, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    write_session(tmp_path / "wrong", scaled(simulated("ur5", poses=40), 0.02))
+    write_session(tmp_path / "wrong", replace(scaled(simulated("ur5", poses=40), 0.02), **ALONE))
     assert run(["batch", str(tmp_path / "wrong"), "-o", str(tmp_path / "out"), "--json", "--processes", "1"]) == 1
     (one,) = json.loads(capsys.readouterr().out)
     assert one["level"] == "bad"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from tests.worlds import exchanged, images, inverted, other_robot, other_sign, shifted
+from tests.worlds import RIGID, exchanged, images, inverted, other_robot, other_sign, shifted
 from urdfcal.errors import CalibrationError
 from urdfcal.estimation.diagnosis.trials import suspect
 from urdfcal.pipeline import calibrate
@@ -63,7 +63,7 @@ def test_two_mistakes_are_not_blamed_on_one(simulated: Callable) -> None:
 
 def test_a_calibration_that_fails_says_what_would_mend_it(simulated: Callable) -> None:
     data = simulated("elbow3r", poses=12)
-    wrong = replace(other_sign(data, 0.0, share=0.4), estimate=Estimate("dh", "fixed", "fixed"))
+    wrong = replace(other_sign(data, 0.0, share=0.4), estimate=Estimate("dh", "fixed", "fixed"), joint_models=RIGID)
     steps: list[float] = []
     with pytest.raises(CalibrationError, match="joint_2's sign: with that mended"):
         calibrate(wrong, progress=lambda _, cost: steps.append(cost))
