@@ -134,7 +134,7 @@ def test_the_bag_of_a_moving_arm_calibrates_it(
     assert session.urdf is not None
     (tmp_path / "elbow3r.urdf").write_bytes(session.urdf.data)
     (tmp_path / "truth.urdf").write_bytes(simulated.truth.urdf)
-    bag = moving("sqlite3", simulated, seconds=4.0, offsets=(0.020, -0.007)).write(tmp_path / "bag")
+    bag = moving("sqlite3", simulated, seconds=2.5, offsets=(0.020, -0.007)).write(tmp_path / "bag")
     drawn, links = str(tmp_path / "elbow3r.urdf"), ["--tip", "tool0", "--base", "base_link"]
     assert run(["import", str(bag), "-o", str(tmp_path / "s"), "--urdf", drawn, *links]) == 0
     assert run(["calibrate", str(tmp_path / "s"), "-o", str(tmp_path / "out")]) == 0

@@ -7,10 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from tests.worlds import sagging
+from tests.worlds import RIGID, sagging
 from urdfcal.errors import CalibrationError
-from urdfcal.estimation.joint_models import JOINT_MODELS
-from urdfcal.estimation.joint_models.linear import LinearJointModel
 from urdfcal.estimation.measurements import Detections
 from urdfcal.estimation.model_selection import Trial, _preferred, with_fit
 from urdfcal.estimation.model_spec import ModelSpec
@@ -26,6 +24,7 @@ if TYPE_CHECKING:
 
     from urdfcal.result.fitted import FittedCalibration
 
+pytestmark = pytest.mark.usefixtures("no_trials")
 GIVEN, FREE = (ModelSpec("dh", (word,) * 2, ("fixed",) * 2) for word in ("fixed", "free"))
 
 
@@ -97,8 +96,7 @@ def test_where_residuals_exceed_the_noise_models_are_compared_by_regions_left_ou
 ) -> None:
     assert open_choice.comparison.chosen.elsewhere is None
     data = simulated("panda", poses=15, seed=2)
-    rigid = {kind.name: False for kind in JOINT_MODELS if issubclass(kind, LinearJointModel)}
-    bent = calibrate(replace(sagging(data, 7e-5), joint_models=rigid), force=True)
+    bent = calibrate(replace(sagging(data, 7e-5), joint_models=RIGID), force=True)
     comparison, observations = bent.comparison, bent.problem.observations
     offsets, rows = (attempt for attempt in comparison.attempts[1:3] if isinstance(attempt, Trial))
     for each in (offsets, rows):
@@ -129,6 +127,7 @@ def test_a_session_decides_about_its_lenses_but_free_ones_are_tried(simulated: C
     session = simulated("ur5").session
     cameras = tuple(replace(c, intrinsics=c.intrinsics * [1.02, 1.02, 1.0, 1.0]) for c in session.rig.cameras)
     wrong = replace(session, rig=replace(session.rig, cameras=cameras))
+    wrong = replace(wrong, joint_models=RIGID)
     said = calibrate(replace(wrong, estimate=Estimate("dh", "fixed", "fixed")), force=True).comparison
     assert said.chosen.spec.intrinsics == ("fixed", "fixed")
     assert said.best.spec.intrinsics == ("free", "free")
