@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 EVIDENCE = ("noise", "scale", "findings", "regions", "tip", "improvement", "corrections", "suspicion")
 ARM_ONLY = Estimate("dh", "fixed", "fixed")
 
+pytestmark = pytest.mark.usefixtures("no_trials")
+
 
 @pytest.fixture(scope="module")
 def good(fitted: Callable) -> FittedCalibration:
@@ -211,7 +213,6 @@ def test_free_lenses_that_predict_much_better_refute_the_given_ones(good: Fitted
         assert all("intrinsics as given are refuted" in failure for failure in found)
 
 
-@pytest.mark.usefixtures("no_trials")
 def test_wrong_lenses_are_refuted(simulated: Callable) -> None:
     session = simulated("ur5").session
     cameras = tuple(replace(c, intrinsics=c.intrinsics * [1.02, 1.02, 1.0, 1.0]) for c in session.rig.cameras)
@@ -243,7 +244,6 @@ def test_a_camera_far_from_its_place_on_its_link(simulated: Callable) -> None:
         assert all("camera 'head' comes out" in text and "5 times its sigma" in text for text in found.warnings)
 
 
-@pytest.mark.usefixtures("no_trials")
 def test_noise_declared_too_small_is_a_failure_in_the_library_too(simulated: Callable) -> None:
     session = simulated("elbow3r", poses=15).session
     detections = session.find(Detections)
