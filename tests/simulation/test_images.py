@@ -188,7 +188,7 @@ def test_of_a_rolling_shutter_what_moves_is_where_it_was_when_its_row_was_taken(
     rig = read_rig(find_rig("so101_apriltag"))
     cameras = tuple(replace(camera, line_time=4e-5) for camera in rig.rig.cameras)
     rolling = replace(rig, rig=replace(rig.rig, cameras=cameras))
-    moving = set_in_motion(simulate(rolling, poses=3, seed=1), MotionSettings(speed=1.0, frame_rate=3.0))
+    moving = set_in_motion(simulate(rolling, poses=3, seed=1), MotionSettings(speed=1.0, frame_rate=1.5))
     write_simulated_images(tmp_path / "s", moving, Exposure())
     off = misses(tmp_path / "s")
     assert 0.3 < np.sqrt(np.mean(off**2)) < 2.5
