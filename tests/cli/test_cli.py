@@ -173,6 +173,10 @@ def test_dh_leaves_names_whole_in_80_columns_which_a_pipe_has_if_told(
     lines = capsys.readouterr().out.splitlines()
     assert max(map(len, lines)) == 80
     assert [line.split()[0] for line in lines[4:6]] == ["torso_lift_joint", "arm_left_1_joint"]
+    for cut in ("0", "40"):
+        monkeypatch.setenv("COLUMNS", cut)
+        assert run(["dh", tiago, "--tip", "arm_left_7_link"]) == 0
+        assert "-686.500" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("broken", BROKEN, ids=lambda broken: broken.name)

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -68,6 +69,24 @@ def test_pixels_have_their_size_at_the_led(folder: Path, capsys: pytest.CaptureF
     printed = capsys.readouterr()
     assert "across rays (mm)" not in printed.out
     assert "that it was calibrated with" not in printed.err
+
+
+def test_what_is_an_outlier_is_no_distance_of_the_arm(
+    folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    shutil.copytree(folder / "session", tmp_path / "session")
+    clean = evaluated(capsys, folder / "result", tmp_path / "session")
+    table = tmp_path / "session" / "detections.csv"
+    lines = table.read_text().splitlines()
+    cells = lines[5].split(",")
+    cells[3] = f"{float(cells[3]) + 150.0:.3f}"
+    table.write_text("\n".join([*lines[:5], ",".join(cells), *lines[6:]]) + "\n")
+    assert run(["evaluate", str(folder / "result"), str(tmp_path / "session"), "--json"]) == 0
+    captured = capsys.readouterr()
+    found = json.loads(captured.out)
+    assert "1 of 100 measurements are outliers: mm across rays are without them" in captured.err
+    assert found["across_rays_mm"]["rms"] == pytest.approx(clean["across_rays_mm"]["rms"], rel=0.1)
+    assert found["residual_px"]["max"] > 100.0
 
 
 def points(path: Path, scale: float) -> Path:

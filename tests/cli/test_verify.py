@@ -200,7 +200,10 @@ def test_poses_that_are_no_configuration_of_their_own_are_named(
     assert run(["verify", str(result), str(tmp_path / "near"), "--limit", "5mm"]) == 0
     printed = " ".join(capsys.readouterr().out.split())
     assert "in 12 configurations" in printed
-    assert "- poses that repeat others to 0.05 rad in every joint are no configurations of their own: again" in printed
+    assert (
+        "- poses that repeat others to 0.05 rad or m in every joint are no configurations of their own: again"
+        in printed
+    )
 
 
 def test_the_verdict_of_too_many_outliers_says_so() -> None:

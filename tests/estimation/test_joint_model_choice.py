@@ -15,6 +15,7 @@ from urdfcal.estimation.evaluation import explain
 from urdfcal.estimation.joint_model_choice import Alternatives
 from urdfcal.estimation.joint_model_search import _as_good, _transfers, better_terms
 from urdfcal.estimation.joint_models import JOINT_MODELS, Readings, Term
+from urdfcal.estimation.joint_models.backlash import Backlash
 from urdfcal.estimation.joint_models.compliance import Compliance
 from urdfcal.estimation.joint_models.gain import Gain
 from urdfcal.estimation.joint_models.leaning_compliance import LeaningCompliance
@@ -353,5 +354,9 @@ def test_of_two_that_explain_as_much_the_one_of_usual_size_is_chosen(more: float
 
 
 @pytest.mark.parametrize(("gain", "taken"), [(6.1, True), (5.9, False)])
-def test_a_gear_ratio_is_chosen_by_evidence_that_regions_do_not_bear_out(gain: float, taken: bool) -> None:
-    assert (joint_model_search._step(Rivals(("gain", 1.0, gain), certain=Gain.certain), ()) is not None) is taken
+@pytest.mark.parametrize("model", [Gain, Backlash])
+def test_gear_ratio_and_play_are_chosen_by_evidence_that_regions_do_not_bear_out(
+    model: type[LinearJointModel], gain: float, taken: bool
+) -> None:
+    told = Rivals((model.name, 1.0, gain), certain=model.certain)
+    assert (joint_model_search._step(told, ()) is not None) is taken

@@ -169,3 +169,13 @@ def test_a_model_that_is_better_by_chance_or_not_asked_for_says_why_it_is_not_ch
 def test_noise_that_differs_by_little_is_no_finding_and_that_is_said(overview: Overview, tmp_path: Path) -> None:
     said = "differ by less than 1.5 times, or by no more than chance, weights and intervals hardly change"
     assert said in page(overview, tmp_path)
+
+
+def test_that_not_all_arrows_are_drawn_is_said(
+    overview: Overview, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert "a camera are drawn" not in page(overview, tmp_path)
+    assert "residuals of all poses (at most 500 a camera)" in tab_texts(overview)["pixels"]
+    monkeypatch.setattr("urdfcal.output.texts.MOST_ARROWS", 10)
+    count = int(np.bincount(overview.scene.pixels.camera[overview.scene.pixels.used]).max())
+    assert f"; 10 of up to {count} a camera are drawn" in page(overview, tmp_path)

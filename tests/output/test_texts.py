@@ -77,16 +77,14 @@ def test_where_the_size_of_the_arm_is_the_limit_a_known_length_is_asked_for_and_
     assert said[-3] == (
         "0.2 mm of it is one factor of all lengths, known to 0.15 %: a better known length would bring 0.21 -> 0.05 mm"
     )
-    assert said[-2] == (
-        "0.1 % of the scale that was given is 0.5 mm of it: tolerances of the nominal arm hold its size, too"
-    )
+    assert said[-2] == "if the scale is right: 0.1 % of it is 0.5 mm at the tip", "whatever else is the limit"
     assert said[-1] == "as many poses again like these would bring next to nothing"
     assert len(said_of(None, size={**size, "is_limit": False})) == 3
     assert len(said_of(None, size={**size, "rms_without_mm": 0.2101})) == 3, "it would bring nothing"
 
 
 def test_of_few_poses_it_is_said_that_held_out_ones_are_by_fewer_still():
-    assert "its noise included, from 8 of the 10 poses at a time; 0.2 mm where" in said_of(None, poses=10)[0]
+    assert "its noise included, from about 8 of the 10 poses at a time; 0.2 mm where" in said_of(None, poses=10)[0]
     assert "at a time" not in said_of(None, poses=30)[0]
 
 

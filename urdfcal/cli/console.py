@@ -28,6 +28,8 @@ json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON i
 
 # Wide enough for a DH table with its joint names; a pipe has no width of its own.
 _PIPE_WIDTH = 110
+# What is narrower cuts digits: a pipe can be wider.
+_LEAST_WIDTH = 72
 INDENT = "  "
 """Of a line that continues the one above."""
 
@@ -37,8 +39,9 @@ def terminal() -> Console:
     from rich.console import Console
 
     console = Console(highlight=False)
-    told = console.is_terminal or os.environ.get("COLUMNS", "").isdigit()
-    return console if told else Console(highlight=False, width=_PIPE_WIDTH)
+    columns = os.environ.get("COLUMNS", "")
+    told = columns.isdecimal() and int(columns) >= _LEAST_WIDTH
+    return console if console.is_terminal or told else Console(highlight=False, width=_PIPE_WIDTH)
 
 
 def say(text: str, *, err: bool = False) -> None:

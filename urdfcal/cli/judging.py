@@ -96,6 +96,7 @@ def verify(
             "measurements": found.measurements,
             "outliers": found.outliers,
             "enlarged": found.enlarged,
+            "repeats": list(found.repeats),
             "new": new,
             **lenses.data,
             **domain.data,
@@ -235,7 +236,7 @@ def _enlarged(found: Acceptance) -> Sequence[str]:
     if found.enlarged < _ENLARGED:
         return []
     fitted = "base, LEDs and camera poses were fitted to these few poses, which took a part of their errors away"
-    return [f"{fitted}: the rms is {found.enlarged:.2f} times that of the residuals, which evaluate shows"]
+    return [f"{fitted}: the rms is {found.enlarged:.2f} times that of the residuals, which evaluate shows across rays"]
 
 
 def _left_out(found: Acceptance) -> Sequence[str]:
@@ -250,7 +251,9 @@ def _repeated(found: Acceptance) -> Sequence[str]:
     if not found.repeats:
         return []
     names = ", ".join(found.repeats[:_NAMED]) + (" ..." if len(found.repeats) > _NAMED else "")
-    return [f"poses that repeat others to {REPEAT:g} rad in every joint are no configurations of their own: {names}"]
+    return [
+        f"poses that repeat others to {REPEAT:g} rad or m in every joint are no configurations of their own: {names}"
+    ]
 
 
 @click.command("compare")
@@ -263,7 +266,8 @@ def compare(ctx: click.Context, first: Path, second: Path, seed: int, as_json: b
     """Tell whether the arm changed between two calibrations of it, and which joint.
 
     Both are folders that calibrate has written, or their calibration.json. Each parameter that both have estimated is
-    tested by its own standard deviations, at a chance of 1 % for all of them together.
+    tested by its own standard deviations, at a chance of 1 % for all of them together; and the distance of the tips
+    over the workspace by what both calibrations expect of it, at 1 % again.
 
     Exit code 0: no change beyond chance; 1: the arm changed.
     """
@@ -293,7 +297,7 @@ def compare(ctx: click.Context, first: Path, second: Path, seed: int, as_json: b
             terminal().print(_table(changes))
         say(
             f"chi-square {changes.chi2:.0f} of {len(changes.parameters)} parameters; correlations are unknown, so each "
-            "one is tested alone, at 1 % for all together (Bonferroni)"
+            "one is tested alone, at 1 % for all together (Bonferroni), and the tips' distance, at 1 %"
         )
         for remark in remarks:
             say(f"- {remark}")

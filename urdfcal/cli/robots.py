@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 _FAR = 20.0
 # As in urdfcal.result.calibration, which takes long to import.
 _RESULT = "calibration.json"
+_ACROSS = "across_rays_mm"
 _FITTED_ANEW = (
     "this is the session that it was calibrated with: another one will be further off; residuals differ a little from "
     "calibrate's, since base, LEDs and camera poses are fitted anew, by themselves"
@@ -56,8 +57,8 @@ def evaluate(
     is A's, and for comparison the session's own as its URDF and cameras have it (nominal). Of a RESULT, a folder that
     calibrate has written or its calibration.json, arm and LEDs are as calibrated, and lenses that it estimated where
     they suit better than the session's. Poses outside its measured domain are counted. Known distances of places take
-    no part: they are shown beside those that come out. Pixels are given in mm as well, at the LED across the ray, as
-    calibrate gives held-out poses.
+    no part: they are shown beside those that come out. Pixels are given in mm as well, at the LED across the ray and
+    without outliers, as calibrate gives held-out poses.
     """
     if turned := _reversed(Path(urdf), Path(other)):
         raise click.UsageError(turned)
@@ -156,7 +157,14 @@ def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
         ]
     domain = domain_of(calibration, session.chain, session.chain.readings(session.q))
     known = calibration is not None and points is None and calibrated_with(calibration, session)
-    for remark in (*([_FITTED_ANEW] if known else []), *lenses.remarks, *domain.remarks):
+    outliers, count = explained.fit.counts[0], sum(explained.fit.counts)
+    cut = [f"{outliers} of {count} measurements are outliers: mm across rays are without them"]
+    for remark in (
+        *([_FITTED_ANEW] if known else []),
+        *(cut if outliers and _ACROSS in result else []),
+        *lenses.remarks,
+        *domain.remarks,
+    ):
         say(f"- {remark}", err=True)
     return result | lenses.data | domain.data
 
@@ -174,10 +182,14 @@ def _sizes(session: Session, explained: Explanation) -> dict[str, Floats]:
         sizes[f"residual_{unit}"] = np.concatenate(list(by_kind.values()))
         if len(by_kind) > 1:
             sizes |= {f"residual_{kind}_{unit}": values for kind, values in by_kind.items()}
-    seen = [of for of in explained.problem.observations if of.table.report[0] == "px"]
-    if seen:
-        off = (of.by_row(explained.problem.off(of, explained.fit.state)) for of in seen)
-        sizes["across_rays_mm"] = 1e3 * np.concatenate(list(off))
+    # As verify has it: what was seen where nothing of it was is no error of the arm.
+    off = [
+        explained.problem.off(of, explained.fit.state)[used]
+        for of, used in zip(explained.problem.observations, explained.fit.kept, strict=True)
+        if of.table.report[0] == "px"
+    ]
+    if off:
+        sizes[_ACROSS] = 1e3 * np.concatenate(off)
     return sizes
 
 

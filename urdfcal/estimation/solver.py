@@ -129,7 +129,11 @@ class Solution:
 
 def first_solved(problem: Problem) -> Problem:
     """The problem that is solved first: of thousands of poses an even selection, or the problem itself."""
-    return problem.spread(_SOME) if max(len(observed.pose) for observed in problem.observations) > _MANY else problem
+    if max(len(observed.pose) for observed in problem.observations) <= _MANY:
+        return problem
+    some = problem.spread(_SOME)
+    fewer = any(len(a.pose) < len(b.pose) for a, b in zip(some.observations, problem.observations, strict=True))
+    return some if fewer else problem
 
 
 def solve(problem: Problem, start: State, parameters: Parameters, progress: Progress | None = None) -> Solution:

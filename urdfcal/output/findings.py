@@ -97,7 +97,7 @@ def claims(document: ResultData) -> tuple[str, ...]:
     tip_mm, whose = f"{tip['rms_mm']:.2g} mm rms", f"{robot['tip_link']} " if len(robot["tips"]) > 1 else ""
     across = ", across the cameras' rays" if document["cameras"] else ""
     poses, folds = document["fit"]["poses"], document["validation"]["folds"]
-    few = f", from {poses - poses // folds} of the {poses} poses at a time" if poses <= _FEW else ""
+    few = f", from about {poses - poses // folds} of the {poses} poses at a time" if poses <= _FEW else ""
     return (
         f"that is against what was measured{across}, its noise included{few}; {regions_mm}",
         f"tip {whose}{tip_mm} (95 %: {interval}) expected over the workspace, bases aligned, noise apart",
@@ -174,10 +174,6 @@ def _condition(document: ResultData) -> str:
     tip = f"0.1 % of it is {permille:.2g} mm at the tip{factor}"
     if declared is not None:
         return f"the scale is known to {1e2 * declared:.2g} %, which is in the interval: {tip}"
-    if declared is None and (size := document["tip"].get("size")) is not None and size["is_limit"]:
-        # Whose factor it is is said above: another factor beside it, of what was given, would contradict it.
-        given = f"0.1 % of the scale that was given is {permille:.2g} mm of it"
-        return f"{given}: tolerances of the nominal arm hold its size, too"
     if scale.get("unit") == "distances":
         return f"if the known distances are right: 0.1 % of them is {permille:.2g} mm at the tip{factor}"
     return f"if the scale is right: {tip}"

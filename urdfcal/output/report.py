@@ -44,6 +44,7 @@ from urdfcal.output.texts import (
     moved_most,
     noise_of,
     none_alone,
+    thinned,
     together,
     unseen,
 )
@@ -122,6 +123,7 @@ def write_report(path: Path, overview: Overview, *, refused: bool = False) -> No
         directions=directions(overview),
         moved_most=moved_most(overview),
         none_alone=none_alone(overview),
+        thinned=thinned(overview),
         noise_of=noise_of(overview),
         together=together(overview.scene.tables[0]),
         unseen=unseen(overview),

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from urdfcal.estimation.solver import first_solved
 from urdfcal.output.findings import counted, lenses_found, listed, parameter_text
 from urdfcal.output.images import find_rejected
 from urdfcal.output.joint_charts import joint_model_charts
 from urdfcal.output.palette import SIGMA_LEGEND
+from urdfcal.output.scene import MOST_ARROWS
 
 if TYPE_CHECKING:
     from urdfcal.output.findings import Overview
@@ -37,8 +40,8 @@ Small dots: joint values outside of what was measured.
 _PIXELS = """\
 White ring: where a light was detected; green dot: where the calibrated arm puts it, blue: the nominal one{lenses}.
 Lines: the arm, by its joint readings alone; none where it is far beyond the image, where no lens model holds. Arrows:
-residuals of all poses, detected to predicted, enlarged as the title says; the white one is as long as the number beside
-it. {sigmas}. Purple: taken out of the fit. {directions}
+residuals of all poses (at most {arrows} a camera), detected to predicted, enlarged as the title says; the white one is
+as long as the number beside it. {sigmas}. Purple: taken out of the fit. {directions}
 """
 _LIGHTS = "\nOrange: lights that detection rejected; a click tells why.\n"
 _CONVERGENCE = """\
@@ -70,7 +73,9 @@ def tab_texts(overview: Overview) -> dict[str, str]:
     residuals = _RESIDUALS.format(
         lenses=lenses, noise=noise_of(overview), together=_per_pose(table), parts=parts, turning=turning
     )
-    pixels = _PIXELS.format(lenses=lenses, sigmas=SIGMA_LEGEND.capitalize(), directions=directions(overview))
+    pixels = _PIXELS.format(
+        lenses=lenses, arrows=MOST_ARROWS, sigmas=SIGMA_LEGEND.capitalize(), directions=directions(overview)
+    )
     return {
         "parameters": _PARAMETERS,
         "rows": parameter_text(overview.document),
@@ -94,7 +99,14 @@ def none_alone(overview: Overview) -> str:
     found = overview.document["contributions"]
     if any(each["tip_mm"] > 1.96 * each["sigma_mm"] for each in found):
         return ""
-    return " Every interval reaches 0: the arm was off, but which joint it was these measurements do not tell."
+    return " Every interval reaches 0: no cause tells by itself whether the arm was off, and by which joint."
+
+
+def thinned(overview: Overview) -> str:
+    """How many residuals of a camera are drawn, where it has more."""
+    pixels = overview.scene.pixels
+    most = 0 if pixels is None else int(np.bincount(pixels.camera[pixels.used], minlength=1).max())
+    return f"; {MOST_ARROWS} of up to {most} a camera are drawn" if most > MOST_ARROWS else ""
 
 
 def noise_of(overview: Overview) -> str:
