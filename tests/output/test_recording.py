@@ -368,11 +368,11 @@ def test_the_curves_of_an_arm_that_moved_are_seen_from_the_first_frame_to_the_la
 
     table = build_scene(calibration).tables[0]
     largest = max(table.rms_by(table.pose, of)[1].max() for of in table.by_arm.values())
-    assert axis() == (f"rms of each pose: up to {largest:.2g} px", None)
+    assert axis() == (f"rms by pose: up to {largest:.2g} px", None)
     times = np.linspace(3.0, 8.0, POSES)
     monkeypatch.setattr("urdfcal.output.charts.frame_times", lambda _: times)
     name, shown = axis()
-    assert name == f"rms of each frame, on the timeline time: up to {largest:.2g} px"
+    assert name == f"rms by frame (timeline time): up to {largest:.2g} px"
     assert "3000000000" in str(shown.view_range.as_arrow_array())
     assert "8000000000" in str(shown.view_range.as_arrow_array())
 

@@ -104,7 +104,7 @@ def test_what_the_declared_noise_is_of(overview: Overview, tmp_path: Path) -> No
     exact = replace(overview, calibration=replace(calibration, problem=replace(calibration.problem, joint_sigma=0.0)))
     assert (noise_of(overview), noise_of(exact)) == ("detections and joint readings together", "detections")
     assert f"declared noise, of {noise_of(overview)}" in " ".join(tab_texts(overview)["residuals"].split())
-    assert f"the declared noise, of {noise_of(overview)}" in page(overview, tmp_path)
+    assert f"in units of it, the noise of {noise_of(overview)}: green should follow" in page(overview, tmp_path)
 
 
 def test_of_how_many_numbers_a_residual_is(overview: Overview, tmp_path: Path) -> None:

@@ -191,6 +191,10 @@ def test_overlay_and_report_are_written(calibration, overview, recorded, tmp_pat
         assert len(overview.workspaces) == 1
     (table,) = recorded.static("/base/texts/rows", "TextDocument:text")
     assert table.count("±") == np.isfinite(calibration.sigmas()).sum()
+    following = calibration.table.following
+    assert ("after row" in table) is bool(following)
+    for number, before in enumerate(following, start=1):
+        assert f"\n| {number} | {before or ''} | {calibration.table.labels[number - 1]} |" in table
 
 
 def test_a_robot_without_meshes_is_a_stick_figure_with_all_its_limbs(calibration, overview, tmp_path):

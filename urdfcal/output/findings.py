@@ -236,15 +236,22 @@ def fixed_parameters(document: ResultData) -> list[tuple[str, list[str]]]:
     return list(fixed.items())
 
 
-def parameter_text(document: ResultData) -> str:
-    """The DH rows as a table in Markdown, nominal value and offset ± standard deviation, and what was fixed and why."""
+def parameter_text(document: ResultData, following: Sequence[int | None] = ()) -> str:
+    """The DH rows as a table in Markdown, nominal value and offset ± standard deviation, and what was fixed and why.
+
+    Args:
+        document: the result.
+        following: of joints that branch, the number of the row that each row follows.
+    """
     entries: Sequence[Mapping[str, Any]] = document["dh"]
     names = list(dict.fromkeys(entry["parameter"] for entry in entries))
     columns = [f"{name} [{'mm' if name in LENGTHS else 'mrad'}]" for name in names]
-    lines = [f"| row | joint | {' | '.join(columns)} |", f"|---|---|{'---|' * len(columns)}"]
+    before = ["row", *(["after row"] if following else []), "joint", *columns]
+    lines = [f"| {' | '.join(before)} |", f"|{'---|' * len(before)}"]
     for number, first in enumerate(range(0, len(entries), len(names)), start=1):
         row = entries[first : first + len(names)]
-        lines.append(f"| {number} | {row[0]['joint']} | {' | '.join(map(_cell, row))} |")
+        carrier = [str(following[number - 1] or "")] if following else []
+        lines.append(f"| {' | '.join([str(number), *carrier, row[0]['joint'], *map(_cell, row)])} |")
     identifiability, text = document["identifiability"], "\n".join(lines)
     text += f"\n\n{MOUNTS}" if any(entry["joint"].endswith(MOUNT) for entry in entries) else ""
     fixed = [f"{', '.join(which)}: {why}" for why, which in fixed_parameters(document)]

@@ -214,8 +214,8 @@ def _curves(table: ResidualTable, *, moved: bool) -> str:
     """The title of the residuals' curves: rerun often leaves but the zero on their axis."""
     largest = max(float(np.max(table.rms_by(table.pose, of)[1], initial=0.0)) for of in table.by_arm.values())
     # Their axis is then that of the frames' times: on the timeline pose it is empty.
-    of = "frame, on the timeline time" if moved else "pose"
-    return f"rms of each {of}: up to {largest:.2g} {table.unit}"
+    of = "frame (timeline time)" if moved else "pose"
+    return f"rms by {of}: up to {largest:.2g} {table.unit}"
 
 
 def _all_of(times: Floats) -> rrb.archetypes.TimeAxis:

@@ -25,7 +25,7 @@ _WIDTH, _FONT, _LETTER, _ROW = 720.0, 11, 6.4, 15.0
 # A chart that stands alone is no wider, or a telephone's screen would make it too small to read.
 _WIDEST = 420.0
 _TOP, _BOTTOM, _LABEL, _RIGHT, _GAP = 24.0, 18.0, 15.0, 10.0, 12.0
-_BAR, _BAR_ROOM = 7.0, 18.0
+_BAR, _BAR_ROOM = 7.0, 22.0
 _WIDTHS = {"dots": 4.0, "lines": 1.3, "hairlines": 0.8, "bars": 1.0}
 # The page has a light and a dark colour of each name; on paper, and in files, it is the one given here.
 _NAMED: dict[tuple[int, ...], str] = {

@@ -14,8 +14,11 @@ from urdfcal.output.palette import SIGMA_LEGEND
 from urdfcal.output.scene import MOST_ARROWS
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from urdfcal.output.findings import Overview
     from urdfcal.output.scene import ResidualTable
+    from urdfcal.result.fitted import FittedCalibration
 
 PART_COLORS = ("light blue", "orange", "violet")
 AS_GIVEN = "with the lenses as given"
@@ -78,7 +81,7 @@ def tab_texts(overview: Overview) -> dict[str, str]:
     )
     return {
         "parameters": _PARAMETERS,
-        "rows": parameter_text(overview.document),
+        "rows": parameter_text(overview.document, _following(calibration)),
         "residuals": residuals,
         "pixels": pixels + (_LIGHTS if find_rejected(calibration.session) else ""),
         "convergence": _CONVERGENCE.format(rises=cost_rises(overview)),
@@ -86,6 +89,10 @@ def tab_texts(overview: Overview) -> dict[str, str]:
         + (_MODELS if joint_model_charts(calibration) else ""),
         "workspace": _WORKSPACE,
     }
+
+
+def _following(calibration: FittedCalibration) -> Sequence[int | None]:
+    return calibration.table.following if calibration.geometry is calibration.table else ()
 
 
 def moved_most(overview: Overview) -> str:
