@@ -234,6 +234,8 @@ def test_what_the_arm_carries_is_an_argument(
         ("tool0", "is no payload: write tool0:1.2"),
         ("tool0:heavy", "is no payload"),
         ("tool0:1:0,0", "payload"),
+        ("tool0:1200", "looks like grams"),
+        ("tool0:1.2:0,0,50", "look like millimetres"),
         ("hand:1", "'hand' is none of the tip links"),
     ):
         assert run([*call, "--payload", wrong]) == 2

@@ -8,8 +8,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from urdfcal.errors import RobotError
 from urdfcal.robot.gravity import masses_of
 from urdfcal.robot.kinematics import tip_poses
+from urdfcal.session.knowledge import Payload
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -37,6 +39,27 @@ def test_it_is_the_derivative_of_the_potential_energy(rig: str, simulated: Calla
         step = 1e-5 * np.eye(len(chain.names))[j]
         numeric = (energy(q[2] + step) - energy(q[2] - step)) / 2e-5
         assert tau[2, j] == pytest.approx(numeric, abs=1e-5 * np.abs(tau).max())
+
+
+@pytest.mark.parametrize(
+    ("mass", "center", "message"),
+    [
+        (2000.0, 0.06, r"payload: a payload of 2000 kg is no load of an arm whose links weigh \d.*grams"),
+        (2.0, 60.0, r"payload: its centre is 60 m from tool0, the arm reaches .*millimetres"),
+        (2.0, 0.06, None),
+    ],
+)
+def test_a_payload_in_grams_or_millimetres_is_refused(
+    mass: float, center: float, message: str | None, simulated: Callable
+) -> None:
+    session = simulated("ur5", poses=6).session
+    payload = Payload("tool0", mass, np.array([0.0, 0.0, center]))
+    if message is None:
+        own, with_it = (masses_of(session.urdf, session.chain, of).mass.sum() for of in (None, payload))
+        assert with_it == pytest.approx(own + mass)
+        return
+    with pytest.raises(RobotError, match=message):
+        masses_of(session.urdf, session.chain, payload)
 
 
 def test_without_masses_there_is_none(simulated: Callable) -> None:
