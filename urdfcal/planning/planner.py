@@ -216,7 +216,10 @@ class Planner:
         reached = len(chosen) - sum(k < len(chosen) for k in way.unreached)
         if way.unreached or (reached < count and likely[-1] > until):
             what = f"{reached} of {count} poses found, among {len(at.q)} in view, that are free and a way leads to"
-            remedy = "Ask for fewer poses, let the cameras stand further away, or move the arm elsewhere first."
+            remedy = (
+                "Ask for fewer poses, or for none to check by (--no-check), let the cameras stand further away, or "
+                "move the arm elsewhere first."
+            )
             raise SessionError(what, where="plan", remedy=remedy)
         spare = way.pose >= len(chosen)
         rank = frozen(np.where(spare, -1, way.pose), np.intp)
