@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -57,6 +58,14 @@ def test_options_that_do_not_go_together_are_refused(
     assert message in captured.err
     assert captured.out == ""
     assert not list(tmp_path.iterdir())
+
+
+def test_where_the_truth_of_joints_that_err_is_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copytree(find_rig("elbow3r"), "rig")
+    with Path("rig/rig.yaml").open("a") as file:
+        file.write("errors: {backlash: default}\n")
+    assert run(["simulate", "rig", "-o", "s", "--poses", "3"]) == 0
+    assert capsys.readouterr().out.endswith("in truth.urdf, what its joints do beside in truth.json\n")
 
 
 def test_a_session_and_its_truth_are_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -122,7 +122,8 @@ def simulate(
         say(f"- {warning}", err=True)
     if trajectory:
         say(f"{session}: the arm moves; {len(simulated.session.poses)} frames")
-    say(f"{session}: {count} poses of {description.chain.name}, seed {seed}; the truth is in truth.urdf")
+    bends = ", what its joints do beside in truth.json" if description.errors else ""
+    say(f"{session}: {count} poses of {description.chain.name}, seed {seed}; the truth is in truth.urdf{bends}")
 
 
 @click.command("demo")
