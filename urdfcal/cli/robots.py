@@ -276,10 +276,11 @@ def _print_rows(table: DHTable, data: Mapping[str, Any], convention: Convention,
     import numpy as np
 
     order = ("theta", "d", "a", "alpha", "beta") if convention == "standard" else ("a", "alpha", "beta", "theta", "d")
-    scales = {name: (1e3, "mm") if name in "da" else (np.degrees(1.0), "deg") for name in order}
+    # Micrometres leave joints' names their room at 80 columns.
+    scales = {name: (1e3, "mm", 3) if name in "da" else (np.degrees(1.0), "deg", 4) for name in order}
     rows = sheet(
         f"{table.chain.name}: {table.chain.base_link} to {table.chain.tip_link}, {convention} DH{what}",
-        ["joint", "type", *(f"{name}\n({unit})" for name, (_, unit) in scales.items())],
+        ["joint", "type", *(f"{name}\n({unit})" for name, (_, unit, _) in scales.items())],
         texts=2,
     )
     rows.show_edge = False
@@ -288,11 +289,8 @@ def _print_rows(table: DHTable, data: Mapping[str, Any], convention: Convention,
     for column in rows.columns[:2]:
         column.no_wrap, column.overflow = False, "fold"
     for row in data["rows"]:
-        # Rounding first, or tiny negative numbers print as -0.0000. Micrometres leave names their room at 80 columns.
-        digits = {name: 3 if name in "da" else 4 for name in scales}
-        cells = [
-            f"{round(scale * row[name], digits[name]) + 0.0:.{digits[name]}f}" for name, (scale, _) in scales.items()
-        ]
+        # Rounding first, or tiny negative numbers print as -0.0000.
+        cells = [f"{round(scale * row[name], n) + 0.0:.{n}f}" for name, (scale, _, n) in scales.items()]
         rows.add_row(row["joint"], row["type"], *cells)
     console = terminal()
     console.print(rows)

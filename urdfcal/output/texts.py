@@ -81,7 +81,7 @@ def tab_texts(overview: Overview) -> dict[str, str]:
     )
     return {
         "parameters": _PARAMETERS,
-        "rows": parameter_text(overview.document, _following(calibration)),
+        "rows": parameter_text(overview.document, following(calibration)),
         "residuals": residuals,
         "pixels": pixels + (_LIGHTS if find_rejected(calibration.session) else ""),
         "convergence": _CONVERGENCE.format(rises=cost_rises(overview)),
@@ -91,7 +91,8 @@ def tab_texts(overview: Overview) -> dict[str, str]:
     }
 
 
-def _following(calibration: FittedCalibration) -> Sequence[int | None]:
+def following(calibration: FittedCalibration) -> Sequence[int | None]:
+    """Of DH rows of joints that branch, the number of the row that each follows; else nothing."""
     return calibration.table.following if calibration.geometry is calibration.table else ()
 
 
