@@ -128,6 +128,12 @@ def test_an_estimate_without_a_model_tells_what_one_with_it_would_be(simulated: 
     rigid, elastic = (calibrated(session, **{**OFF, "compliance": on}) for on in (False, True))
     told = Alternatives.of(replace(session, joint_models={}), rigid.problem, rigid.fit, (), 0)
     (term,) = told.alike("compliance")
+    (model,) = [model for model in elastic.problem.joint_models if model.name == "compliance"]
+    found = elastic.fit.state[model.key][elastic.fit.parameters.active_columns(model.key)[1]]
+    step = told.estimate((term,))[told.count :]
+    assert step[step != 0.0] == pytest.approx(found, abs=0.05 * np.abs(found).max())
+    # But for how the noise is weighed, the estimate without it is where it is.
+    assert np.all(np.abs(told.estimate(())[: told.count]) < 0.3 * np.sqrt(np.diag(rigid.fit.covariance)))
     for terms, real in (((), rigid), ((term,), elastic)):
         inside, *_ = told.errors(terms)
         held_out = hold_out(real.problem, real.fit, random_folds(real.problem, 0))
@@ -298,6 +304,9 @@ class Told:
     def alike(self, model: str) -> list[Term]:
         return [Term(model, ("a",))]
 
+    def groups_of(self, model: str) -> list[str]:
+        return [model]
+
     def log_evidence(self, terms: tuple[Term, ...]) -> float:
         # The evidence is largest with priors as wide as they are.
         return sum(self.gains[term.model] - abs(np.log(term.scale)) for term in terms)
@@ -323,6 +332,32 @@ def test_of_two_models_forced_on_the_same_joint_both_stay() -> None:
     told = Told({"lag": -5.0, "backlash": -5.0}, forced=frozenset({"lag", "backlash"}))
     start = (*told.included, Term("lag", ("a",)), Term("backlash", ("a",)))
     assert set(joint_model_search._weighed(told, start)) == set(start)
+
+
+def test_groups_of_a_models_parameters_have_priors_of_their_own() -> None:
+    told = SimpleNamespace(groups_of=lambda model: ["once", "twice"])
+    options = joint_model_search.sizes(told, Term("harmonics", ("a", "b")))
+    by_group = [{term.group: term.scale for term in option} for option in options]
+    assert {None: 5.0} in by_group
+    assert {"once": 5.0} in by_group
+    assert {"once": 5.0, "twice": 0.3} in by_group
+    assert all(term.joints == ("a", "b") for option in options for term in option)
+    alone = SimpleNamespace(groups_of=lambda model: ["torque"])
+    assert all(len(option) == 1 for option in joint_model_search.sizes(alone, Term("compliance", ("a",))))
+
+
+@pytest.mark.no_cover
+def test_encoders_off_their_axes_err_once_a_turn_and_not_twice() -> None:
+    rig = replace(read_rig(find_rig("so101")), errors={"eccentricity": "default"})
+    data = simulate(rig, poses=60, seed=3)
+    calibration = calibrated(data.session)
+    (term,) = calibration.comparison.chosen.spec.terms
+    assert (term.model, term.group) == ("harmonics", "harmonic 1")
+    assert {entry.name.split(".")[-1] for entry in calibration.document.parameters} == {"sin1", "cos1"}
+    (model,) = [model for model in calibration.problem.joint_models if model.name == "harmonics"]
+    off = calibration.fit.state[model.key] - data.truth.joint_errors["harmonics"]
+    sigma = calibration.fit.parameters.sigmas(calibration.fit.covariance)[calibration.fit.parameters.columns(model.key)]
+    assert np.all(np.abs(off[~np.isnan(sigma)]) < 2.6 * sigma[~np.isnan(sigma)])
 
 
 class Rivals:

@@ -67,16 +67,12 @@ class Unit:
 
     Attributes:
         term: at the scale that it has.
-        columns: (K,) which of all models' parameters are its own.
         forced: whether the session switches it on.
-        on: whether it is part of the estimate.
         certain: what the evidence must gain that it is chosen although left-out regions do not bear it out.
     """
 
     term: Term
-    columns: Bools
     forced: bool
-    on: bool
     certain: float
 
 
@@ -86,18 +82,22 @@ class Alternatives:
 
     Attributes:
         units: what can be chosen: a model of one joint, or of all together.
-        owner: (K,) the model and the joint that each of all models' parameters belongs to.
+        included: the terms that are part of the estimate.
+        owner: (K,) the model, the joint and the group that each of all models' parameters belongs to.
         sigma: (K,) standard deviations of these, at scale 1.
         divisions: of the poses: folds, clusters of joint space, clusters of tips.
         prior: (P + 1, P + 1) products of the prior's rows, of the estimate's own P parameters and the residual.
+        places: (count,) of the estimate's active parameters among its own P and all models' K; -1 for one without.
         share: of the poses that are independent of each other.
     """
 
     units: tuple[Unit, ...]
-    owner: tuple[tuple[str, str], ...]
+    included: tuple[Term, ...]
+    owner: tuple[tuple[str, str, str], ...]
     sigma: Floats
     divisions: tuple[_Division, ...]
     prior: Floats
+    places: Ints
     share: float
 
     @classmethod
@@ -140,9 +140,12 @@ class Alternatives:
         poses = thinned.poses
         share = len(np.unique(thinned.readings.unit[poses])) / len(poses)
         sigma = np.concatenate([model.sigma for model in models])[columns]
-        names = [(model.name, joint) for model in models for joint in model.names_of_joints]
-        owner = tuple(names[column] for column in columns)
-        return cls(units, owner, sigma, divisions, prior.T @ prior, share)
+        each = [(m.name, *of) for m in models for of in zip(m.names_of_joints, m.groups_of, strict=True)]
+        owner = tuple(each[column] for column in columns)
+        forced = [unit.term for unit in units if unit.forced]
+        included = (*forced, *(term for term in terms if term not in forced))
+        places = _places(fit, models, columns)
+        return cls(units, included, owner, sigma, divisions, prior.T @ prior, places, share)
 
     @property
     def count(self) -> int:
@@ -158,14 +161,13 @@ class Alternatives:
         S = self.share * (total[P:, P:] - total[P:, :P] @ _solve(total[:P, :P], total[:P, P:]))
         return S[:-1, :-1], S[:-1, -1]
 
-    @property
-    def included(self) -> tuple[Term, ...]:
-        """The terms that are part of the estimate."""
-        return tuple(unit.term for unit in self.units if unit.on)
-
     def alike(self, model: str) -> list[Term]:
         """List the units of a model, all joints together the last."""
         return [unit.term for unit in self.units if unit.term.model == model]
+
+    def groups_of(self, model: str) -> list[str]:
+        """List the groups of a model's parameters."""
+        return list(dict.fromkeys(group for name, _, group in self.owner if name == model))
 
     def trials(self) -> tuple[JointModelTrial, ...]:
         """Return what each joint model brings, or would bring."""
@@ -175,7 +177,7 @@ class Alternatives:
             mine = [term for term in included if term.model == model]
             other = tuple(term for term in included if term.model != model)
             whole = self.alike(model)[-1]
-            term = Term(model, tuple(joint for one in mine for joint in one.joints)) if mine else whole
+            term = Term(model, tuple(dict.fromkeys(joint for one in mine for joint in one.joints))) if mine else whole
             if not mine:
                 other = (*other, whole)
             sign = 1.0 if mine else -1.0
@@ -193,7 +195,10 @@ class Alternatives:
         """The standard deviations (K,) of all models' parameters with some terms: 0 for what is in none of them."""
         sigma = np.zeros(len(self.sigma))
         for term in chosen:
-            mine = [model == term.model and joint in term.joints for model, joint in self.owner]
+            mine = [
+                model == term.model and joint in term.joints and term.group in (None, group)
+                for model, joint, group in self.owner
+            ]
             sigma[mine] = term.scale * self.sigma[mine]
         return sigma
 
@@ -203,6 +208,19 @@ class Alternatives:
         on = sigma > 0.0
         G, g = G[np.ix_(on, on)] * np.outer(sigma[on], sigma[on]) + np.eye(int(on.sum())), g[on] * sigma[on]
         return float(0.5 * g @ np.linalg.solve(G, g) - 0.5 * np.linalg.slogdet(G)[1])
+
+    def estimate(self, chosen: Sequence[Term]) -> Floats:
+        """Return the step (P + K,) to the estimate with some terms, of its own and all models' parameters."""
+        sigma, P = self.scales(chosen), self.count
+        keep = np.concatenate([np.arange(P), P + np.flatnonzero(sigma)])
+        last = len(self.prior) - 1 + len(sigma)
+        ridge = np.diag(np.concatenate([np.zeros(P), sigma[sigma > 0.0] ** -2.0]))
+        ridge[:P, :P] += self.prior[:P, :P]
+        g = self.share * self.divisions[0].total[keep, last]
+        g[:P] += self.prior[:P, P]
+        found = np.zeros(last)
+        found[keep] = -_solve(self.share * self.divisions[0].total[np.ix_(keep, keep)] + ridge, g)
+        return found
 
     def score(self, chosen: Sequence[Term]) -> float:
         """The evidence, less the logarithm of how many terms there are to choose from: one of n joints, or all."""
@@ -296,6 +314,21 @@ def _with_all(fit: Solution, models: Sequence[LinearJointModel], columns: Ints) 
     return replace(fit, parameters=fit.parameters.including(blocks))
 
 
+def _places(fit: Solution, models: Sequence[LinearJointModel], columns: Ints) -> Ints:
+    """Where the estimate's active parameters are among its own and the columns of all models; -1 for one without."""
+    places, first, own = np.full(fit.parameters.count, -1), 0, np.ones(fit.parameters.count, dtype=bool)
+    found = {int(column): k for k, column in enumerate(columns)}
+    P = fit.parameters.count - sum(int(fit.parameters.active_columns(model.key)[1].sum()) for model in models)
+    for model in models:
+        where, active = fit.parameters.active_columns(model.key)
+        own[where] = False
+        each = [found.get(first + int(k)) for k in np.flatnonzero(active)]
+        places[where] = [-1 if k is None else P + k for k in each]
+        first += len(model)
+    places[own] = np.arange(P)
+    return places
+
+
 def _units(
     session: Session, problem: Problem, models: Sequence[LinearJointModel], terms: Sequence[Term]
 ) -> tuple[tuple[Unit, ...], Ints]:
@@ -317,10 +350,9 @@ def _units(
     columns = np.flatnonzero(np.concatenate(kept))
     units = []
     for model, group, force in groups:
-        mine = np.concatenate([m.of_joints(group if m is model else ()) for m in models])[columns]
-        scale = next((t.scale for t in terms if (t.model, t.joints) == (model.name, group)), None)
-        term = Term(model.name, group, scale or 1.0)
-        units.append(Unit(term, mine, force, force or scale is not None, model.certain))
+        whole = Term(model.name, group)
+        term = next((t for t in terms if replace(t, scale=1.0) == whole), whole)
+        units.append(Unit(term, force, model.certain))
     return tuple(units), columns
 
 
@@ -329,6 +361,6 @@ def without(state: State, problem: Problem, terms: Sequence[Term]) -> State:
     values = {}
     for model in problem.joint_models:
         if isinstance(model, LinearJointModel):
-            joints = [joint for term in terms if term.model == model.name for joint in term.joints]
-            values[model.key] = np.where(model.of_joints(joints), state[model.key], model.nominal)
+            on = np.any([model.of_term(term) for term in terms], axis=0) if terms else False
+            values[model.key] = np.where(on, state[model.key], model.nominal)
     return state.replace(values)

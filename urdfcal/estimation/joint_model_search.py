@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,10 +21,13 @@ if TYPE_CHECKING:
 _EVIDENCE = 3.0
 # ... for a wider prior of what is there, a little.
 _RESCALED = 1.0
-# An arm that does one of these things does others, each too little to be told alone: of so101 with all of them at once
-# two are found by strict tests, the tip 1.40 x the bound off; with what adds so much to the evidence, 1.16 x. Half as
-# much has more models on that are not there, twice as much gives 1.24.
-_TOO = 1.0
+LEAST = 1.0
+"""What the logarithm of the evidence must gain by a further model of an arm that is not rigid.
+
+Such an arm does others of these things, too, each too little to be told alone: of so101 with all of them at once two
+are found by strict tests, the tip 1.40 x the bound off; with what adds so much to the evidence, 1.16 x. Half as much
+has more models on that are not there, twice as much gives 1.24.
+"""
 _FINER = (0.3, 1.0, 2.0, 5.0, 10.0, 25.0)
 # By so much worse left-out regions may be predicted: less than they differ by from each other.
 _NO_WORSE = 1.05
@@ -86,14 +90,33 @@ def _weighed(of: Alternatives, chosen: tuple[Term, ...]) -> tuple[Term, ...]:
             whole = of.alike(model)[-1]
             options = [(), mine]
             if (model, whole.joints) not in forced:
-                options += [(replace(whole, scale=scale),) for scale in _FINER]
-            values = [of.log_evidence((*kept, *option)) - _TOO * len(option) for option in options]
+                options += sizes(of, whole)
+            values = [of.log_evidence((*kept, *option)) - LEAST * len(option) for option in options]
             best = options[int(np.argmax(values))]
             if best != mine and (not best or _as_good(of.errors(chosen), of.errors((*kept, *best)))):
                 chosen = (*kept, *best)
         if set(chosen) == before:
             break
     return chosen
+
+
+def sizes(of: Alternatives, whole: Term) -> list[tuple[Term, ...]]:
+    """List what a model of all joints can be: each group of its parameters with priors of a width, or all with one.
+
+    An encoder that is off its axis errs once a turn and hardly twice: priors of one width for both are too narrow for
+    the first. Of so101 with such encoders every seventh parameter was outside its 95 % interval, and wrong gear ratios
+    were found beside in 9 of 20.
+
+    Args:
+        of: the alternatives.
+        whole: the model and the joints.
+    """
+    options: list[tuple[Term, ...]] = [(replace(whole, scale=scale),) for scale in _FINER]
+    groups = of.groups_of(whole.model)
+    if len(groups) > 1:
+        each = [[None, *(replace(whole, scale=scale, group=group) for scale in _FINER)] for group in groups]
+        options += [some for of_each in product(*each) if (some := tuple(term for term in of_each if term))]
+    return options
 
 
 def _covers(a: Term, b: Term) -> bool:

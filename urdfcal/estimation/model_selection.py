@@ -10,6 +10,7 @@ import numpy as np
 from urdfcal.arrays import rms
 from urdfcal.errors import CalibrationError
 from urdfcal.estimation.identifiability import identify
+from urdfcal.estimation.joint_model_average import model_doubt
 from urdfcal.estimation.joint_model_choice import Alternatives, without
 from urdfcal.estimation.joint_model_search import better_terms
 from urdfcal.estimation.model_spec import allowed, candidates, nominal
@@ -45,6 +46,7 @@ class Attempt:
         fit: its estimate.
         seen_loss: of the poses in the fit; of held-out ones it cannot be lower.
         joint_models: what each joint model brings, or would bring.
+        doubt: (count, count) covariance of the estimate over other joint models; None where none was looked for.
     """
 
     spec: ModelSpec
@@ -52,6 +54,7 @@ class Attempt:
     fit: Solution
     seen_loss: float
     joint_models: tuple[JointModelTrial, ...]
+    doubt: Floats | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,6 +187,7 @@ def _estimate(
 ) -> Attempt:
     """Estimate a model; with a seed, and as long as the measurements speak for joint models, with these."""
     trials: tuple[JointModelTrial, ...] = ()
+    doubt: Floats | None = None
     for last in range(_MOST_CHANGES, -1, -1):
         found = identify(problem, state, choose_parameters(session, problem, state, spec))
         fit = solve(problem, state, found.parameters, progress)
@@ -192,10 +196,10 @@ def _estimate(
         alternatives = Alternatives.of(session, problem, fit, spec.terms, seed)
         terms = better_terms(alternatives) if last else spec.terms
         if set(terms) == set(spec.terms):
-            trials = alternatives.trials()
+            trials, doubt = alternatives.trials(), model_doubt(alternatives)
             break
         spec, state = replace(spec, terms=terms), without(fit.state, problem, terms)
-    return Attempt(spec, found, fit, loss(fit.norms, problem.observations), trials)
+    return Attempt(spec, found, fit, loss(fit.norms, problem.observations), trials, doubt)
 
 
 def _preferred(trial: Trial, rival: Trial, problem: Problem) -> bool:
@@ -230,6 +234,7 @@ def validate(attempt: Attempt, problem: Problem, seed: int, *, by_regions: bool)
         attempt.fit,
         attempt.seen_loss,
         attempt.joint_models,
+        attempt.doubt,
         held_out,
         elsewhere,
         loss((elsewhere or held_out).norms, problem.observations),
@@ -239,5 +244,6 @@ def validate(attempt: Attempt, problem: Problem, seed: int, *, by_regions: bool)
 def with_fit(comparison: Comparison, fit: Solution, problem: Problem, seed: int) -> Comparison:
     """The same comparison with another estimate of the chosen model."""
     old = comparison.chosen
-    attempt = Attempt(old.spec, old.identifiability, fit, loss(fit.norms, problem.observations), old.joint_models)
+    seen = loss(fit.norms, problem.observations)
+    attempt = Attempt(old.spec, old.identifiability, fit, seen, old.joint_models, old.doubt)
     return comparison.with_chosen(validate(attempt, problem, seed, by_regions=old.elsewhere is not None))

@@ -6,7 +6,7 @@ each measurement, and what is left far outside the noise is taken out at the end
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -81,8 +81,8 @@ class Solution:
         observations: scalar measurements used.
         history: accepted steps.
         converged: whether the last step was small.
-        spread: (count, count) covariance over regions left out, which what is not modelled shows in; None where it is
-            not known, or nothing of the kind is to be expected.
+        spread: (count, count) covariance of what may be wrong beside noise: over regions left out, which what is not
+            modelled shows in, and over other joint models; None where nothing of the kind is to be expected.
     """
 
     state: State
@@ -120,6 +120,11 @@ class Solution:
         if self.spread is not None:
             return inverse + self.spread
         return inverse * self.reduced_chi2 if self.misfit else inverse
+
+    def doubted(self, *spreads: Floats | None) -> Solution:
+        """Return it with covariances (count, count) of what may be wrong beside noise; None of what is not known."""
+        known = [spread for spread in spreads if spread is not None and np.any(spread)]
+        return replace(self, spread=np.sum(known, axis=0)) if known else self
 
     @property
     def misfit(self) -> bool:

@@ -88,11 +88,13 @@ class Term:
         model: its name.
         joints: names of the joints.
         scale: of its priors' standard deviations.
+        group: of each joint's parameters; None for all of them.
     """
 
     model: str
     joints: tuple[str, ...]
     scale: float = 1.0
+    group: str | None = None
 
 
 class JointModel(VectorBlock):

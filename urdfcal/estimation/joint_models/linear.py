@@ -239,9 +239,20 @@ class LinearJointModel(JointModel):
         """(k,) name of the joint that each parameter belongs to."""
         return tuple(self.mechanism.actuated[j] for j in self.joints)
 
+    @cached_property
+    def groups_of(self) -> tuple[str, ...]:
+        """(k,) name of the group that each parameter belongs to."""
+        each = {place: name for name, places in self.groups.items() for place in places}
+        return tuple(each[k % len(self.words)] for k in range(len(self)))
+
     def of_joints(self, names: Sequence[str]) -> Bools:
         """Return which parameters (k,) belong to some joints."""
         return np.isin(self.names_of_joints, list(names))
+
+    def of_term(self, term: Term) -> Bools:
+        """Return which parameters (k,) a term has."""
+        own = np.array([term.group in (None, group) for group in self.groups_of])
+        return self.of_joints(term.joints) & own if term.model == self.name else np.zeros(len(self), dtype=bool)
 
     def read(self, values: Floats) -> Floats:
         """Select the values (N, k) of the parameters' joints from those of all joints (N, n)."""
@@ -255,13 +266,15 @@ class LinearJointModel(JointModel):
 
     def block(self, session: Positions, geometry: str, terms: Sequence[Term]) -> Self | None:
         """Return the block with the joints that are forced or chosen, on all but the nominal arm."""
-        scale = {joint: 1.0 for joint, on in self.said(session).items() if on}
-        scale.update({joint: term.scale for term in terms for joint in term.joints})
-        if geometry == "none" or not scale:
+        forced = self.of_joints([joint for joint, on in self.said(session).items() if on])
+        on, scale = forced.copy(), np.ones(len(self))
+        for term in terms:
+            mine = self.of_term(term)
+            on[mine], scale[mine] = True, term.scale
+        if geometry == "none" or not on.any():
             return None
-        sigma = self.sigma * np.array([scale.get(joint, 1.0) for joint in self.names_of_joints])
-        off = dict.fromkeys(np.flatnonzero(~self.of_joints(list(scale))).tolist(), f"without {self.name}")
-        return replace(self, sigma=sigma, fixed={**self.fixed, **off})
+        off = dict.fromkeys(np.flatnonzero(~on).tolist(), f"without {self.name}")
+        return replace(self, sigma=self.sigma * scale, fixed={**self.fixed, **off})
 
     @classmethod
     def estimated(cls, session: Positions, geometry: str) -> bool:
