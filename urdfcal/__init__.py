@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from urdfcal.session.knowledge import Led as Led
     from urdfcal.session.knowledge import LedDistance as LedDistance
     from urdfcal.session.knowledge import Noise as Noise
+    from urdfcal.session.knowledge import Payload as Payload
     from urdfcal.session.knowledge import PlaceDistance as PlaceDistance
     from urdfcal.session.knowledge import Tolerances as Tolerances
     from urdfcal.session.model import Session as Session
@@ -63,7 +64,7 @@ _HOMES = {
     "urdfcal.io.writing": ("write_session",),
     "urdfcal.estimation.measurements": ("Contacts", "Detections", "Distances", "Planes", "Points", "Poses"),
     "urdfcal.session.combine": ("combine",),
-    "urdfcal.session.knowledge": ("Estimate", "Led", "LedDistance", "Noise", "PlaceDistance", "Tolerances"),
+    "urdfcal.session.knowledge": ("Estimate", "Led", "LedDistance", "Noise", "Payload", "PlaceDistance", "Tolerances"),
     "urdfcal.session.model": ("Session", "Setup"),
     "urdfcal.io.recorder": ("Recorder",),
     "urdfcal.cameras.camera": ("Camera",),

@@ -250,6 +250,20 @@ def test_what_cannot_be_planned_is_refused(few: Simulated) -> None:
         Planner(few.session, candidates=100).plan(50)
 
 
+def test_fewer_poses_than_asked_for_are_planned_where_there_are_no_more(few: Simulated) -> None:
+    planner = Planner(few.session, candidates=100)
+    plan = planner.plan(30, check=True)
+    assert 15 <= plan.count < 30
+    # Every planned pose is reached and counted, and none but those.
+    assert sorted(plan.rank[plan.rank >= 0].tolist()) == list(range(plan.count))
+    assert len(plan.errors) == len(plan.likely) == plan.count + 1
+    assert plan.check.any()
+    (said,) = [warning for warning in plan.warnings if "poses found" in warning]
+    assert said.startswith(f"{plan.count} of 30 poses found, among 100 in view")
+    assert "--no-check" in said
+    assert not [warning for warning in planner.plan(5).warnings if "poses found" in warning]
+
+
 def test_the_belief_has_all_parameters_of_the_rigid_arm(few: Simulated) -> None:
     offsets = replace(few.session, estimate=Estimate("offsets", "fixed", "fixed"))
     belief = Belief.of_calibration(calibrate(offsets, force=True))

@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 
 import urdfcal
-from urdfcal.errors import OutputError
+from urdfcal.errors import OutputError, RobotError
 from urdfcal.robot.dh import DHTable
 from urdfcal.robot.kinematics import tip_poses
 
@@ -47,6 +47,22 @@ def test_the_offsets_give_the_placements(saved: tuple[urdfcal.FittedCalibration,
     loaded = urdfcal.Calibration.load(saved[1])
     assert loaded.dh_offsets is not None
     np.testing.assert_array_equal(DHTable.from_chain(loaded.chain).placements(loaded.dh_offsets), loaded.placements)
+
+
+def test_readings_in_degrees_are_refused(saved: tuple[urdfcal.FittedCalibration, Path]) -> None:
+    loaded = urdfcal.Calibration.load(saved[1])
+    lower, upper = loaded.chain.limits
+    here = np.clip(np.full(len(lower), 0.05), lower, upper)
+    beyond = here.copy()
+    beyond[0] = upper[0] + 0.05  # as encoders may read
+    assert loaded.forward(np.vstack([here, beyond])).shape == (2, 4, 4)
+    for wrong in (np.degrees(upper[0]), np.nan):
+        readings = np.vstack([here, here])
+        readings[1, 0] = wrong
+        with pytest.raises(RobotError, match=f"readings, pose 1: {loaded.chain.actuated[0]} = .*radians and metres"):
+            loaded.forward(readings)
+        with pytest.raises(RobotError, match="previous, pose 1"):
+            loaded.joint_values(np.vstack([here, here]), previous=readings)
 
 
 def test_a_loaded_calibration_is_applied_in_place_or_to_a_copy(

@@ -95,6 +95,9 @@ def test_a_payload_bends_the_arm(loaded: urdfcal.Calibration) -> None:
     heavy = Payload("tool0", 5.0, LOAD.center)
     same = loaded.joint_values(q, payload=LOAD)
     np.testing.assert_allclose(loaded.joint_values(q), same, atol=1e-15)
+    at_frame = urdfcal.Payload(LOAD.link, 2.0)
+    centred = replace(at_frame, center=np.zeros(3))
+    np.testing.assert_array_equal(loaded.joint_values(q, payload=at_frame), loaded.joint_values(q, payload=centred))
     masses = loaded.joint_models.masses
     place = loaded.chain.tip("tool0")
     torques = masses.carrying(heavy, place).torques(q) - masses.carrying(LOAD, place).torques(q)

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from urdfcal.arrays import Bools, Floats, Ints
+    from urdfcal.planning.prospect import Choice
+    from urdfcal.planning.route import Route
     from urdfcal.planning.workspace import WorkspaceOfInterest
     from urdfcal.robot.mechanism import Mechanism
     from urdfcal.robot.urdf.urdf import Urdf
@@ -42,6 +44,12 @@ _TO_START = 20
 _TRIES = 20
 # Poses to check by, as a share of the others; fewer than four are an anecdote.
 _CHECKS, _LEAST_CHECKS = 0.2, 4
+# A plan of fewer poses than were asked for is one still, and says so.
+_ENOUGH = 0.5
+_MORE_ROOM = (
+    "Ask for fewer poses, or for none to check by (--no-check), let the cameras stand further away, or move the arm "
+    "elsewhere first."
+)
 _NO_WAY = "no free way was found from the last measured pose: bring the arm to the first pose of the plan yourself"
 _UNKNOWN_START = "where the arm stands now is not known: bring it to the first pose of the plan yourself"
 
@@ -212,15 +220,14 @@ class Planner:
             else:
                 barred |= {origin[k] for k in way.unreached}
                 kept = chosen.of([k for k in range(len(chosen)) if k not in way.unreached])
+        if way.unreached:
+            chosen, way = _reached(chosen, way)
         errors, likely = chosen.tell.course(at.belief.information, range(len(chosen)))
-        reached = len(chosen) - sum(k < len(chosen) for k in way.unreached)
-        if way.unreached or (reached < count and likely[-1] > until):
-            what = f"{reached} of {count} poses found, among {len(at.q)} in view, that are free and a way leads to"
-            remedy = (
-                "Ask for fewer poses, or for none to check by (--no-check), let the cameras stand further away, or "
-                "move the arm elsewhere first."
-            )
-            raise SessionError(what, where="plan", remedy=remedy)
+        if len(chosen) < count and likely[-1] > until:
+            what = f"{len(chosen)} of {count} poses found, among {len(at.q)} in view, that are free and a way leads to"
+            if len(chosen) < _ENOUGH * count:
+                raise SessionError(what, where="plan", remedy=_MORE_ROOM)
+            warnings = (*warnings, f"{what}: these are planned. {_MORE_ROOM}")
         spare = way.pose >= len(chosen)
         rank = frozen(np.where(spare, -1, way.pose), np.intp)
         then = at.belief.information + chosen.tell.information(range(len(chosen)))
@@ -255,6 +262,13 @@ class Planner:
         belief = replace(belief, setup=replace(belief.setup, scene=(*belief.setup.scene, *self._scene)))
         workspace = workspace_values(self._workspace, belief.setup.chain, session, self._seed)
         return Prospect.of(belief, workspace, self._count, margin=margin, seed=self._seed, progress=self._progress)
+
+
+def _reached(chosen: Choice, way: Route) -> tuple[Choice, Route]:
+    """Leave out of a choice, and of the numbers of a way's poses, those that it does not reach."""
+    number = np.cumsum(~np.isin(np.arange(way.pose.max(initial=0) + 1), way.unreached)) - 1
+    reached = chosen.of([k for k in range(len(chosen)) if k not in way.unreached])
+    return reached, replace(way, pose=np.where(way.pose < 0, way.pose, number[way.pose]), unreached=())
 
 
 def base_margin(rig: RigDescription) -> float:

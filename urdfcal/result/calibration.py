@@ -35,6 +35,9 @@ if TYPE_CHECKING:
 
 FILE_NAME = "calibration.json"
 
+# Encoders read a little beyond a limit; degrees and millimetres are far beyond. [rad or m]
+_FAR_OUTSIDE = 0.1
+
 
 class Calibration:
     """A calibrated robot: its nominal joints, their calibrated placements, and the result document.
@@ -248,7 +251,8 @@ class Calibration:
             (..., n) of all joints, mimic joints and flexures included. [rad or m]
 
         Raises:
-            RobotError: shapes do not agree, or nothing is known of the payload's link.
+            RobotError: shapes do not agree, a reading is not finite or far outside its joint's limits, or nothing is
+                known of the payload's link.
             SessionError: the torques are missing.
         """
         return self.joint_values_with_jacobian(readings, torques, previous, payload)[0]
@@ -262,6 +266,10 @@ class Calibration:
     ) -> tuple[Floats, Floats]:
         """Compute :meth:`joint_values` (..., n), and their derivative (..., n, k) by the readings."""
         q, shape, given = self._given(readings, torques=torques, previous=previous)
+        for name, of in {"readings": q, "previous": given.get("previous", q)}.items():
+            if outside := self.chain.outside_limits(of, _FAR_OUTSIDE):
+                remedy = "Readings are in radians and metres, of the robot that was calibrated."
+                raise RobotError(str(outside[0]), where=f"{name}, pose {outside[0].pose}", remedy=remedy)
         values, J = self._carrying(payload).joint_values(q, **given)
         return values.reshape(*shape, -1), J.reshape(*shape, *J.shape[1:])
 

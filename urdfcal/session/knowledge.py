@@ -219,7 +219,7 @@ class Payload:
 
     link: str
     mass: float
-    center: Floats
+    center: Floats = field(default_factory=lambda: np.zeros(3))
 
     def __post_init__(self) -> None:
         _keep_numbers(self, "payload", "mass")
