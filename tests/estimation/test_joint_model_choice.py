@@ -172,6 +172,8 @@ def test_what_a_model_brings_is_told_of_each_joint_and_in_other_regions(sagged: 
 def test_what_a_urdf_cannot_hold_is_said(simulated: Callable, sagged: FittedCalibration) -> None:
     data, calibration = simulated("panda", poses=60), sagged
     (said,) = [reason for reason in calibration.warnings if "URDF cannot hold it" in reason]
+    assert "export --workspace" in said
+    assert "compensate" in said
     assert said.startswith("sag of the joints under the arm's weight, by up to 1.")
     # Against the truth: the calibrated arm at the readings, and at where gravity truly takes the joints.
     chain = calibration.chain.with_placements(calibration.placements)

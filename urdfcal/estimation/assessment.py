@@ -281,7 +281,9 @@ def _bends(evidence: Evidence) -> Iterator[str]:
     if evidence.bends:
         yield (
             f"{'; '.join(evidence.bends)}: estimated with the arm, but a URDF cannot hold it: the corrected one is the "
-            f"rigid part, and its tip {1e3 * evidence.rigid_loss:.2g} mm rms off for it at the measured poses"
+            f"rigid part, and its tip {1e3 * evidence.rigid_loss:.2g} mm rms off for it at the measured poses; "
+            "urdfcal compensate and the library's joint_values use all of it, urdfcal export --workspace writes the "
+            "rigid arm that is best in a region"
         )
 
 
