@@ -44,6 +44,8 @@ def errors(name: str, seed: int, start: int, planned: int) -> dict[str, float] |
             plan = Planner(few).plan(count)
         except UrdfcalError as error:
             return f"{name} {seed}: {error}"
+        if plan.count < count:
+            return f"{name} {seed}: {plan.count} poses planned"
         q = plan.q[plan.rank >= 0]
         found = {}
         for what, session in (
