@@ -20,17 +20,13 @@ from tests.states import true_state_of
 from urdfcal.io.folder import read_rig, read_session
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.pipeline import calibrate
-from urdfcal.robot.urdf.urdf import package_roots
-from urdfcal.simulation import planning
 from urdfcal.simulation.simulate import simulate
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
 
     from urdfcal.estimation.state import State
     from urdfcal.result.fitted import FittedCalibration
-    from urdfcal.robot.mechanism import Mechanism
-    from urdfcal.robot.urdf.urdf import Urdf
     from urdfcal.session.knowledge import Estimate
     from urdfcal.simulation.truth import Simulated
 
@@ -45,24 +41,6 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
     from xdist.scheduler import WorkStealingScheduling
 
     return WorkStealingScheduling(config, log)
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _solids_once() -> Iterator[None]:
-    """Installed meshes are read once and not for every scene: so101's and their hulls take a second."""
-    read, known = planning._solids, {}
-
-    def solids(chain: Mechanism, urdf: Urdf) -> list[object]:
-        if b"package://example-robot-data/" not in urdf.data:
-            return read(chain, urdf)
-        key = (urdf.data, urdf.path, tuple(package_roots()), chain.base_link, chain.names)
-        if key not in known:
-            known[key] = read(chain, urdf)
-        return known[key]
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(planning, "_solids", solids)
-        yield
 
 
 @pytest.fixture(scope="session")

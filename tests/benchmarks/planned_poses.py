@@ -140,7 +140,9 @@ def judged(name: str, seed: int, poses: int, images: bool) -> np.ndarray | str:
         except UrdfcalError as error:
             return f"{name} {seed}: {error.what}"
         judge = Judge(simulated)
-        way = np.vstack([simulated.truth.q[-1:], plan.q])
+        # Where it was measured last it stands, whatever it touches there.
+        first = simulated.truth.q[-1:]
+        way = plan.q if judge.collides(first[0]) else np.vstack([first, plan.q])
         steps = np.linspace(0.0, 1.0, SAMPLES)
         moves = [any(judge.collides(a + step * (b - a)) for step in steps) for a, b in pairwise(way)]
         measured = plan.q[plan.measured]

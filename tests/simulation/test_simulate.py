@@ -10,11 +10,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import yaml
-from pinocchio import coal
 
 from urdfcal.arrays import inverse
 from urdfcal.cameras.rig import Rig
-from urdfcal.errors import OutputError, RobotError, SessionError
+from urdfcal.errors import OutputError, SessionError
 from urdfcal.estimation.measurements import Detections
 from urdfcal.io.folder import read_rig, read_session
 from urdfcal.io.shipped_rigs import find_rig, shipped_rigs
@@ -372,27 +371,6 @@ def test_an_led_is_carried_by_solids_of_its_own_joint_only():
     folded = checker_of(WALL.replace(PALM, '<link name="palm"/>'), led=(0.0, 0.0, 0.25))
     assert folded.is_seen(np.array([0.0, 2.9]), np.array([[0.3, 1.0, 0.5]]))
     assert not folded.is_seen(np.array([0.0, 2.9]), np.array([[-1.0, 0.0, 0.5]]))
-
-
-STL = """solid box
-facet normal 0 0 1 outer loop vertex 0 0 0 vertex 0.1 0 0 vertex 0 0.1 0 endloop endfacet
-facet normal 0 0 1 outer loop vertex 0 0 0 vertex 0.1 0 0 vertex 0 0 0.1 endloop endfacet
-facet normal 0 0 1 outer loop vertex 0 0 0 vertex 0 0.1 0 vertex 0 0 0.1 endloop endfacet
-facet normal 0 0 1 outer loop vertex 0.1 0 0 vertex 0 0.1 0 vertex 0 0 0.1 endloop endfacet
-endsolid box
-"""
-
-
-def test_meshes_beside_the_urdf_are_found_and_replaced_by_their_hulls(tmp_path):
-    (tmp_path / "box.stl").write_text(STL)
-    mesh = '<mesh filename="package://box.stl"/>'
-    (tmp_path / "arm.urdf").write_text(WALL.replace('<box size="0.05 0.05 0.2"/>', mesh))
-    urdf = Urdf.read(tmp_path / "arm.urdf")
-    checker = CollisionChecker(Chain.from_urdf(urdf, "hand", "base"), urdf, [(1, np.zeros(3))], [])
-    assert not any(isinstance(one.geometry, coal.BVHModelBase) for one in checker._geometry.geometryObjects)
-    (tmp_path / "box.stl").unlink()
-    with pytest.raises(RobotError, match=r"arm\.urdf: its collision geometry cannot be loaded: .*box\.stl"):
-        CollisionChecker(Chain.from_urdf(urdf, "hand", "base"), urdf, [], [])
 
 
 def test_an_arm_keeps_clear_of_what_stands_beside_it_and_of_the_table():

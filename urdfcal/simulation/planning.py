@@ -11,8 +11,8 @@ from pinocchio import coal
 
 from urdfcal.errors import RobotError, SessionError
 from urdfcal.robot.mechanism import BASE
-from urdfcal.robot.urdf.urdf import package_roots
 from urdfcal.rotations import turn_z_to
+from urdfcal.simulation.hulls import hulls_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -92,7 +92,7 @@ class CollisionChecker:
             RobotError: a mesh cannot be found or read.
             SessionError: a box of the scene is in the arm's way wherever it goes.
         """
-        solids = _solids(chain, urdf)
+        solids = hulls_of(chain, urdf)
         bulb, table = coal.Sphere(_BULB), coal.Halfspace(np.array([0.0, 0.0, 1.0]), _TABLE)
         self._leds = [(joint + 1, pin.SE3(np.eye(3), position)) for joint, position in leds]
         self._ray = _RAY + _GRAZE * clearance
@@ -212,46 +212,6 @@ def load_collision_checker(
     if checker.empty:
         return None, (f"{setup.urdf_reference}: no collision geometry, the poses were not checked",)
     return checker, ()
-
-
-def _solids(chain: Mechanism, urdf: Urdf) -> list[pin.GeometryObject]:
-    """Load the solids of the robot; joint i is the chain's i-th, 0 the base link."""
-    folders = [*package_roots(), *([urdf.path.parent] if urdf.path else [])]
-    whole = pin.buildModelFromXML(urdf.text)
-    try:
-        loaded = pin.buildGeomFromUrdfString(
-            whole,
-            urdf.text,
-            pin.GeometryType.COLLISION,
-            package_dirs=[str(folder) for folder in folders],
-            # Oriented boxes are the quickest to build; the hull needs none.
-            mesh_loader=coal.CachedMeshLoader(coal.NODE_TYPE.BV_OBB),
-        )
-    except (ValueError, RuntimeError) as error:
-        reason = " ".join(str(error).rpartition("message: ")[2].split())
-        raise RobotError(
-            f"its collision geometry cannot be loaded: {reason}", where=str(urdf.path or "URDF")
-        ) from error
-    # Not by pin.buildReducedModel, which fails where a joint and a link have the same name.
-    data = whole.createData()
-    pin.forwardKinematics(whole, data, pin.neutral(whole))
-    base = whole.frames[whole.getFrameId(chain.base_link, pin.FrameType.BODY)]
-    frames = {0: data.oMi[base.parentJoint] * base.placement}
-    numbers = {0: 0}
-    for i, name in enumerate(chain.names, start=1):
-        joint = whole.getJointId(name)
-        frames[joint], numbers[joint] = data.oMi[joint], i
-    solids = []
-    for solid in loaded.geometryObjects:
-        carrier = joint = solid.parentJoint
-        while carrier not in numbers:
-            carrier = whole.parents[carrier]
-        placement, shape = frames[carrier].actInv(data.oMi[joint] * solid.placement), solid.geometry
-        if isinstance(shape, coal.BVHModelBase):
-            shape.buildConvexHull(True, "Qt")
-            shape = shape.convex
-        solids.append(pin.GeometryObject(solid.name, numbers[carrier], placement, shape))
-    return solids
 
 
 def _touch(a: Any, M_a: pin.SE3, b: Any, M_b: pin.SE3) -> bool:
