@@ -264,6 +264,12 @@ def test_fewer_poses_than_asked_for_are_planned_where_there_are_no_more(few: Sim
     assert not [warning for warning in planner.plan(5).warnings if "poses found" in warning]
 
 
+def test_a_tag_beside_the_gripper_that_carries_it_is_planned_for() -> None:
+    # Its corners are within millimetres of what the gripper is drawn as: it does not hide them.
+    plan = Planner(read_rig(find_rig("so101_apriltag")), candidates=400).plan(3)
+    assert plan.count == 3
+
+
 def test_the_belief_has_all_parameters_of_the_rigid_arm(few: Simulated) -> None:
     offsets = replace(few.session, estimate=Estimate("offsets", "fixed", "fixed"))
     belief = Belief.of_calibration(calibrate(offsets, force=True))
