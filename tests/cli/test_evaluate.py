@@ -139,6 +139,7 @@ def test_a_table_has_a_row_for_each_quantity(folder: Path, capsys: pytest.Captur
     printed = capsys.readouterr().out
     for quantity in ("position (mm)", "orientation (mrad)", "position unaligned (mm)", "orientation unaligned (mrad)"):
         assert quantity in printed
+    assert "bases moved so that the tips agree best" in printed
 
 
 def test_poses_outside_what_a_result_has_measured_are_counted(

@@ -227,6 +227,10 @@ def _print_residuals(result: Mapping[str, Any]) -> None:
             cells = ["" if spread[key] is None else f"{spread[key]:.4f}" for key in columns]
             rows.add_row(f"{quantity.replace('_', ' ')} ({unit})", *cells)
     terminal().print(rows)
+    if "position_unaligned_mm" in result:
+        say(
+            "bases moved so that the tips agree best over the workspace; unaligned: the base links laid over each other"
+        )
     if "calibration" in result.get("lenses", {}).values():
         say("nominal: the session's own arm with its own lenses")
     for known in result.get("place_distances", ()):
