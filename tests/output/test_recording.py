@@ -277,6 +277,14 @@ def test_of_all_that_is_drawn_over_a_picture_its_border_alone_is_lowest(recorded
         assert recorded.static(f"/base/cameras/cam0/image/arm/{name}", "LineStrips2D:draw_order") > lowest > -10.0
 
 
+def test_what_is_predicted_is_drawn_over_what_was_detected(recorded):
+    def order(name: str) -> float:
+        return float(np.squeeze(recorded.static(f"/base/cameras/cam0/image/{name}", "Points2D:draw_order")))
+
+    lines = recorded.static("/base/cameras/cam0/image/arm/nominal", "LineStrips2D:draw_order")
+    assert order("predicted") > order("nominal") > order("sighted") > lines
+
+
 def test_common_normals_are_to_scale(calibration, recorded):
     rows = calibration.table.nominal + calibration.estimate.offsets
     for column, name in ((1, "d"), (2, "a")):

@@ -55,6 +55,9 @@ def test_results_are_as_calibrate_writes_them_and_a_failure_stops_no_other(
     with (tmp_path / "out" / TABLE).open() as file:
         rows = {row["name"]: row for row in csv.DictReader(file)}
     assert rows["a"]["level"] == "good"
+    upper = json.loads((tmp_path / "out" / "a" / "calibration.json").read_text())["tip"]["interval_mm"][1]
+    assert float(rows["a"]["tip_rms_upper_mm"]) == pytest.approx(upper)
+    assert "tip rms, at most" in " ".join(printed.split())
     assert float(rows["a"]["rms_mm"]) < float(rows["a"]["rms_nominal_mm"])
     assert "there is no file 'detections.csv'" in rows["broken"]["sentence"]
 
@@ -176,8 +179,8 @@ def test_every_engine_has_the_same_numbers(engine: str, fleet: list[Path], tmp_p
     pytest.importorskip({"dask": "distributed"}.get(engine, engine), reason=f"urdfcal[{engine}] is not installed")
     here = batch(fleet, tmp_path / "here", **QUICK)
     there = batch(fleet, tmp_path / "there", report=False, engine=engine)
-    assert [(one.level, one.rms_mm, one.tip_mm) for one in here] == [
-        (one.level, one.rms_mm, one.tip_mm) for one in there
+    assert [(one.level, one.rms_mm, one.tip_rms_upper_mm) for one in here] == [
+        (one.level, one.rms_mm, one.tip_rms_upper_mm) for one in there
     ]
 
 

@@ -59,9 +59,9 @@ def command(
 
 
 def _print(table: Sequence[Ended]) -> None:
-    rows = sheet("", ["session", "verdict", "nominal (mm)", "calibrated (mm)", "tip, 95 % below (mm)", "s"], texts=2)
+    rows = sheet("", ["session", "verdict", "nominal (mm)", "calibrated (mm)", "tip rms, at most (mm)", "s"], texts=2)
     for one in table:
-        figures = (one.rms_nominal_mm, one.rms_mm, one.tip_mm, one.seconds)
+        figures = (one.rms_nominal_mm, one.rms_mm, one.tip_rms_upper_mm, one.seconds)
         rows.add_row(one.name, one.level, *("" if figure is None else f"{figure:.3g}" for figure in figures))
     terminal().print(rows)
     for one in table:

@@ -55,6 +55,8 @@ _HAIR, _NONE = -0.5, 0.0
 _RADII = {"dots": -2.0, "lines": -0.9, "bars": -0.9, "hairlines": _HAIR}
 # The viewer may hide the lowest of what is drawn over a picture behind it: that is its border, which lies at its edge.
 _BORDER = 5.0
+# Above all lines: what is predicted lies on what was detected.
+_DOTS = 40.0
 # A ring about what was detected, for the image's width, and its corners.
 _RING, _ROUND = 0.012, 25
 
@@ -158,13 +160,16 @@ def log_frustum(body: Layer, camera: Camera, views: Floats, distance: float, lin
 def _log_image(image: Layer, scene: CalibrationScene, pixels: ResidualTable, camera: Camera, seen: Ints) -> None:
     pose = pixels.pose[seen]
     detected, predicted, expected = (uv[seen] + CORNER for uv in (pixels.measured, pixels.predicted, pixels.nominal))
-    for name, places, color in (
-        ("sighted", detected, palette.MEASURED),
-        ("predicted", predicted, palette.CALIBRATED),
-        ("nominal", expected, palette.NOMINAL),
+    for above, (name, places, color) in enumerate(
+        (
+            ("sighted", detected, palette.MEASURED),
+            ("nominal", expected, palette.NOMINAL),
+            ("predicted", predicted, palette.CALIBRATED),
+        )
     ):
         # Small: what was detected is to be seen below. A ring shows where it is.
-        image.at(name).each(rr.Points2D, {"positions": places}, pose, colors=color, radii=_SMALL_DOT)
+        dots = {"colors": color, "radii": _SMALL_DOT, "draw_order": _DOTS + above}
+        image.at(name).each(rr.Points2D, {"positions": places}, pose, **dots)
     width = float(np.ptp(image_range(camera.resolution, pixels.measured[seen])[0]))
     angle = np.linspace(0.0, 2.0 * np.pi, _ROUND)
     ring = _RING * width * np.column_stack([np.cos(angle), np.sin(angle)])

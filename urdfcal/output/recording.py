@@ -192,7 +192,8 @@ def layout(overview: Overview, active: int = 0) -> rrb.Blueprint:
     if scene.pixels is not None:
         views = _images(images, overview, scene.pixels)
         grid = rrb.Grid(*views, grid_columns=len(views) // len(images))
-        tabs.append(_above("pixels", grid, 6))
+        # Of targets there is more to say.
+        tabs.append(_above("pixels", grid, 4 if calibration.session.targets else 5))
     tabs += [
         _grid("convergence", charts.convergence_charts(calibration)),
         *([_above("joints", _charts(joints), 6)] if (joints := charts.joint_charts(calibration)) else []),

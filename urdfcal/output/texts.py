@@ -44,7 +44,8 @@ _PIXELS = """\
 White ring: where a light was detected; green dot: where the calibrated arm puts it, blue: the nominal one{lenses}.
 Lines: the arm, by its joint readings alone; none where it is far beyond the image, where no lens model holds. Arrows:
 residuals of all poses (at most {arrows} a camera), detected to predicted, enlarged as the title says; the white one is
-as long as the number beside it. {sigmas}. Purple: taken out of the fit. {directions}
+as long as the number beside it. {sigmas}; blue: this pose's, of the nominal arm. Purple: taken out of the fit.
+{directions}
 """
 _LIGHTS = "\nOrange: lights that detection rejected; a click tells why.\n"
 _CONVERGENCE = """\

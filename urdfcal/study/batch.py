@@ -36,7 +36,7 @@ class Ended:
         poses: how many it has.
         rms_nominal_mm: error on held-out poses, of the nominal arm.
         rms_mm: of the calibrated one.
-        tip_mm: upper end of the tip's claimed error over the workspace.
+        tip_rms_upper_mm: upper end of the 95 % interval of the tip's claimed rms error over the workspace.
         seconds: that it took.
         how: options of the calibration, and hash of every input file.
         kept: whether that was in an earlier run.
@@ -49,7 +49,7 @@ class Ended:
     poses: int | None = None
     rms_nominal_mm: float | None = None
     rms_mm: float | None = None
-    tip_mm: float | None = None
+    tip_rms_upper_mm: float | None = None
     seconds: float = 0.0
     how: Mapping[str, Any] = field(default_factory=dict)
     kept: bool = field(default=False, compare=False)
@@ -160,7 +160,7 @@ def calibrate_one(job: Job) -> Ended:
             "poses": calibration.document.fit.poses,
             "rms_nominal_mm": validation.rms_nominal_mm,
             "rms_mm": validation.rms_mm,
-            "tip_mm": 1e3 * calibration.evidence.tip.interval[1],
+            "tip_rms_upper_mm": 1e3 * calibration.evidence.tip.interval[1],
         }
         if calibration.failures and not job.options.get("force"):
             if job.report:
