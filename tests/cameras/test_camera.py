@@ -182,6 +182,7 @@ def test_pixels_no_ray_meets_are_nan() -> None:
     assert np.isnan(fisheye.unproject(1.01 * quarter_turn + WIDE[2:])).all()
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize(
     ("model", "scale"),
     [

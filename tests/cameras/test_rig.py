@@ -242,6 +242,7 @@ def test_no_points_and_read_only_results() -> None:
     assert found.status.dtype == np.intp
 
 
+@pytest.mark.no_cover
 def test_a_hundred_thousand_stereo_points_take_about_a_second() -> None:
     uv = detections(STEREO, points_before(100_000))
     uv += np.random.default_rng(9).normal(0.0, 0.1, uv.shape)

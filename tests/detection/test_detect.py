@@ -137,6 +137,7 @@ def test_debug_images_show_every_picture(detected: Detected, tmp_path: Path) -> 
     assert read_image(drawings[0]).ndim == 3
 
 
+@pytest.mark.no_cover
 def test_calibrate_detects_by_itself_and_says_so(
     simulated: Simulated, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

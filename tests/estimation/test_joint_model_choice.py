@@ -113,6 +113,7 @@ def test_what_is_switched_off_is_not_chosen(simulated: Callable) -> None:
     assert not calibrated(session, **OFF).comparison.chosen.joint_models
 
 
+@pytest.mark.no_cover
 def test_what_is_switched_on_for_a_joint_is_estimated_of_it_alone(simulated: Callable) -> None:
     session = simulated("panda", poses=40).session
     calibration = calibrated(session, **{**OFF, "harmonics": {"panda_joint2": True, "panda_joint3": False}})
@@ -122,6 +123,7 @@ def test_what_is_switched_on_for_a_joint_is_estimated_of_it_alone(simulated: Cal
     assert {entry.name for entry in calibration.document.parameters} == set(on)
 
 
+@pytest.mark.no_cover
 def test_an_estimate_without_a_model_tells_what_one_with_it_would_be(simulated: Callable) -> None:
     # All that is chosen is chosen by linear algebra: it must agree with estimates made anew.
     session = sagging(simulated("panda", poses=60), 5e-6)
@@ -186,6 +188,7 @@ def test_what_a_urdf_cannot_hold_is_said(simulated: Callable, sagged: FittedCali
     assert not [reason for reason in calibrated(data.session, **OFF).warnings if "URDF cannot hold it" in reason]
 
 
+@pytest.mark.no_cover
 def test_gears_of_one_kind_have_play_together(simulated: Callable) -> None:
     # None of the six is certain alone, and a lag would explain half of it.
     data = simulated("ur5", poses=60)
@@ -225,6 +228,7 @@ def test_a_measured_ur10_holds_in_another_region(
     assert np.sqrt(np.mean(np.sum(residual**2, axis=1))) < most
 
 
+@pytest.mark.no_cover
 def test_an_arm_that_bends_tells_where_gravity_points(simulated: Callable) -> None:
     # The base leans by 30 degrees, and the session knows nothing of it.
     data = simulated("panda", poses=60)
@@ -267,6 +271,7 @@ def test_a_joint_that_hardly_tells_does_not_turn_gravity_around() -> None:
     assert LeaningCompliance.direction(np.array([0.0, 0.0, -1e-5, 0.0, 0.0, 1e-5]), np.full(6, 1e-6))[1] == np.pi
 
 
+@pytest.mark.no_cover
 def test_an_arm_that_is_not_rigid_has_every_model_weighed(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = read_rig(find_rig("so101"))
     errors = dict.fromkeys(("lag", "eccentricity", "backlash", "compliance", "gravity_backlash"), "default")

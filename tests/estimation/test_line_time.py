@@ -94,6 +94,7 @@ def test_points_of_a_board_at_several_rows_of_an_image_and_coarse_encoders_do_no
     assert calibration.assessment.level == "good"
 
 
+@pytest.mark.no_cover
 def test_what_is_known_is_used_and_not_estimated() -> None:
     simulated = filmed("elbow3r", 6, 4.0, sigma=0.0)
     offsets = simulated.truth.time_offsets

@@ -41,6 +41,7 @@ RIGS = {
 }
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("rig", RIGS)
 def test_every_jacobian_block_agrees_with_finite_differences(
     rig: str, simulated: Callable, true_state: Callable

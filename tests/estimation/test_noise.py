@@ -26,6 +26,7 @@ def noise_of(session: Session, undeclared: tuple[str, ...] = ()) -> dict[str, Fo
     return {of.name: of for of in find_noise(estimate.problem, estimate.fit, undeclared)}
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("rig", ["so101", "tiago", "panda"])
 def test_the_noise_that_was_simulated_is_found(rig: str, simulated: Callable) -> None:
     session = simulated(rig, poses=50).session

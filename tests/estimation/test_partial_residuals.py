@@ -23,6 +23,7 @@ def found(calibration: FittedCalibration) -> dict[tuple[str, str], PartialResidu
     return {(of.joint, of.model): of for of in partial_residuals(calibration.problem, calibration.fit)}
 
 
+@pytest.mark.no_cover
 def test_without_the_model_a_joint_is_seen_to_yield_by_what_was_built(simulated: Callable) -> None:
     calibration = calibrate(sagging(simulated("ur5", poses=50), 5e-5))
     of = found(calibration)["shoulder_lift_joint", "compliance"]
@@ -37,6 +38,7 @@ def test_without_the_model_a_joint_is_seen_to_yield_by_what_was_built(simulated:
     np.testing.assert_allclose(of.value, values[:, 1])
 
 
+@pytest.mark.no_cover
 def test_harmonics_are_shown_over_the_joint_s_angle(simulated: Callable) -> None:
     data = simulated("ur5", poses=50)
     calibration = calibrate(partial(harmonic, share=0.3, order=1)(data, 3e-3))

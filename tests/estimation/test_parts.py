@@ -75,6 +75,7 @@ def derived(session: Session) -> None:
         assert_derivatives(problem, observed, state, parameters)
 
 
+@pytest.mark.no_cover
 def test_derivatives_by_every_world_agree_with_finite_differences(simulated: Callable) -> None:
     a, b = (simulated("panda", poses=14, seed=seed).session for seed in (0, 1))
     derived(combine({"a": a, "b": b}))
@@ -142,6 +143,7 @@ def test_a_session_is_explained_with_what_moved(simulated: Callable) -> None:
     assert np.sqrt(np.mean(residual**2)) < 0.2
 
 
+@pytest.mark.no_cover
 def test_events_are_found_in_each_session_and_said_of_it(simulated: Callable) -> None:
     data = simulated("ur5", poses=60)
     a, b = halves(slipped(data, 5e-3), 20)

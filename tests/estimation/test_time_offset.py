@@ -146,6 +146,7 @@ def test_time_offsets_of_a_second_are_found_by_trying(offsets: tuple[float, floa
     assert np.abs(Estimated.of(moving.session).fit.state[TIME_OFFSETS] - offsets).max() < 5e-4
 
 
+@pytest.mark.no_cover
 def test_frames_that_the_log_does_not_reach_once_the_time_offsets_are_known_are_left_out() -> None:
     moving = filmed("ur5", 12, 4.0, (0.93, -0.9))
     trajectory = moving.session.motion

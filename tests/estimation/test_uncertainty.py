@@ -108,6 +108,7 @@ def test_more_of_the_same_narrows_what_is_measured_and_not_what_is_known(simulat
     assert tip_rms_with(without.problem, without.fit, 4.0) == pytest.approx(0.5 * rms, rel=1e-3)
 
 
+@pytest.mark.no_cover
 def test_where_the_residuals_exceed_the_noise_more_poses_are_said_to_bring_nothing(simulated: Callable) -> None:
     session = simulated("ur5", poses=16).session
     assert calibrate(session, force=True).evidence.tip.rms_with_more is not None

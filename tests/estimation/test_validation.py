@@ -126,6 +126,7 @@ def test_a_further_region_scatters_as_those_that_were_left_out() -> None:
     assert 0.92 < within / 400 < 0.98
 
 
+@pytest.mark.no_cover
 def test_repeats_of_a_configuration_are_left_out_together(simulated: Callable) -> None:
     session = replace(repeated(simulated("ur5", poses=50), 0.0), estimate=Estimate("dh", "fixed", "fixed"))
     calibration = calibrate(session, force=True)

@@ -78,6 +78,7 @@ def test_leds_are_found_in_a_video_as_in_files(path: Path, threads: int) -> None
     assert np.sqrt(np.mean(miss**2)) < 0.1
 
 
+@pytest.mark.no_cover
 def test_a_few_pictures_are_in_memory_at_a_time(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     alive: weakref.WeakSet[VideoFrame] = weakref.WeakSet()
     most = 0

@@ -80,6 +80,7 @@ def improved(folder: Path, capsys: pytest.CaptureFixture[str]) -> float:
     return errors[1] / errors[0]
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("separator", [",", ";", "\t"])
 def test_points_in_millimetres_and_joints_in_degrees(
     folder: Path, simulated: Simulated, separator: str, capsys: pytest.CaptureFixture[str]
@@ -132,6 +133,7 @@ def test_poses_with_any_kind_of_orientation(
     np.testing.assert_allclose((Rotation.from_quat(poses.values[:, 3:]).inv() * R[seen]).magnitude(), 0.0, atol=1e-6)
 
 
+@pytest.mark.no_cover
 def test_detections_of_named_cameras(folder: Path, simulated: Simulated, capsys: pytest.CaptureFixture[str]) -> None:
     table, (seen,) = degrees(simulated), simulated.session.measurements
     for c, camera in enumerate(simulated.session.rig.names):

@@ -63,6 +63,7 @@ def test_points_one_by_one_are_those_of_the_file(tmp_path: Path) -> None:
     same(recorder.session(), read)
 
 
+@pytest.mark.no_cover
 def test_a_recorded_session_calibrates_as_the_measured_one(simulated: Callable) -> None:
     session = simulated("ur5").session
     recorder = Recorder(session)

@@ -166,6 +166,7 @@ def test_a_scale_may_hold_its_values_without_room_beside_them():
     assert flat.ticks()
 
 
+@pytest.mark.no_cover
 def test_what_charts_call_the_declared_noise_is_what_the_estimate_weighs_by(simulated):
     """Joint noise of 1 mrad outweighs that of pixels: residuals in units of what was declared still have length 1."""
     data = simulated("ur5", poses=40)

@@ -107,6 +107,7 @@ def test_the_viewer_is_asked_to_listen_to_this_machine_only(tmp_path: Path, monk
         started.process.wait()
 
 
+@pytest.mark.no_cover
 def test_a_viewer_that_is_closed_meanwhile_holds_nothing_up(tmp_path: Path) -> None:
     """In a process of its own: what hung was its end."""
     program = tmp_path / "rerun"

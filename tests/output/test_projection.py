@@ -44,6 +44,7 @@ def test_the_skeleton_passes_the_dh_product_and_its_stretches_are_d_and_a(calibr
     np.testing.assert_allclose(lengths[:, 1::2], np.abs(np.broadcast_to(rows[:, 2], q.shape)), atol=1e-12)
 
 
+@pytest.mark.no_cover
 def test_a_lens_bends_the_line():
     calibration = calibrate(simulate(read_rig(find_rig("elbow3r")), seed=1, poses=12).session)
     uv = arm_in_images(calibration, calibration.estimate, calibration.session.q[:1])[0][0]

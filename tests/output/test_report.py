@@ -254,6 +254,7 @@ def test_what_was_seen_outside_of_the_image_is_told_and_the_first_row_belongs_to
         assert (one.x, one.y) == (other.x, other.y), "images of one size are in one scale"
 
 
+@pytest.mark.no_cover
 def test_where_a_lens_was_used_outside_of_the_image_it_has_an_uncertainty_too(simulated):
     session = simulated("elbow3r").session
     overview = Overview.of(calibrate(replace(session, estimate=replace(session.estimate, intrinsics="free"))))
@@ -350,6 +351,7 @@ def test_a_wrong_lens_does_not_get_a_good_verdict(tmp_path):
         assert page.text.count(sentence) == 1
 
 
+@pytest.mark.no_cover
 def test_a_clean_session_gets_a_good_verdict_and_a_warning_makes_it_doubtful():
     session = a_session("ur5", outlier=False)
     assert calibrate(session).assessment.level == "good"
@@ -376,6 +378,7 @@ def test_held_out_figures_are_the_headline_with_their_interval(calibration, tmp_
     assert "held-out poses, 95 % below" in page.text
 
 
+@pytest.mark.no_cover
 def test_names_are_text_and_no_markup(tmp_path):
     session = a_session()
     leds = tuple(replace(led, name="<b>&") for led in session.leds)
@@ -403,6 +406,7 @@ def test_a_browser_shows_it_without_errors_or_requests(path, tmp_path):
     assert requested(net) == set()
 
 
+@pytest.mark.no_cover
 @pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
 def test_on_a_telephone_nothing_runs_off_the_page_and_dark_is_dark(path, tmp_path):
     import cv2
@@ -428,6 +432,7 @@ def requested(net):
     return {host for host in hosts if not re.search(r"google|gvt1|chromium", host)}
 
 
+@pytest.mark.no_cover
 def test_a_nominal_arm_that_is_kept_has_a_report_too(tmp_path):
     """Its error against itself is zero everywhere, and there is nothing to correct."""
     session = replace(simulate(read_rig(find_rig("elbow3r")), seed=1, poses=12).session, estimate=Estimate("none"))

@@ -88,6 +88,7 @@ def test_colours_run_from_green_to_red_and_unpredictable_is_red():
     np.testing.assert_array_equal(unknown, large)
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("rig", ["elbow3r", "stanford"])
 def test_the_arm_and_its_leds_fill_the_view_at_first(rig):
     scene = build_scene(calibrate(simulate(read_rig(find_rig(rig)), seed=3, poses=15).session))

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("own_cameras", [False, True])
 def test_what_was_measured_is_where_the_arm_was_in_each_session(own_cameras: bool, simulated: Callable) -> None:
     data = simulated("ur5", poses=60)

@@ -35,6 +35,7 @@ def test_a_contact_is_measured_where_its_place_is() -> None:
     assert shown.noise == pytest.approx(np.sqrt(3.0) * 0.1)
 
 
+@pytest.mark.no_cover
 def test_a_plane_has_one_residual() -> None:
     session = replace(touched(Planes, 40).session, estimate=Estimate("none"))
     scene = Overview.of(calibrate(session, force=True)).scene

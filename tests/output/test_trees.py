@@ -104,6 +104,7 @@ def test_the_drawn_leds_are_as_their_camera_sees_them(calibration):
         np.testing.assert_allclose(seen, expected, atol=1e-9)
 
 
+@pytest.mark.no_cover
 def test_an_led_that_stands_still_is_drawn_in_one_place():
     scene = build_scene(calibrate(simulate(in_hand(1), seed=1, poses=POSES).session))
     for led in range(4):
@@ -113,6 +114,7 @@ def test_an_led_that_stands_still_is_drawn_in_one_place():
     assert np.isnan(scene.leds.covariance).all()
 
 
+@pytest.mark.no_cover
 def test_two_cameras_in_one_hand_triangulate():
     scene = build_scene(calibrate(simulate(in_hand(2), seed=1, poses=POSES).session))
     both = np.isfinite(scene.leds.covariance).all(axis=(1, 2))
@@ -170,6 +172,7 @@ def test_the_arm_in_the_pictures_is_cut_where_no_camera_sees_it(calibration, rec
                 assert np.all(apart < 1e-6 * (1.0 + np.abs(drawn).max()))
 
 
+@pytest.mark.no_cover
 def test_overlay_and_report_are_written(calibration, overview, recorded, tmp_path):
     path = tmp_path / "calibration.rrd"
     write_recording(path, overview)
@@ -197,6 +200,7 @@ def test_overlay_and_report_are_written(calibration, overview, recorded, tmp_pat
         assert f"\n| {number} | {before or ''} | {calibration.table.labels[number - 1]} |" in table
 
 
+@pytest.mark.no_cover
 def test_a_robot_without_meshes_is_a_stick_figure_with_all_its_limbs(calibration, overview, tmp_path):
     bare = replace(calibration, session=replace(calibration.session, urdf=None))
     write_recording(tmp_path / "stick.rrd", replace(overview, calibration=bare))

@@ -111,6 +111,7 @@ def test_what_sags_is_mapped_and_counts_as_off_of_the_nominal_arm(simulated):
     assert workspace.range[1] >= workspace.moved.max()
 
 
+@pytest.mark.no_cover
 def test_an_arm_that_lags_alone_is_moved_by_nothing_at_rest(simulated):
     found = calibrate(erring(simulated("ur5", poses=40), lag=1e-3))
     assert found.joint_models.found

@@ -155,6 +155,7 @@ def test_the_arm_keeps_clear_of_the_table_though_many_poses_reach_below_it() -> 
     assert not any(checker.is_free(q_k) for q_k in low)
 
 
+@pytest.mark.no_cover
 def test_what_stands_around_is_kept_clear_of_and_hides_leds(few: Simulated) -> None:
     assert few.session.urdf is not None
     chain, nominal, urdf = few.session.chain, nominal_scene(read_rig(find_rig("ur5"))), few.session.urdf
@@ -250,6 +251,7 @@ def test_what_cannot_be_planned_is_refused(few: Simulated) -> None:
         Planner(few.session, candidates=100).plan(50)
 
 
+@pytest.mark.no_cover
 def test_fewer_poses_than_asked_for_are_planned_where_there_are_no_more(few: Simulated) -> None:
     planner = Planner(few.session, candidates=100)
     plan = planner.plan(30, check=True)

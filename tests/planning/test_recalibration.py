@@ -29,6 +29,7 @@ def before(simulated: Callable[..., Simulated]) -> tuple[Simulated, Calibration]
     return made, Calibration(ResultDocument.model_validate(calibrate(session, force=True).to_dict()))
 
 
+@pytest.mark.no_cover
 def test_six_poses_recalibrate_an_arm_that_is_known(before: tuple[Simulated, Calibration]) -> None:
     made, calibration = before
     plan = Planner(calibration, candidates=300).plan(6)

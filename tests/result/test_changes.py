@@ -233,6 +233,7 @@ def test_a_link_on_the_base_is_no_tip_that_moves(elbow3r: Calibration) -> None:
     assert list(find_changes(loaded(data), loaded(data)).tips) == ["tool0"]
 
 
+@pytest.mark.no_cover
 def test_each_tip_of_a_tree_is_compared(fitted: Callable) -> None:
     one = loaded(fitted("tiago_dual", poses=40).to_dict())
     changes = find_changes(one, one)

@@ -131,6 +131,7 @@ def test_measured_torques_are_needed_where_compliances_were_found_with_them(simu
     )
 
 
+@pytest.mark.no_cover
 def test_of_an_arm_without_masses_no_payload_is_known(simulated: Callable) -> None:
     (kind,) = (kind for kind in LINEAR if kind.name == "torque_basis")
     session = session_for(kind, simulated)
@@ -192,6 +193,7 @@ def test_files_whose_joint_models_make_no_sense_are_refused(
         urdfcal.Calibration.load(tmp_path)
 
 
+@pytest.mark.no_cover
 def test_the_side_that_a_load_presses_to_is_known_without_the_session(simulated: Callable, tmp_path: Path) -> None:
     session = simulated("ur5", poses=20).session
     on = {kind.name: kind is GravityBacklash for kind in LINEAR}

@@ -150,6 +150,7 @@ def test_messages_that_nobody_knows_do_not_matter(tmp_path: Path) -> None:
         assert "my_package/msg/CameraInfo1" in {topic.type for topic in read.topics}
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("kind", KINDS)
 def test_damage_raises_our_error_and_no_other(tmp_path: Path, kind: str) -> None:
     path = recording(kind, 0.1).write(tmp_path / "bag")

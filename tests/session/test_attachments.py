@@ -97,6 +97,7 @@ def test_mounts_that_make_no_sense_are_refused(mount: dict, message: str) -> Non
         CameraMount(**{"camera": "cam", "link": "tool0", **mount})
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("rig", TREES)
 def test_a_session_reads_back_as_it_was_written(rig: str, tmp_path: Path, simulated: Callable) -> None:
     data = simulated(rig, poses=12)

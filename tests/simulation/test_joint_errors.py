@@ -167,6 +167,7 @@ def folder(tmp_path: Path) -> Path:
     return shutil.copytree(find_rig("ur5"), tmp_path / "rig")
 
 
+@pytest.mark.no_cover
 def test_calibration_finds_what_the_rig_says(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     with (folder / "rig.yaml").open("a") as file:
         file.write("payload: {link: tool0, mass: 3, center: [0, 0, 0.1]}\nerrors: {compliance: default, lag: 4e-4}\n")

@@ -470,6 +470,7 @@ def test_progress_is_told_of_every_pose(rig):
     assert sum(steps) == 7
 
 
+@pytest.mark.no_cover
 def test_a_stand_that_looks_away_says_how_far_it_got(rig):
     away = replace(rig, stand=Stand(rig.stand.position, 2 * rig.stand.position - rig.stand.look_at))
     with pytest.raises(SessionError, match=r"0 of 50 poses found: of [\d]+ random ones .* in 0") as error:

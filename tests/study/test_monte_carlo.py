@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 UR5 = find_rig("ur5")
 
 
+@pytest.mark.no_cover
 def test_a_run_is_the_same_in_whatever_order_and_expects_what_comes() -> None:
     runs = [Run(find_rig("elbow3r"), Variation("poses", 20), seed) for seed in range(4)]
     there = np.array([run_one(run) for run in runs])
@@ -36,6 +37,7 @@ def test_a_run_is_the_same_in_whatever_order_and_expects_what_comes() -> None:
     assert 0.5 * expected < error < 2.0 * expected
 
 
+@pytest.mark.no_cover
 def test_an_arm_that_bends_is_judged_with_its_bending(tmp_path: Path) -> None:
     rig = tmp_path / "rig"
     shutil.copytree(UR5, rig)
@@ -91,6 +93,7 @@ def test_one_thing_is_varied_at_a_time() -> None:
     assert names == ["as it is", "poses 10", "poses 20", "leds 3"]
 
 
+@pytest.mark.no_cover
 def test_the_command_prints_and_writes_what_more_noise_costs(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -25,6 +25,7 @@ def images(board: Board, count: int, seed: int = 0) -> list[tuple[np.ndarray, np
     return [(T, uv) for T, uv in found if np.isfinite(uv).all()][:count]
 
 
+@pytest.mark.no_cover
 def test_a_picture_does_not_depend_on_its_sampling() -> None:
     T, _ = images(CHARUCO, 1)[0]
     coarse = LENS.render(CHARUCO, T, blur=1.0).astype(float)
@@ -44,6 +45,7 @@ def test_a_board_half_out_of_the_picture_behind_or_beside_the_camera_is_no_troub
     assert across.shape == (512, 640)
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("board", [CHESSBOARD, CHARUCO], ids=["chessboard", "charuco"])
 def test_corners_are_found_without_bias_and_better_than_by_opencv(board: Board) -> None:
     import cv2

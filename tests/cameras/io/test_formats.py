@@ -250,7 +250,7 @@ BROKEN = {
     "empty mapping": (KALIBR, "{}", "the file holds nothing"),
     "two documents": (KALIBR, "a: 1\n---\nb: 2\n", r"yaml:2:1: this is not YAML: but found another document"),
     "binary": (KALIBR, "\x00\x01\x02", "this is not a YAML text file"),
-    "deep": (KALIBR, "[" * 20_000, "this is not a YAML text file"),
+    "deep": (KALIBR, "[" * 500, "this is not a YAML text file"),
     "first has a step": ("cam_overlaps:", "T_cn_cnm1:", r"\(cam0.T_cn_cnm1\): the first camera has no camera"),
     "three rows": (*with_step(X, Y, Z), r"\(cam1.T_cn_cnm1\): .*must have 4 rows of 4 numbers"),
     "short row": (*with_step(X, Y, Z, [0, 0, 1]), r"17:3 \(cam1.T_cn_cnm1\): T_cn_cnm1 must have 4 rows of 4"),

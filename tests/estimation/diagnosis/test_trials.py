@@ -50,10 +50,12 @@ def test_the_mistake_is_named_with_what_mending_it_brings(what: str, simulated: 
     assert f"{what}: with that mended the nominal arm is {suspicion.after:.3g} px off instead of" in str(suspicion)
 
 
+@pytest.mark.no_cover
 def test_nothing_is_suspected_of_a_good_session(simulated: Callable) -> None:
     assert suspect(simulated("elbow3r", poses=12).session) is None
 
 
+@pytest.mark.no_cover
 def test_two_mistakes_are_not_blamed_on_one(simulated: Callable) -> None:
     data = simulated("elbow3r", poses=12)
     both = other_sign(data, 0.0, share=0.4)
@@ -61,6 +63,7 @@ def test_two_mistakes_are_not_blamed_on_one(simulated: Callable) -> None:
     assert suspect(both) is None
 
 
+@pytest.mark.no_cover
 def test_a_calibration_that_fails_says_what_would_mend_it(simulated: Callable) -> None:
     data = simulated("elbow3r", poses=12)
     wrong = replace(other_sign(data, 0.0, share=0.4), estimate=Estimate("dh", "fixed", "fixed"), joint_models=RIGID)

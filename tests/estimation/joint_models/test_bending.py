@@ -112,6 +112,7 @@ def test_it_is_found_within_its_intervals_and_the_tip_is_nearer(data: Simulated,
     assert tip_error(data, found) < 0.7 * tip_error(data, elastic)
 
 
+@pytest.mark.no_cover
 def test_auto_leaves_it_to_the_measurements(data: Simulated, simulated: Callable) -> None:
     assert "bending" in chosen(calibrated(data.session, bending="auto"))
     assert Bending.of(data.session) is None

@@ -279,6 +279,7 @@ def spelled_origins(draw):
     return spell, old
 
 
+@pytest.mark.no_cover
 @settings(max_examples=300, deadline=None)
 @given(spelled_origins(), placements)
 def test_in_any_spelling_just_the_values_are_replaced(origin, T):
