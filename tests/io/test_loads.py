@@ -67,6 +67,8 @@ def test_loads_are_read_and_written_back(tmp_path: Path) -> None:
         assert session.gravity.tolist() == [0.0, 9.81, 0.0]
         assert dict(session.gear_ratio) == {"roll": 121.0}
         assert dict(session.joint_models) == {"gain": True, "lag": False, "harmonics": {"waist": True}}
+    quoted = session_with(tmp_path / "quoted", 'joint_models: {gain: "on", lag: "off", harmonics: {waist: "on"}}\n')
+    assert dict(quoted.joint_models) == dict(read.joint_models)
     plain = session_with(tmp_path / "c")
     assert plain.payload is None
     assert plain.gravity.tolist() == [0.0, 0.0, -9.81]

@@ -137,9 +137,12 @@ else:
 
 def _by_joint(value: Any, on_or_off: Callable[[Any], bool]) -> JointModelSaid:
     """Read what switches a model on or off or leaves it to the measurements, for all joints or for each by name."""
-    if isinstance(value, dict):
-        return {str(joint): AUTO if said == AUTO else on_or_off(said) for joint, said in value.items()}
-    return AUTO if value == AUTO else on_or_off(value)
+
+    def read(said: Any) -> bool | Literal["auto"]:
+        quoted = {"on": True, "off": False}  # YAML takes them for on and off only where they are not
+        return AUTO if said == AUTO else on_or_off(quoted.get(said, said) if isinstance(said, str) else said)
+
+    return {str(joint): read(said) for joint, said in value.items()} if isinstance(value, dict) else read(value)
 
 
 _JointModels = Annotated[
