@@ -123,9 +123,9 @@ def _calibrate(
         if kept is not None and kept is not comparison.chosen.fit:
             comparison = with_fit(comparison, kept, problem, seed)
     evidence = gather(session, problem, comparison, seed, undeclared, progress)
-    if evidence.spread is not None:
-        chosen = comparison.chosen
-        comparison = comparison.with_chosen(replace(chosen, fit=replace(chosen.fit, spread=evidence.spread)))
+    chosen = comparison.chosen
+    fit = replace(chosen.fit, spread=evidence.spread, doubt=chosen.doubt)
+    comparison = comparison.with_chosen(replace(chosen, fit=fit))
     assessment = assess(session, problem, comparison, evidence)
     calibration = FittedCalibration(
         session=session.with_time_offsets(time_offsets(comparison.chosen.fit.state)),

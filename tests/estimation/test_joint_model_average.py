@@ -12,7 +12,7 @@ from urdfcal.estimation.joint_model_average import model_doubt
 from urdfcal.estimation.joint_model_choice import Alternatives
 from urdfcal.estimation.joint_model_search import LEAST
 from urdfcal.estimation.joint_models import Term
-from urdfcal.estimation.uncertainty import tip_error
+from urdfcal.estimation.uncertainty import aligned_motion, tip_error, tip_rms_with
 from urdfcal.pipeline import calibrate
 from urdfcal.session.knowledge import Estimate
 
@@ -21,44 +21,76 @@ if TYPE_CHECKING:
 
     from urdfcal.result.fitted import FittedCalibration
 
-SAG, LAG = Term("compliance", ("a",)), Term("lag", ("a",))
+SAG, LAG = Term("compliance", ("a", "b")), Term("lag", ("a", "b"))
+ONE = Term("lag", ("b",))
+STEP = {SAG: np.array([0.0, 0.0, 5.0]), LAG: np.array([1.0, 0.0, 5.0]), ONE: np.array([0.0, 2.0, 5.0])}
 
 
 class Told:
-    """An estimate of one parameter with compliance: what it would be, and by how much worse, with lag beside it."""
+    """An estimate of three parameters: what it is with some terms, and how much worse these are than the best."""
 
-    def __init__(self, worse: float, forced: bool = False) -> None:
-        self.worse, self.places = worse, np.array([0, -1])
-        self.included: tuple[Term, ...] = (SAG,)
-        self.units = tuple(SimpleNamespace(term=term, forced=forced and term is SAG) for term in (SAG, LAG))
+    def __init__(self, included: tuple[Term, ...], worse: dict[tuple[Term, ...], float], forced: bool = False) -> None:
+        self.included = included
+        self.worse = {self.scales(terms).tobytes(): by for terms, by in worse.items()}
+        self.steps = {self.scales(terms).tobytes(): sum((STEP[term] for term in terms), np.zeros(3)) for terms in worse}
+        self.places = np.array([1, 0, -1])  # in another order, and one that no other model tells
+        self.units = tuple(SimpleNamespace(term=term, forced=forced and term is SAG) for term in (ONE, LAG, SAG))
 
     def groups_of(self, model: str) -> list[str]:
-        return [model]
+        return ["once", "twice"] if model == "lag" else [model]
+
+    def scales(self, terms: tuple[Term, ...]) -> np.ndarray:
+        found = np.zeros((2, 2, 2))
+        for term in terms:
+            joints, group = [joint in term.joints for joint in "ab"], {"once": 0, "twice": 1}.get(term.group)
+            found[("compliance", "lag").index(term.model), joints, slice(None) if group is None else group] = term.scale
+        return found
 
     def score(self, terms: tuple[Term, ...]) -> float:
-        known = {(("compliance", 1.0),): 0.0, (("compliance", 1.0), ("lag", 1.0)): LEAST - self.worse}
-        return known.get(tuple((term.model, term.scale) for term in terms), -50.0) + LEAST
+        return LEAST * len(terms) - self.worse.get(self.scales(terms).tobytes(), 50.0)
 
     def estimate(self, terms: tuple[Term, ...]) -> np.ndarray:
-        return np.array([1.0, 3.0]) if LAG in terms else np.array([0.0, 3.0])
+        return self.steps[self.scales(terms).tobytes()]
+
+
+def doubted(of: Told, step: np.ndarray, weight: float) -> None:
+    step = np.where(of.places >= 0, step[of.places], 0.0)
+    np.testing.assert_allclose(model_doubt(of), weight * np.outer(step, step), atol=1e-12)
 
 
 @pytest.mark.parametrize("worse", [0.0, 1.0, 3.9])
 def test_what_explains_as_much_counts_by_its_evidence(worse: float) -> None:
     weight = np.exp(-worse) / (1.0 + np.exp(-worse))
-    # What no other model tells is not in doubt.
-    np.testing.assert_allclose(model_doubt(Told(worse)), [[weight, 0.0], [0.0, 0.0]], atol=1e-12)
+    doubted(Told((SAG,), {(SAG,): 0.0, (SAG, LAG): worse}), STEP[LAG], weight)
+
+
+@pytest.mark.parametrize(
+    ("other", "step"),
+    [
+        ((), -STEP[SAG]),  # without it
+        ((LAG,), STEP[LAG] - STEP[SAG]),  # another in its place
+        ((ONE,), STEP[ONE] - STEP[SAG]),  # of one joint in its place
+        ((SAG, ONE), STEP[ONE]),  # of one joint beside it
+    ],
+)
+def test_a_model_may_be_missing_or_stand_in_the_place_of_another(other: tuple[Term, ...], step: np.ndarray) -> None:
+    doubted(Told((SAG,), {(SAG,): 0.0, other: 0.0}), step, 0.5)
 
 
 def test_what_is_ruled_out_does_not_count() -> None:
-    assert not model_doubt(Told(4.1)).any()
+    assert not model_doubt(Told((SAG,), {(SAG,): 0.0, (SAG, LAG): 4.1})).any()
 
 
-def test_an_arm_without_models_that_were_found_is_not_in_doubt() -> None:
-    assert not model_doubt(Told(0.0, forced=True)).any()
-    rigid = Told(0.0)
-    rigid.included = ()
-    assert not model_doubt(rigid).any()
+def test_what_is_ruled_out_leaves_its_share_to_the_others() -> None:
+    doubted(Told((SAG,), {(SAG,): 0.0, (SAG, LAG): 0.0, (SAG, ONE): 4.1}), STEP[LAG], 0.5)
+
+
+def test_that_an_arm_is_rigid_may_be_in_doubt_too() -> None:
+    doubted(Told((), {(): 0.0, (LAG,): 0.0}), STEP[LAG], 0.5)
+
+
+def test_what_the_session_switches_on_is_not_in_doubt() -> None:
+    assert not model_doubt(Told((SAG,), {(SAG,): 0.0, (): 0.0, (LAG,): 0.0}, forced=True)).any()
 
 
 @pytest.fixture(scope="module")
@@ -75,8 +107,13 @@ def test_doubt_widens_the_parameters_and_the_tips_interval(sagged: FittedCalibra
     assert doubt.any()
     np.testing.assert_allclose(chosen.doubt, doubt, rtol=1e-6, atol=1e-6 * np.abs(doubt).max())
     # It is part of what is reported.
-    sure = replace(chosen.fit, spread=None)
-    assert np.all(np.diag(sagged.fit.covariance) >= np.diag(sure.covariance) + 0.99 * np.diag(doubt))
+    sure = replace(chosen.fit, spread=None, doubt=None)
+    np.testing.assert_allclose(replace(sagged.fit, spread=None).covariance, sure.covariance + doubt, rtol=1e-9)
     (_, (low, high)), (_, (sure_low, sure_high)) = (tip_error(sagged.problem, fit) for fit in (sagged.fit, sure))
     assert high > sure_high
     assert low == sure_low
+    # Twice as much measured would settle half of it.
+    more = [tip_rms_with(sagged.problem, replace(sure, doubt=of), 2.0) ** 2 for of in (None, doubt, 2.0 * doubt)]
+    A = aligned_motion(sagged.problem, sure)
+    added = np.einsum("nik,kl,nil->", A, doubt, A) / len(A) / 2.0
+    np.testing.assert_allclose(np.diff(more), added, rtol=1e-6)

@@ -12,7 +12,7 @@ from tests.worlds import backlash, gain, harmonic, sagging, seen
 from urdfcal.estimation import joint_model_search
 from urdfcal.estimation.alignment import kabsch
 from urdfcal.estimation.evaluation import explain
-from urdfcal.estimation.joint_model_choice import Alternatives
+from urdfcal.estimation.joint_model_choice import Alternatives, without
 from urdfcal.estimation.joint_model_search import _as_good, _transfers, better_terms
 from urdfcal.estimation.joint_models import JOINT_MODELS, Readings, Term
 from urdfcal.estimation.joint_models.backlash import Backlash
@@ -174,7 +174,7 @@ def test_what_a_model_brings_is_told_of_each_joint_and_in_other_regions(sagged: 
 def test_what_a_urdf_cannot_hold_is_said(simulated: Callable, sagged: FittedCalibration) -> None:
     data, calibration = simulated("panda", poses=60), sagged
     (said,) = [reason for reason in calibration.warnings if "URDF cannot hold it" in reason]
-    assert "export --workspace" in said
+    assert "export --to urdf --workspace" in said
     assert "compensate" in said
     assert said.startswith("sag of the joints under the arm's weight, by up to 1.")
     # Against the truth: the calibrated arm at the readings, and at where gravity truly takes the joints.
@@ -351,6 +351,17 @@ def test_groups_of_a_models_parameters_have_priors_of_their_own() -> None:
     assert all(term.joints == ("a", "b") for option in options for term in option)
     alone = SimpleNamespace(groups_of=lambda model: ["torque"])
     assert all(len(option) == 1 for option in joint_model_search.sizes(alone, Term("compliance", ("a",))))
+
+
+def test_a_state_keeps_what_a_group_of_parameters_was_found_and_no_other(simulated: Callable) -> None:
+    calibration = calibrated(simulated("so101", poses=12).session, **OFF)
+    problem = calibration.problem
+    (model,) = [model for model in problem.joint_models if model.name == "harmonics"]
+    state = calibration.fit.state.replace({model.key: np.arange(1.0, len(model) + 1)})
+    left = without(state, problem, [Term("harmonics", problem.mechanism.actuated[:2], group="harmonic 1")])[model.key]
+    once = [name.endswith(("sin1", "cos1")) for name in model.names]
+    kept = np.isin(model.names_of_joints, problem.mechanism.actuated[:2]) & once
+    np.testing.assert_array_equal(left, np.where(kept, state[model.key], 0.0))
 
 
 @pytest.mark.no_cover

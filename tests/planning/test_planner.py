@@ -15,9 +15,11 @@ from urdfcal.estimation.problem import Problem
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.pipeline import calibrate
+from urdfcal.planning import planner as module
 from urdfcal.planning.belief import Belief
 from urdfcal.planning.planner import Planner, base_margin
 from urdfcal.planning.prospect import Prospect
+from urdfcal.planning.route import Route
 from urdfcal.robot.dh import DHTable
 from urdfcal.robot.kinematics import tip_poses
 from urdfcal.robot.mechanism import BASE
@@ -247,14 +249,16 @@ def test_what_cannot_be_planned_is_refused(few: Simulated) -> None:
         Planner(few.session, candidates=0)
     with pytest.raises(SessionError, match="poses are free, of 12"):
         Planner(few.session, candidates=12).plan(15)
-    with pytest.raises(SessionError, match=r"of 50 poses found.*\(--no-check\)"):
-        Planner(few.session, candidates=100).plan(50)
+    with pytest.raises(
+        SessionError, match=r"of 50 poses found.*for none to check by \(--no-check\), for fewer poses, or among more"
+    ):
+        Planner(few.session, candidates=100).plan(50, check=True)
 
 
 @pytest.mark.no_cover
 def test_fewer_poses_than_asked_for_are_planned_where_there_are_no_more(few: Simulated) -> None:
-    planner = Planner(few.session, candidates=100)
-    plan = planner.plan(30, check=True)
+    at = Planner(few.session, candidates=100)
+    plan = at.plan(30, check=True)
     assert 15 <= plan.count < 30
     # Every planned pose is reached and counted, and none but those.
     assert sorted(plan.rank[plan.rank >= 0].tolist()) == list(range(plan.count))
@@ -263,7 +267,32 @@ def test_fewer_poses_than_asked_for_are_planned_where_there_are_no_more(few: Sim
     (said,) = [warning for warning in plan.warnings if "poses found" in warning]
     assert said.startswith(f"{plan.count} of 30 poses found, among 100 in view")
     assert "--no-check" in said
-    assert not [warning for warning in planner.plan(5).warnings if "poses found" in warning]
+    assert not [warning for warning in at.plan(5).warnings if "poses found" in warning]
+
+
+def test_what_no_way_leads_to_is_left_out_and_counted(few: Simulated, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Of twelve poses and four to check by the third, the eleventh and the first of those to check are never reached.
+    def without_some(q: np.ndarray, *_: object) -> Route:
+        reached = [k for k in range(len(q)) if k not in (2, 10, 12)]
+        return Route(q[reached], np.array(reached), (2, 10, 12)) if len(q) > 12 else Route(q, np.arange(len(q)), ())
+
+    monkeypatch.setattr(module, "route", without_some)
+    monkeypatch.setattr(module, "_TRIES", 1)
+    plan = Planner(few.session, candidates=400).plan(12, check=True)
+    assert plan.rank.tolist() == [*range(10), -1, -1, -1]
+    assert plan.check.tolist() == [False] * 10 + [True] * 3
+    assert len(plan.errors) == 11
+    said = [of for of in plan.warnings if "way leads to" in of]
+    assert said[0] == "no free way leads to 1 of the poses to check by"
+    assert said[1].startswith("10 of 12 poses found")
+
+
+def test_what_is_found_until_an_error_is_planned_however_few_of_the_most(few: Simulated) -> None:
+    plan = Planner(few.session, candidates=100).plan(100, until=1e-6)
+    assert 0 < plan.count < 50
+    (said,) = [of for of in plan.warnings if "poses found" in of]
+    assert "--no-check" not in said  # there are none
+    assert plan.likely[-1] > 1e-6
 
 
 def test_a_tag_beside_the_gripper_that_carries_it_is_planned_for() -> None:

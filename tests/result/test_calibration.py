@@ -65,6 +65,33 @@ def test_readings_in_degrees_are_refused(saved: tuple[urdfcal.FittedCalibration,
             loaded.joint_values(np.vstack([here, here]), previous=readings)
 
 
+def test_where_the_arm_comes_from_is_refused_in_degrees_of_commands_too(
+    saved: tuple[urdfcal.FittedCalibration, Path],
+) -> None:
+    loaded = urdfcal.Calibration.load(saved[1])
+    here = np.clip(np.full(len(loaded.chain.actuated), 0.05), *loaded.chain.limits)
+    for wrong in (np.degrees(loaded.chain.limits[1][0]), np.nan):
+        previous = here.copy()
+        previous[0] = wrong
+        with pytest.raises(RobotError, match="previous, pose 0"):
+            loaded.compensate(here, previous=previous)
+
+
+def test_what_was_measured_beyond_the_limits_is_a_reading(
+    saved: tuple[urdfcal.FittedCalibration, Path], tmp_path: Path
+) -> None:
+    # As calibrate --ignore-limits writes it.
+    document = json.loads(saved[1].read_text())
+    name, upper = saved[0].chain.actuated[0], float(saved[0].chain.limits[1][0])
+    document["domain"]["joints"][name][1] = upper + 2.0
+    (tmp_path / "calibration.json").write_text(json.dumps(document))
+    readings = np.clip(np.full(len(saved[0].chain.actuated), 0.05), *saved[0].chain.limits)
+    readings[0] = upper + 2.05
+    assert urdfcal.Calibration.load(tmp_path).forward(readings).shape == (4, 4)
+    with pytest.raises(RobotError, match="and what was measured"):
+        urdfcal.Calibration.load(saved[1]).forward(readings)
+
+
 def test_a_loaded_calibration_is_applied_in_place_or_to_a_copy(
     saved: tuple[urdfcal.FittedCalibration, Path],
 ) -> None:

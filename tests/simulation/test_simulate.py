@@ -24,6 +24,7 @@ from urdfcal.robot.mechanism import BASE
 from urdfcal.robot.tree_dh import rows_of
 from urdfcal.robot.urdf.urdf import Urdf, find_urdf, package_roots
 from urdfcal.session.knowledge import Led
+from urdfcal.session.obstacle import Obstacle
 from urdfcal.session.rig_description import Stand
 from urdfcal.simulation.planning import CollisionChecker
 from urdfcal.simulation.scene import look_at
@@ -371,6 +372,19 @@ def test_an_led_is_carried_by_solids_of_its_own_joint_only():
     folded = checker_of(WALL.replace(PALM, '<link name="palm"/>'), led=(0.0, 0.0, 0.25))
     assert folded.is_seen(np.array([0.0, 2.9]), np.array([[0.3, 1.0, 0.5]]))
     assert not folded.is_seen(np.array([0.0, 2.9]), np.array([[-1.0, 0.0, 0.5]]))
+
+
+@pytest.mark.parametrize(("joint", "seen"), [(1, True), (BASE, False)])
+def test_of_its_own_link_less_is_kept_of_a_ray_but_not_of_what_stands(joint, seen):
+    # A ray passes 5 mm beside the palm, on which the LED is, or beside a box as an LED that stands: 6 mm are kept.
+    urdf = Urdf.parse(WALL.encode())
+    chain = Chain.from_urdf(urdf, "hand", "base")
+    led, here = {1: ([0.0, 0.03, 0.05], [0.0, 0.03, 0.75]), BASE: ([0.5, -2.0, 0.5],) * 2}[joint]
+    box = Obstacle("box", np.array([0.05, 0.05, 0.2]), np.array([0.5, -2.03, 0.7]))
+    checker = CollisionChecker(chain, urdf, [(joint, np.array(led))], [(BASE, np.full(3, 9.0))], 0.02, [box])
+    above, beyond = (np.add(here, of)[None] for of in ([0.0, 0.0, 2.0], [0.0, -0.6, 2.0]))
+    assert checker.is_seen(np.zeros(2), above) == seen
+    assert not checker.is_seen(np.zeros(2), beyond)
 
 
 def test_an_arm_keeps_clear_of_what_stands_beside_it_and_of_the_table():

@@ -188,7 +188,7 @@ def gather(
     one_by_one = any(
         of.name == term.model and not of.together for term in comparison.chosen.spec.terms for of in models
     )
-    fit = fit.doubted(spread if fit.misfit or one_by_one else None, comparison.chosen.doubt)
+    fit = replace(fit, spread=spread if fit.misfit or one_by_one else None, doubt=comparison.chosen.doubt)
     cut, kept = fit.counts
     # Then something about the session may be wrong: it is looked for by trial, which takes seconds.
     absurd = fit.reduced_chi2 > MISFIT_CHI2 or cut > MANY_OUTLIERS * (cut + kept)

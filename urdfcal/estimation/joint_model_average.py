@@ -26,23 +26,23 @@ def model_doubt(of: Alternatives) -> Floats:
 
     A model that is not there can look like one that is, and one too small to be chosen is taken up by those that are:
     of an SO-101 whose encoders are eccentric 94 % of the chosen models' parameters are within their 95 % intervals
-    without this, 97 % with it. What differs from the estimate in one model, or has one in the place of another, counts
-    by its evidence (Hoeting, Madigan, Raftery and Volinsky, Statistical Science 14, 1999).
+    without this, 97 % with it. Where none is chosen of it, 85 % of the arm's parameters instead of 78 %, and 95 % of
+    those of rigid arms, with and without. What differs from the estimate in one model, or has one in the place of
+    another, counts by its evidence (Hoeting, Madigan, Raftery and Volinsky, Statistical Science 14, 1999).
 
     Args:
         of: the estimate and its alternatives.
 
     Returns:
-        Covariance (count, count) of the estimate's active parameters about their values; zero where it has no model.
+        Covariance (count, count) of the estimate's active parameters about their values.
     """
-    count = len(of.places)
-    forced = {unit.term for unit in of.units if unit.forced}
-    if set(of.included) == forced:
-        return np.zeros((count, count))
-    others = [terms for terms in dict.fromkeys(_others(of)) if set(terms) != set(of.included)]
+    # Groups of one width each and all with that width are the same.
+    distinct = {of.scales(terms).tobytes(): terms for terms in (*_others(of), of.included)}
+    others = [terms for terms in distinct.values() if terms is not of.included]
     score = np.array([of.score(terms) - LEAST * len(terms) for terms in (of.included, *others)])
     weight = np.exp(score - score.max())
-    weight = np.where(score > score.max() - _RULED_OUT, weight, 0.0) / weight.sum()
+    weight[score < score.max() - _RULED_OUT] = 0.0
+    weight /= weight.sum()
     here = of.estimate(of.included)
     steps = np.array([of.estimate(others[k]) - here for k in np.flatnonzero(weight[1:])]).reshape(-1, len(here))
     steps = np.where(of.places >= 0, steps[:, of.places], 0.0)

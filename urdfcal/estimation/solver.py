@@ -6,7 +6,7 @@ each measurement, and what is left far outside the noise is taken out at the end
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -81,8 +81,9 @@ class Solution:
         observations: scalar measurements used.
         history: accepted steps.
         converged: whether the last step was small.
-        spread: (count, count) covariance of what may be wrong beside noise: over regions left out, which what is not
-            modelled shows in, and over other joint models; None where nothing of the kind is to be expected.
+        spread: (count, count) covariance over regions left out, which what is not modelled shows in; None where it is
+            not known, or nothing of the kind is to be expected.
+        doubt: (count, count) covariance over other joint models; None where it is not known.
     """
 
     state: State
@@ -96,6 +97,7 @@ class Solution:
     history: tuple[Iteration, ...]
     converged: bool
     spread: Floats | None = None
+    doubt: Floats | None = None
 
     @property
     def reduced_chi2(self) -> float:
@@ -115,16 +117,13 @@ class Solution:
 
     @property
     def covariance(self) -> Floats:
-        """(count, count) of the active parameters, widened by their spread, and for a misfit if that is not known."""
-        inverse = covariance_of(self.information)
+        """(count, count) of the active parameters, with spread and doubt; of a misfit without spread, widened by it."""
+        found = covariance_of(self.information)
         if self.spread is not None:
-            return inverse + self.spread
-        return inverse * self.reduced_chi2 if self.misfit else inverse
-
-    def doubted(self, *spreads: Floats | None) -> Solution:
-        """Return it with covariances (count, count) of what may be wrong beside noise; None of what is not known."""
-        known = [spread for spread in spreads if spread is not None and np.any(spread)]
-        return replace(self, spread=np.sum(known, axis=0)) if known else self
+            found = found + self.spread
+        elif self.misfit:
+            found = found * self.reduced_chi2
+        return found if self.doubt is None else found + self.doubt
 
     @property
     def misfit(self) -> bool:

@@ -90,7 +90,7 @@ def tip_error(
 
     The estimate's covariance carried to the tip, after the best alignment at the base; the interval is that of the rms
     of estimates drawn from the covariance. Its spread over regions left out is what may be wrong, not what is: it
-    raises the upper end alone.
+    raises the upper end alone, as other joint models do.
 
     Args:
         problem: the arm and its joint models.
@@ -105,7 +105,7 @@ def tip_error(
     gram = np.einsum("nij,nik->jk", A, A) / _WORKSPACE
     normal = np.random.default_rng(seed).standard_normal((_DRAWS, len(gram))) ** 2
     ends = []
-    for of, percentile in ((replace(fit, spread=None), 2.5), (fit, 97.5)):
+    for of, percentile in ((replace(fit, spread=None, doubt=None), 2.5), (fit, 97.5)):
         values, vectors = np.linalg.eigh(of.covariance)  # without priors it may be singular to rounding
         factor = vectors * np.sqrt(np.maximum(values, 0.0))
         strengths = np.maximum(np.linalg.eigvalsh(factor.T @ gram @ factor), 0.0)
@@ -157,6 +157,8 @@ def tip_rms_with(problem: Problem, fit: Solution, factor: float, seed: int = 0) 
     covariance = covariance_of(priors + factor * (fit.information - priors))
     if fit.spread is not None:  # what is not modelled stays
         covariance = covariance + fit.spread
+    if fit.doubt is not None:  # which joint models there are is better known then
+        covariance = covariance + fit.doubt / factor
     return float(np.sqrt(max(np.sum((A @ covariance) * A), 0.0) / _WORKSPACE))
 
 

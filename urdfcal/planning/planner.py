@@ -46,10 +46,7 @@ _TRIES = 20
 _CHECKS, _LEAST_CHECKS = 0.2, 4
 # A plan of fewer poses than were asked for is one still, and says so.
 _ENOUGH = 0.5
-_MORE_ROOM = (
-    "Ask for fewer poses, or for none to check by (--no-check), let the cameras stand further away, or move the arm "
-    "elsewhere first."
-)
+_MORE_ROOM = ", or among more candidates, let the cameras stand further away, or move the arm elsewhere first."
 _NO_WAY = "no free way was found from the last measured pose: bring the arm to the first pose of the plan yourself"
 _UNKNOWN_START = "where the arm stands now is not known: bring it to the first pose of the plan yourself"
 
@@ -221,13 +218,16 @@ class Planner:
                 barred |= {origin[k] for k in way.unreached}
                 kept = chosen.of([k for k in range(len(chosen)) if k not in way.unreached])
         if way.unreached:
+            lost = sum(k >= len(chosen) for k in way.unreached)
+            warnings = (*warnings, f"no free way leads to {lost} of the poses to check by") if lost else warnings
             chosen, way = _reached(chosen, way)
         errors, likely = chosen.tell.course(at.belief.information, range(len(chosen)))
         if len(chosen) < count and likely[-1] > until:
             what = f"{len(chosen)} of {count} poses found, among {len(at.q)} in view, that are free and a way leads to"
-            if len(chosen) < _ENOUGH * count:
-                raise SessionError(what, where="plan", remedy=_MORE_ROOM)
-            warnings = (*warnings, f"{what}: these are planned. {_MORE_ROOM}")
+            remedy = f"Ask for {'none to check by (--no-check), for ' if check else ''}fewer poses{_MORE_ROOM}"
+            if not len(chosen) or (len(chosen) < _ENOUGH * count and not until):
+                raise SessionError(what, where="plan", remedy=remedy)
+            warnings = (*warnings, f"{what}: these are planned. {remedy}")
         spare = way.pose >= len(chosen)
         rank = frozen(np.where(spare, -1, way.pose), np.intp)
         then = at.belief.information + chosen.tell.information(range(len(chosen)))

@@ -266,10 +266,7 @@ class Calibration:
     ) -> tuple[Floats, Floats]:
         """Compute :meth:`joint_values` (..., n), and their derivative (..., n, k) by the readings."""
         q, shape, given = self._given(readings, torques=torques, previous=previous)
-        for name, of in {"readings": q, "previous": given.get("previous", q)}.items():
-            if outside := self.chain.outside_limits(of, _FAR_OUTSIDE):
-                remedy = "Readings are in radians and metres, of the robot that was calibrated."
-                raise RobotError(str(outside[0]), where=f"{name}, pose {outside[0].pose}", remedy=remedy)
+        self._check_readings("readings", q)
         values, J = self._carrying(payload).joint_values(q, **given)
         return values.reshape(*shape, -1), J.reshape(*shape, *J.shape[1:])
 
@@ -342,7 +339,33 @@ class Calibration:
                     where=self.chain.name,
                     remedy=f"Give them in this order: {', '.join(self.chain.actuated)}.",
                 )
+        if "previous" in given:
+            self._check_readings("previous", given["previous"])
         return q.reshape(-1, k), q.shape[:-1], {name: values.reshape(-1, k) for name, values in given.items()}
+
+    @cached_property
+    def _readable(self) -> tuple[Floats, Floats]:
+        """The least and the largest reading (k,) that are one: of limits, and of what was measured. [rad or m]."""
+        lower, upper = (np.array(limit) for limit in self.chain.limits)
+        domain = {} if self.document.domain is None else self.document.domain.joints
+        for k, name in enumerate(self.chain.actuated):
+            low, high = domain.get(name, (np.inf, -np.inf))
+            lower[k], upper[k] = min(lower[k], low) - _FAR_OUTSIDE, max(upper[k], high) + _FAR_OUTSIDE
+        return lower, upper
+
+    def _check_readings(self, name: str, readings: Floats) -> None:
+        """Refuse readings (..., k) that are in other units, or none."""
+        lower, upper = self._readable
+        wrong = ~((readings >= lower) & (readings <= upper) & np.isfinite(readings)).reshape(-1, len(lower))
+        if wrong.any():
+            pose, k = np.argwhere(wrong)[0].tolist()
+            joint, value = self.chain.actuated_joints[k], float(readings.reshape(-1, len(lower))[pose, k])
+            raise RobotError(
+                f"{joint.name} = {value:g} {joint.unit} is outside of [{lower[k]:.4g}, {upper[k]:.4g}], the joint's "
+                "limits and what was measured",
+                where=f"{name}, pose {pose}",
+                remedy="Readings are in radians and metres, of the robot that was calibrated.",
+            )
 
 
 def corrected_name(urdf_reference: str) -> str:

@@ -88,7 +88,7 @@ class CollisionChecker:
             leds: index of the joint that carries each LED, ``BASE`` for none, and its position (3,) there. [m]
             centres: the same of the cameras' centres.
             clearance: how near is a collision already, of pairs that are not built as near. With some, the arm
-                keeps clear of the cameras that stand around it, too, and a quarter of it of what they look at. [m]
+                keeps clear of the cameras that stand around it, too, and a share of it of what they look at. [m]
             scene: what stands around the arm. It hides LEDs, and clearance is kept of it, however near it is.
 
         Raises:
@@ -150,7 +150,7 @@ class CollisionChecker:
                 length, placement = float(np.linalg.norm(line)), pin.SE3(turn_z_to(line), (led + centre) / 2.0)
                 rays = [coal.Capsule(radius, length) for radius in self._rays]
                 solids = ((self._geometry.geometryObjects[i], self._placed.oMg[i]) for i in screens)
-                if any(_touch(of.geometry, M_0, rays[of.parentJoint == joint], placement) for of, M_0 in solids):
+                if any(_touch(of.geometry, M_0, rays[of.parentJoint == joint != 0], placement) for of, M_0 in solids):
                     return False
         return True
 
