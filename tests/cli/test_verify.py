@@ -208,7 +208,8 @@ def test_poses_that_are_no_configuration_of_their_own_are_named(
 
 def test_the_verdict_of_too_many_outliers_says_so() -> None:
     found = Acceptance(1.0, (0.25, 0.9), 12, 12, 12, 1e-3)
-    assert _verdict(found) == (
+    assert "in 12 seconds of an arm that moves: " in _verdict(found, moving=True)
+    assert _verdict(found, moving=False) == (
         "1000 mm rms (95 %: 250 to 900), noise of measuring included, in 12 configurations: whether it is within 1 mm "
         "cannot be told: too many measurements are outliers"
     )

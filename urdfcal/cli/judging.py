@@ -71,6 +71,7 @@ def verify(
     from urdfcal.estimation.acceptance import accept
     from urdfcal.io.folder import read_session
     from urdfcal.result.calibration import Calibration
+    from urdfcal.session.trajectory import Trajectory
 
     calibration = None if is_urdf(result) else Calibration.load(result)
     if calibration is not None and (tip or base):
@@ -103,7 +104,7 @@ def verify(
         }
         click.echo(json.dumps(shown, indent=2))
     else:
-        say(_verdict(found))
+        say(_verdict(found, moving=isinstance(measured.motion, Trajectory)))
         if not new:
             say("- these are the measurements that it was calibrated with: others will be further off")
         for remark in (*_enlarged(found), *lenses.remarks, *_left_out(found), *_repeated(found), *domain.remarks):
@@ -213,14 +214,14 @@ def calibrated_with(calibration: Calibration, session: Session) -> bool:
     return bool(tables) and made_from.issuperset(tables)
 
 
-def _verdict(found: Acceptance) -> str:
+def _verdict(found: Acceptance, *, moving: bool) -> str:
     low, high = map(_millimetres, found.interval)
     limit = f"within {1e3 * found.limit:.3g} mm"
     why = "too many measurements are outliers" if found.too_many_outliers else "more poses are needed"
     told = {True: limit, False: f"not {limit}", None: f"whether it is {limit} cannot be told: {why}"}
     return (
         f"{_millimetres(found.rms)} mm rms (95 %: {low} to {high}), noise of measuring included, in "
-        f"{found.configurations} configurations: "
+        f"{found.configurations} {'seconds of an arm that moves' if moving else 'configurations'}: "
         f"{told[found.within]}"
     )
 

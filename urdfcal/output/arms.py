@@ -46,7 +46,9 @@ MESH_FORMATS = {
 # Lengths below this share of the reach are corrections, too small to be seen.
 _NO_LENGTH = 2e-3
 # The names of lengths stand so far beside these. [reach]
-_ASIDE = 0.05
+_ASIDE = 0.035
+# Axes of the frames are so long. [reach]
+_AXES = 0.08
 
 
 def log_arms(layer: Layer, session: Session, scene: CalibrationScene) -> tuple[str, ...]:
@@ -93,7 +95,7 @@ def log_dh(layer: Layer, table: DHTable, scene: CalibrationScene) -> None:
     Rows are numbered as in the table beside them, from 1, which has the lengths. Names stand beside the lengths, on one
     side and the other in turn: in a wrist they would lie over each other.
     """
-    length, aside, rows = 0.08 * table.chain.reach, _ASIDE * table.chain.reach, scene.rows
+    length, aside, rows = _AXES * table.chain.reach, _ASIDE * table.chain.reach, scene.rows
     eye, target = viewpoint(scene)
     forward = target - eye
     for i in range(rows.frames.shape[1]):
@@ -119,6 +121,13 @@ def log_dh(layer: Layer, table: DHTable, scene: CalibrationScene) -> None:
                 labels=f"{name}{i + 1}",
                 show_labels=False,
             )
+
+
+def dh_extent(table: DHTable, scene: CalibrationScene) -> Floats:
+    """The ends (N, 3) of what :func:`log_dh` draws: rows, and the axes of their frames. [m]."""
+    frames = scene.rows.frames.reshape(-1, 4, 4)
+    axes = frames[:, :3, 3, None] + _AXES * table.chain.reach * frames[:, :3, :3]
+    return np.vstack([scene.rows.corners.reshape(-1, 3), np.swapaxes(axes, 1, 2).reshape(-1, 3)])
 
 
 def label_places(lines: Floats, forward: Floats, aside: float) -> Floats:

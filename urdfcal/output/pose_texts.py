@@ -18,13 +18,14 @@ _LEGEND = f"""\
 Solid arm, or green where it has no meshes: **calibrated**. Blue ghost: **nominal**, {{placed}}.
 {{enlarged}}
 
-LED: white as measured, green by the calibrated arm, blue by the nominal one. Arrows from measured to predicted, thin at
-other poses: {SIGMA_LEGEND}. Purple: taken out of the fit. White ellipsoid: {ELLIPSOID:g} standard deviations of the
-measurement, enlarged alike. Curves: residual of each {{one}}, in the arms' colours, with gaps where nothing was seen.
+{{what}}: white as measured, green by the calibrated arm, blue by the nominal one. Arrows from measured to predicted,
+thin at other poses: {SIGMA_LEGEND}. Purple: taken out of the fit. White ellipsoid: {ELLIPSOID:g} standard deviations
+of the measurement, enlarged alike. Curves: residual of each {{one}}, in the arms' colours, with gaps where nothing was
+seen.
 """
 _RAYS = "\nLong lines: the cameras' rays."
 _DEPTH = " Along them a place is known several times worse than across; mm with depth hold both."
-_ONE_RAY = " A light that a single camera saw has one ray, and no measured distance: its mm are across the ray."
+_ONE_RAY = " What a single camera saw has one ray, and no measured distance: its mm are across the ray."
 # Lenses as given would put the nominal arm anywhere in space, and its own would be another world.
 _LENSES = (
     " Nominal: px with the lenses as given, mm before the calibrated arm's cameras; on held-out poses each arm has "
@@ -72,7 +73,8 @@ def _legend(overview: Overview) -> str:
     known = _known_on_links(overview.document)
     placed = _LAID_OVER.format(apart=1e3 * scene.apart, known=known) if scene.apart else _PLACED
     one = counted(overview.document).removesuffix("s")
-    legend = _LEGEND.format(enlarged=enlarged, placed=placed, one=one)
+    what = "LED" if overview.calibration.session.leds else "Point"
+    legend = _LEGEND.format(enlarged=enlarged, placed=placed, one=one, what=what)
     if scene.pixels is not None:
         alone = np.asarray(scene.leds.ray.any(axis=1))
         legend += f"{_RAYS}{'' if alone.all() else _DEPTH}{_ONE_RAY if alone.any() else ''}\n"

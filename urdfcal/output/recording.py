@@ -13,6 +13,7 @@ import rerun.blueprint as rrb
 from urdfcal import files
 from urdfcal.errors import OutputError
 from urdfcal.output import charts
+from urdfcal.output.arms import dh_extent
 from urdfcal.output.entities import chart_view, log_overview
 from urdfcal.output.exports.names import exported
 from urdfcal.output.figure_files import FOLDER, earlier_figures, write_figures
@@ -247,7 +248,7 @@ def _rows(overview: Overview) -> rrb.Container:
     arm = _space(
         "DH rows to scale: d blue, along z; a red, along x",
         ["+ $origin/dh/**", "+ $origin/led/predicted"],
-        *filling(scene.rows.corners.reshape(-1, 3), target - eye, _LANDSCAPE),
+        *filling(dh_extent(table, scene), target - eye, _LANDSCAPE),
         overrides={label: rr.Points3D.from_fields(show_labels=True) for label in labels},
     )
     text = rrb.TextDocumentView(origin=f"{ROOT}/texts/rows", name="Nominal, offset ± standard deviation")

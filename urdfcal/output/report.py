@@ -52,6 +52,7 @@ from urdfcal.output.texts import (
 from urdfcal.output.worst import worst
 from urdfcal.robot.tree_dh import MOUNT
 from urdfcal.session.exclusion import summary
+from urdfcal.session.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -128,6 +129,7 @@ def write_report(path: Path, overview: Overview, *, refused: bool = False) -> No
         noise_of=noise_of(overview),
         together=together(overview.scene.tables[0]),
         unseen=unseen(overview),
+        moving=isinstance(calibration.session.motion, Trajectory),
         noise_named=NOISE_OFF,
         certain=CERTAIN,
         not_chosen=_not_chosen(calibration),
