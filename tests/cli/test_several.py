@@ -17,7 +17,9 @@ from urdfcal.errors import SessionError
 from urdfcal.estimation.measurements.pixels import triangulate
 from urdfcal.io.folder import read_session, read_sessions
 from urdfcal.io.writing import write_session
+from urdfcal.pipeline import calibrate
 from urdfcal.result.calibration import Calibration
+from urdfcal.session.knowledge import Estimate
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -115,7 +117,7 @@ def test_what_moved_is_proposed_and_mends_it(folders: Path, tmp_path: Path, caps
     [
         (("before", "before"), [], r"before: this session is named twice\. Measurements count once"),
         (("before", "after/../before"), [], "this session is named twice"),
-        (("before", "whole/session.yaml"), ["3"], r"--exclude-poses: '3' says not of which session it is\. Write bef"),
+        (("before", "after"), ["33", "99"], r"'99' are poses of none of the sessions\. Write before/99"),
         (("before", "after"), ["after/3"], "--exclude-poses: there is no pose '3'"),
     ],
 )
@@ -124,6 +126,23 @@ def test_what_is_no_several_sessions_is_refused(
 ) -> None:
     with pytest.raises(SessionError, match=message):
         read_sessions([folders / name for name in names], exclude_poses=more)
+
+
+def test_a_pose_that_two_sessions_have_needs_the_name_of_one(folders: Path, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        write_session(tmp_path / name, read_session(folders / "before"))
+    with pytest.raises(SessionError, match=r"--exclude-poses: '03' are poses of a and b\. Write a/03"):
+        read_sessions([tmp_path / name for name in ("a", "b")], exclude_poses=["03"])
+
+
+def test_poses_that_one_session_alone_has_need_no_name_before_them_and_are_predicted(folders: Path) -> None:
+    one = read_sessions([folders / name for name in ("before", "after")], exclude_poses=["33-36", "after/38"])
+    assert one.excluded.poses == (*(f"after/{k}" for k in range(33, 37)), "after/38")
+    calibration = calibrate(replace(one, estimate=Estimate("dh", "fixed", "fixed")), force=True)
+    left_out = calibration.evidence.left_out
+    assert left_out is not None
+    assert left_out.poses == 5
+    assert left_out.rms < 1e-3
 
 
 def test_names_are_as_long_as_they_must(folders: Path, tmp_path: Path) -> None:

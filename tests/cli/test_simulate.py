@@ -136,8 +136,14 @@ def test_poses_of_a_plan_are_measured_and_those_passed_through_are_not(capsys: p
     assert run(["simulate", "elbow3r", "--at", "plan.csv", "-o", "s"]) == 0
     assert capsys.readouterr().out.startswith("s: 3 poses of elbow3r")
     session = read_session("s")
-    assert session.poses == ("1", "check1", "2")
-    np.testing.assert_allclose(session.q, [rows[name] for name in session.poses], atol=1e-3)
+    # Where the arm passed tells where it came from; nothing is measured there.
+    assert session.poses == ("1", "pass1", "check1", "2")
+    assert session.warnings == ()
+    np.testing.assert_allclose(session.q, list(rows.values()), atol=1e-3)
+    (table,) = session.measurements
+    assert set(table.index["pose"]) == {0, 2, 3}
+    assert run(["simulate", "elbow3r", "--at", "plan.csv", "-o", "filmed", "--images"]) == 0
+    assert sorted(path.stem for path in Path("filmed/images/cam0").iterdir()) == ["1", "2", "check1"]
     assert run(["simulate", "panda_sockets", "--at", "plan.csv", "-o", "t"]) == 2
     assert not Path("t").exists()
 

@@ -12,7 +12,7 @@ from urdfcal.estimation.joint_model_average import model_doubt
 from urdfcal.estimation.joint_model_choice import Alternatives
 from urdfcal.estimation.joint_model_search import LEAST
 from urdfcal.estimation.joint_models import Term
-from urdfcal.estimation.uncertainty import aligned_motion, tip_error, tip_rms_with
+from urdfcal.estimation.uncertainty import tip_error
 from urdfcal.pipeline import calibrate
 from urdfcal.session.knowledge import Estimate
 
@@ -112,8 +112,6 @@ def test_doubt_widens_the_parameters_and_the_tips_interval(sagged: FittedCalibra
     (_, (low, high)), (_, (sure_low, sure_high)) = (tip_error(sagged.problem, fit) for fit in (sagged.fit, sure))
     assert high > sure_high
     assert low == sure_low
-    # Twice as much measured would settle half of it.
-    more = [tip_rms_with(sagged.problem, replace(sure, doubt=of), 2.0) ** 2 for of in (None, doubt, 2.0 * doubt)]
-    A = aligned_motion(sagged.problem, sure)
-    added = np.einsum("nik,kl,nil->", A, doubt, A) / len(A) / 2.0
-    np.testing.assert_allclose(np.diff(more), added, rtol=1e-6)
+    # What is to be expected is the noise; what may be wrong raises the upper end.
+    assert tip_error(sagged.problem, sagged.fit)[0] == tip_error(sagged.problem, sure)[0]
+    assert sagged.evidence.tip.rms == pytest.approx(tip_error(sagged.problem, sure)[0], rel=1e-6)

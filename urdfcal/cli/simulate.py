@@ -79,7 +79,7 @@ def simulate(
     """Simulate a session of RIG (a shipped rig's name or a folder), with the truth beside it."""
     from urdfcal.io.folder import read_rig
     from urdfcal.io.shipped_rigs import find_rig
-    from urdfcal.planning.files import read_plan
+    from urdfcal.planning.files import is_passed, read_plan
     from urdfcal.simulation import simulate as simulation
 
     filmed, noisy = images or video, outliers or pixel is not None
@@ -94,7 +94,8 @@ def simulate(
         if given:
             raise click.UsageError(wrong)
     description = read_rig(find_rig(rig))
-    planned = None if at is None else read_plan(at, description.chain)
+    # Where the arm comes from is read, too: it may lag. Of a pose that it passes no image is taken.
+    planned = None if at is None else read_plan(at, description.chain, passing=not (filmed or trajectory))
     count = (poses or _POSES) if planned is None else len(planned[0])
     errors: dict[str, Any] = {
         "at": planned,
@@ -105,6 +106,8 @@ def simulate(
     }
     with progress_bar("sampling poses", count) as advance:
         simulated = simulation.simulate(description, poses=count, seed=seed, progress=advance, **errors)
+    if passed := [k for k, name in enumerate(simulated.session.poses) if is_passed(name)]:
+        simulated, count = simulated.unmeasured_at(passed), count - len(passed)
     if trajectory:
         from urdfcal.simulation.motion import MotionSettings, set_in_motion
 

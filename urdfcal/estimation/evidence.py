@@ -21,7 +21,15 @@ from urdfcal.estimation.left_out import find_left_out
 from urdfcal.estimation.noise import find_noise
 from urdfcal.estimation.regions import joint_regions, tip_regions
 from urdfcal.estimation.scale import find_scale
-from urdfcal.estimation.uncertainty import SizeError, rigid_loss, size_error, tip_change, tip_error, tip_rms_with
+from urdfcal.estimation.uncertainty import (
+    SizeError,
+    expecting,
+    rigid_loss,
+    size_error,
+    tip_change,
+    tip_error,
+    tip_rms_with,
+)
 from urdfcal.estimation.validation import hold_out, region_interval, rms_samples
 from urdfcal.session.attachments import ends_of_arms
 
@@ -219,11 +227,11 @@ def gather(
 
 def _tip(problem: Problem, fit: Solution, regions: Regions, *, holds: bool) -> TipError:
     expected, interval = tip_error(problem, fit)
-    size = size_error(problem, fit)
+    size = size_error(problem, expecting(fit))
     poses = len(problem.poses)
     more = _MORE if poses < _MANY else poses
     # Of an effect that is named but lost in the noise more poses tell more, too.
-    with_more = None if fit.misfit else tip_rms_with(problem, fit, 1.0 + more / poses)
+    with_more = None if fit.misfit else tip_rms_with(problem, expecting(fit), 1.0 + more / poses)
     tip = TipError(expected, interval, more, with_more, size, expected)
     return tip if holds else tip.at_least(regions)
 

@@ -89,8 +89,8 @@ def tip_error(
     """Compute what rms error of the calibrated tip over the workspace is to be expected, if the model holds.
 
     The estimate's covariance carried to the tip, after the best alignment at the base; the interval is that of the rms
-    of estimates drawn from the covariance. Its spread over regions left out is what may be wrong, not what is: it
-    raises the upper end alone, as other joint models do.
+    of estimates drawn from the covariance. Its spread over regions left out, and over other joint models, is what may
+    be wrong, not what is: it raises the upper end alone, but where the residuals exceed the noise (:func:`expecting`).
 
     Args:
         problem: the arm and its joint models.
@@ -104,13 +104,22 @@ def tip_error(
     A = aligned_motion(problem, fit, seed, tip)
     gram = np.einsum("nij,nik->jk", A, A) / _WORKSPACE
     normal = np.random.default_rng(seed).standard_normal((_DRAWS, len(gram))) ** 2
-    ends = []
-    for of, percentile in ((replace(fit, spread=None, doubt=None), 2.5), (fit, 97.5)):
+    expected, low, high = np.zeros((3, len(gram)))
+    for of, strengths in ((expecting(fit), expected), (replace(fit, spread=None, doubt=None), low), (fit, high)):
         values, vectors = np.linalg.eigh(of.covariance)  # without priors it may be singular to rounding
         factor = vectors * np.sqrt(np.maximum(values, 0.0))
-        strengths = np.maximum(np.linalg.eigvalsh(factor.T @ gram @ factor), 0.0)
-        ends.append(float(np.percentile(np.sqrt(normal @ strengths), percentile)))
-    return float(np.sqrt(np.sum(strengths))), (ends[0], ends[1])
+        strengths[:] = np.maximum(np.linalg.eigvalsh(factor.T @ gram @ factor), 0.0)
+    ends = [float(np.percentile(np.sqrt(normal @ of), at)) for of, at in ((low, 2.5), (high, 97.5))]
+    return float(np.sqrt(np.sum(expected))), (ends[0], ends[1])
+
+
+def expecting(fit: Solution) -> Solution:
+    """Return an estimate whose covariance is what is to be expected of it, and not what may be wrong as well.
+
+    Where nothing exceeds the noise, that is the noise: of pandas that sag and lag, with eccentric encoders, the tip is
+    0.17 mm off, 0.16 is expected by noise, and 0.30 with what left-out regions differ by.
+    """
+    return fit if fit.misfit else replace(fit, spread=None, doubt=None)
 
 
 def size_error(problem: Problem, fit: Solution, seed: int = 0) -> SizeError:
@@ -155,10 +164,6 @@ def tip_rms_with(problem: Problem, fit: Solution, factor: float, seed: int = 0) 
     priors = J.T @ J
     A = aligned_motion(problem, fit, seed).reshape(-1, fit.parameters.count)
     covariance = covariance_of(priors + factor * (fit.information - priors))
-    if fit.spread is not None:  # what is not modelled stays
-        covariance = covariance + fit.spread
-    if fit.doubt is not None:  # which joint models there are is better known then
-        covariance = covariance + fit.doubt / factor
     return float(np.sqrt(max(np.sum((A @ covariance) * A), 0.0) / _WORKSPACE))
 
 

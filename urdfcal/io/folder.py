@@ -28,7 +28,7 @@ from urdfcal.session.model import Positions, Session
 from urdfcal.session.rig_description import RigDescription, Stand
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from urdfcal.arrays import Floats, Ints
     from urdfcal.io.csv_table import Table
@@ -140,18 +140,35 @@ def read_sessions(
     else:
         twice = next(path for path, name in zip(paths, names, strict=True) if names.count(name) > 1)
         raise SessionError("this session is named twice", where=str(twice), remedy="Measurements count once.")
-    excluded: dict[str, list[str]] = {name: [] for name in names}
-    for label in exclude_poses:
-        whose = names[0] if len(names) == 1 else next((name for name in names if label.startswith(f"{name}/")), None)
-        if whose is None:
-            remedy = f"Write {names[0]}/{label}."
-            raise SessionError(f"{label!r} says not of which session it is", where="--exclude-poses", remedy=remedy)
-        excluded[whose].append(label if len(names) == 1 else label.removeprefix(f"{whose}/"))
+    excluded = _by_session(exclude_poses, dict(zip(names, paths, strict=True)))
     sessions = {}
     for path, name in zip(map(Path, paths), names, strict=True):
         each = None if look is None else partial(look, path)
         sessions[name] = read_session(path, each, exclude_poses=excluded[name], ignore_limits=ignore_limits)
     return combine(sessions)
+
+
+def _by_session(excluded: Sequence[str], paths: Mapping[str, str | Path]) -> dict[str, list[str]]:
+    """Tell of which session, by name, each label or range of poses is: by its name before it, or as no other has it."""
+    found: dict[str, list[str]] = {name: [] for name in paths}
+    for label in excluded:
+        whose = [name for name in paths if label.startswith(f"{name}/")] if len(paths) > 1 else list(paths)
+        if not whose:
+            whose = [name for name, path in paths.items() if _has(read_positions(path).poses, label)]
+            if len(whose) != 1:
+                which = f"are poses of {' and '.join(whose)}" if whose else "are poses of none of the sessions"
+                remedy = f"Write {(whose or list(paths))[0]}/{label}."
+                raise SessionError(f"{label!r} {which}", where="--exclude-poses", remedy=remedy)
+        found[whose[0]].append(label if len(paths) == 1 else label.removeprefix(f"{whose[0]}/"))
+    return found
+
+
+def _has(poses: Sequence[str], label: str) -> bool:
+    """Return whether a session has a pose, or both ends of a range."""
+    try:
+        return bool(labels(label, poses, "--exclude-poses"))
+    except SessionError:
+        return False
 
 
 def read_positions(path: str | Path) -> Positions:

@@ -42,12 +42,13 @@ def labels(plan: Plan) -> list[str]:
     return names
 
 
-def read_plan(path: Path, chain: Mechanism) -> tuple[tuple[str, ...], Floats]:
+def read_plan(path: Path, chain: Mechanism, *, passing: bool) -> tuple[tuple[str, ...], Floats]:
     """Read a table of poses, of a plan those that are measured.
 
     Args:
         path: as :func:`as_csv` writes it, or any joints.csv.
         chain: the arm.
+        passing: whether those that the arm only passes through are read, too.
 
     Returns:
         Names, and joint values (N, n). [rad or m]
@@ -56,8 +57,13 @@ def read_plan(path: Path, chain: Mechanism) -> tuple[tuple[str, ...], Floats]:
         SessionError: it cannot be read, with the place in the file.
     """
     table = read_joints(path, chain, chain.names)
-    kept = [k for k, name in enumerate(table.poses) if re.fullmatch(rf"{_PASS}\d+", name) is None]
+    kept = [k for k, name in enumerate(table.poses) if passing or not is_passed(name)]
     return tuple(table.poses[k] for k in kept), chain.joint_values(table.readings[kept])
+
+
+def is_passed(label: str) -> bool:
+    """Return whether a label is of a pose that the arm only passes through."""
+    return re.fullmatch(rf"{_PASS}\d+", label) is not None
 
 
 def as_csv(plan: Plan) -> str:

@@ -99,10 +99,17 @@ def combine(sessions: Mapping[str, Session]) -> Session:
         "part": _numbered([of.part for of in every], [len(of.parts) for of in every]),
         "warnings": tuple(f"{name}: {warning}" for name, of in parts.items() for warning in of.warnings),
         "measurements": _tables(parts, cameras.index),
-        "excluded": Excluded(**excluded),
+        "excluded": Excluded(**excluded, whole=_whole(sessions)),
     }
     # What is not told apart is of the arm, or of the world, and must be the same.
     return Session(**own, **{of.name: _agreed(parts, of.name) for of in fields(Session) if of.name not in own})
+
+
+def _whole(sessions: Mapping[str, Session]) -> Session | None:
+    """What several sessions are with what was left out of them; None where nothing was, or something moved."""
+    whole = {name: of.excluded.whole or of for name, of in sessions.items()}
+    left_out = any(of.excluded.whole is not None for of in sessions.values())
+    return combine(whole) if left_out and not any(of.moved for of in whole.values()) else None
 
 
 def _about(parts: Mapping[str, Session]) -> dict[str, str]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from urdfcal.arrays import frozen
 from urdfcal.estimation.measurements import Detections
 from urdfcal.robot.dh import PARAMETERS
 from urdfcal.robot.tree_dh import rows_of
@@ -14,7 +15,7 @@ from urdfcal.simulation.joint_errors import joint_errors_to_dicts
 from urdfcal.simulation.scene import Scene
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from urdfcal.arrays import Floats, Ints
     from urdfcal.session.model import Session
@@ -78,6 +79,14 @@ class Simulated:
 
     session: Session
     truth: Truth
+
+    def unmeasured_at(self, poses: Sequence[int]) -> Simulated:
+        """Return it without what was measured in some poses: the arm was there, and nothing more."""
+        (table,) = self.session.measurements
+        kept = ~np.isin(table.index["pose"], poses)
+        outliers = np.flatnonzero(np.isin(np.flatnonzero(kept), self.truth.outliers))
+        session = replace(self.session, measurements=(table.rows(kept),))
+        return Simulated(session, replace(self.truth, outliers=frozen(outliers, np.intp)))
 
 
 def truth_to_dict(simulated: Simulated) -> dict[str, Any]:

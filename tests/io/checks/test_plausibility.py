@@ -171,6 +171,20 @@ def test_cameras_a_little_off_are_a_warning(folder: Path) -> None:
     assert "are the cameras where the camera file says?" in warning
 
 
+def test_a_camera_that_moved_is_where_the_camera_file_says_before(folder: Path) -> None:
+    header, *rows = (folder / PIXELS).read_text().split()
+    names = header.split(",")
+    moved = [dict(zip(names, row.split(","), strict=True)) for row in rows]
+    for row in moved:
+        if row["camera"] == "right" and int(row["pose"]) >= 3:
+            row["v"] = str(float(row["v"]) + 10.0)
+    (folder / PIXELS).write_text("\n".join([header, *(",".join(row.values()) for row in moved)]) + "\n")
+    (warning,) = read_session(folder).warnings
+    assert "the rays miss each other by" in warning
+    swap(YAML, "joints:", "moved: {right: [3]}\njoints:")(folder)
+    assert read_session(folder).warnings == ()
+
+
 def test_much_noise_declared_does_not_hide_an_exchange(folder: Path) -> None:
     swap(YAML, "pixel: 0.1", "pixel: 10")(folder)
     assert read_session(folder).warnings == ()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING
@@ -16,7 +17,7 @@ from urdfcal.names import listed
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
-    from urdfcal.arrays import Floats
+    from urdfcal.arrays import Bools, Floats
     from urdfcal.estimation.measurements import Measurement
     from urdfcal.io.checks.plausibility import Inputs
     from urdfcal.io.tables import MeasurementTable
@@ -69,8 +70,13 @@ class _Score:
         return f"the rays miss each other by {self.rms:.3g} sigma"
 
 
-def check_names_by_rays(rig: Rig, table: MeasurementTable) -> tuple[bool | None, list[str]]:
+def check_names_by_rays(rig: Rig, table: MeasurementTable, rows: Bools) -> tuple[bool | None, list[str]]:
     """Triangulate the detections as named, and with cameras or u and v exchanged.
+
+    Args:
+        rig: the cameras.
+        table: the detections.
+        rows: (S,) which of them count.
 
     Returns:
         Whether the rays meet (if they miss, then whatever is exchanged), None where fewer than two cameras of known
@@ -80,7 +86,7 @@ def check_names_by_rays(rig: Rig, table: MeasurementTable) -> tuple[bool | None,
         SessionError: an exchange makes the rays meet.
     """
     placed = [i for i, T in enumerate(rig.T_cam_world) if T is not None]
-    seen = table.measurements
+    seen = table.measurements.rows(rows)
     _, _, uv, sigma = side_by_side(seen.index, seen.values, seen.sigma, len(rig.cameras))
     uv, sigma = uv[:, placed], sigma[:, placed]
     several = np.flatnonzero(np.isfinite(uv[:, :, 0]).sum(axis=1) > 1)
@@ -267,7 +273,9 @@ def unseen(inputs: Inputs) -> Iterator[str]:
     """Name poses without measurements, LEDs that were never measured, and cameras that see nothing."""
     tables, excluded = [table.measurements for table in inputs.tables.values()], inputs.excluded
     seen, labels = _named(tables, "pose"), inputs.positions.poses
-    blind = [pose for k, pose in enumerate(labels) if k not in seen and pose not in excluded.poses]
+    # A plan's arm only passes through some.
+    spared = {*excluded.poses, *filter(re.compile(r"pass\d+").fullmatch, labels)}
+    blind = [pose for k, pose in enumerate(labels) if k not in seen and pose not in spared]
     if len(blind) > (_UNSEEN if inputs.frames is None else _MOST) * len(labels):
         path = (inputs.frames or inputs.joints).table.path
         yield f"{path}: {len(blind)} of {len(labels)} poses have no measurement: {listed(blind)}"

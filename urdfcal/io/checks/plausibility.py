@@ -19,6 +19,7 @@ from urdfcal.io.csv_table import repeats
 from urdfcal.names import listed
 from urdfcal.session.attachments import WORLD
 from urdfcal.session.knowledge import Excluded
+from urdfcal.session.moves import moves_before
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -138,7 +139,10 @@ def check(inputs: Inputs) -> tuple[dict[type[Measurement], MeasurementTable], tu
     tables, odd = told(tables)
     warnings += odd
     if Detections in tables:
-        rays_meet, odd = check_names_by_rays(inputs.positions.rig, tables[Detections])
+        # After a camera has moved nothing is known of where it stands.
+        rig, poses = inputs.positions.rig, tables[Detections].measurements.index["pose"]
+        where_said = moves_before(inputs.positions, *rig.names)[poses] == 0
+        rays_meet, odd = check_names_by_rays(rig, tables[Detections], where_said)
         tables[Detections], outside = check_images(inputs, tables[Detections], rays_meet)
         warnings += [*odd, *outside]
     elif inputs.positions.rig.cameras and not inputs.excluded:
