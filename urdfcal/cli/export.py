@@ -131,8 +131,8 @@ def _region(calibration: Calibration, beside: Path, workspace: str | None) -> tu
     there = configurations(calibration, workspace)
     fit = best_rigid(calibration, there.q, there.torques, there.previous, there.bends)
     remark = (
-        f"- against the full model in {fit.configurations} configurations of {there.what} its tip is "
-        f"{1e3 * fit.rms:.2g} mm rms off, {1e3 * fit.most:.2g} mm at most, and {1e3 * fit.angle:.2g} mrad rms; "
+        f"- against the full model, on the same base, in {fit.configurations} configurations of {there.what} its tip "
+        f"is {1e3 * fit.rms:.2g} mm rms off, {1e3 * fit.most:.2g} mm at most, and {1e3 * fit.angle:.2g} mrad rms; "
         f"the corrected URDF's {1e3 * fit.rms_before:.2g} mm rms"
     )
     if not calibration.joint_models.found:

@@ -208,7 +208,7 @@ def _print(plan: Plan, paths: list[str], until: float | None, before: str) -> No
         click.echo(f"  {','.join(checks)}")
     if until is not None and plan.likely[-1] > until:
         why = "no poses would" if plan.floor > until else "a better camera, a nearer one or more LEDs would help more"
-        reached = f"9 of 10 arms come to {1e3 * plan.likely[-1]:.3g} mm at most"
+        reached = f"9 of 10 arms come to {1e3 * plan.likely[-1]:.4g} mm at most"
         say(f"{1e3 * until:.3g} mm is not reached: {reached}; {why}")
 
 

@@ -281,8 +281,9 @@ def _bends(evidence: Evidence) -> Iterator[str]:
     if evidence.bends:
         yield (
             f"{'; '.join(evidence.bends)}: estimated with the arm, but a URDF cannot hold it: the corrected one is the "
-            f"rigid part, and its tip {1e3 * evidence.rigid_loss:.2g} mm rms off for it at the measured poses; "
-            "urdfcal compensate and the library's joint_values use all of it, export --to urdf --workspace writes the "
+            f"rigid part, and its tip {1e3 * evidence.rigid_loss:.2g} mm rms off for it at the measured poses, "
+            "bases aligned; urdfcal compensate and the library's joint_values use all of it (with previous=, where the "
+            "arm came from, what depends on that), export --to urdf --workspace writes the "
             "rigid arm that is best in a region"
         )
 

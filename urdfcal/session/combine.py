@@ -49,10 +49,9 @@ def combine(sessions: Mapping[str, Session]) -> Session:
         return next(iter(sessions.values()))
     parts = {name: resolve_moves(session) for name, session in sessions.items()}
     every, first = list(parts.values()), next(iter(parts.values()))
-    for (a, of_a), (b, of_b) in combinations(parts.items(), 2):
-        if np.array_equal(of_a.q, of_b.q) and same(of_a.measurements, of_b.measurements):
-            what = f"{b!r} is {a!r} once more"
-            raise SessionError(what, where=listed(parts), remedy="Name each session once: measurements count once.")
+    for a, b in _alike(parts):
+        what = f"{b!r} is {a!r} once more"
+        raise SessionError(what, where=listed(parts), remedy="Name each session once: measurements count once.")
     cameras = _JoinedCameras.of(parts)
     excluded: dict[str, Any] = {
         what: tuple(f"{name}/{left_out}" for name, of in parts.items() for left_out in getattr(of.excluded, what))
@@ -106,10 +105,20 @@ def combine(sessions: Mapping[str, Session]) -> Session:
 
 
 def _whole(sessions: Mapping[str, Session]) -> Session | None:
-    """What several sessions are with what was left out of them; None where nothing was, or something moved."""
+    """Combine sessions with what was left out of them; None where nothing was, something moved, or two are one."""
     whole = {name: of.excluded.whole or of for name, of in sessions.items()}
     left_out = any(of.excluded.whole is not None for of in sessions.values())
-    return combine(whole) if left_out and not any(of.moved for of in whole.values()) else None
+    moved = any(of.moved for of in whole.values())
+    return combine(whole) if left_out and not moved and not _alike(whole) else None
+
+
+def _alike(sessions: Mapping[str, Session]) -> list[tuple[str, str]]:
+    """List the sessions that are the same measurements."""
+    return [
+        (a, b)
+        for (a, of_a), (b, of_b) in combinations(sessions.items(), 2)
+        if np.array_equal(of_a.q, of_b.q) and same(of_a.measurements, of_b.measurements)
+    ]
 
 
 def _about(parts: Mapping[str, Session]) -> dict[str, str]:
