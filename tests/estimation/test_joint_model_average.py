@@ -115,3 +115,6 @@ def test_doubt_widens_the_parameters_and_the_tips_interval(sagged: FittedCalibra
     # What is to be expected is the noise; what may be wrong raises the upper end.
     assert tip_error(sagged.problem, sagged.fit)[0] == tip_error(sagged.problem, sure)[0]
     assert sagged.evidence.tip.rms == pytest.approx(tip_error(sagged.problem, sure)[0], rel=1e-6)
+    # The map of the workspace says the same.
+    q = sagged.chain.random_values(300, np.random.default_rng(0))
+    assert np.sqrt(np.mean(sagged.tip_sigma(q) ** 2)) == pytest.approx(sagged.evidence.tip.rms, rel=0.1)

@@ -248,15 +248,7 @@ def _log_residuals(base: Layer, scene: CalibrationScene) -> None:
         for name, predicted in table.by_arm.items():
             pose, rms = table.rms_by(table.pose, predicted)
             plot = base.at("plots", f"residual_{table.unit}", name)
-            # Where there are more frames than columns of the screen, the worst of them are drawn, as the title says.
-            plot.fixed(
-                rr.SeriesLines(
-                    colors=palette.OF_ARM[name],
-                    names=f"{name} [{table.unit}]",
-                    widths=1.5,
-                    aggregation_policy=rr.components.AggregationPolicy.Max,
-                )
-            )
+            plot.fixed(rr.SeriesLines(colors=palette.OF_ARM[name], names=f"{name} [{table.unit}]", widths=1.5))
             plot.each(rr.Scalars, {"scalars": rms}, pose)
 
 

@@ -197,7 +197,7 @@ def layout(overview: Overview, active: int = 0) -> rrb.Blueprint:
         tabs.append(_above("pixels", grid, 4 if calibration.session.targets else 5))
     tabs += [
         _grid("convergence", charts.convergence_charts(calibration)),
-        *([_above("joints", _charts(joints), 6)] if (joints := charts.joint_charts(calibration)) else []),
+        *([_above("joints", _causes(joints), 6)] if (joints := charts.joint_charts(calibration)) else []),
         *_parameters(calibration),
         _rows(overview),
         _grid("residuals", charts.residual_charts(overview)),
@@ -215,9 +215,10 @@ def layout(overview: Overview, active: int = 0) -> rrb.Blueprint:
 def _curves(table: ResidualTable, *, moved: bool) -> str:
     """The title of the residuals' curves: rerun often leaves but the zero on their axis."""
     largest = max(float(np.max(table.rms_by(table.pose, of)[1], initial=0.0)) for of in table.by_arm.values())
-    # Their axis is then that of the frames' times: on the timeline pose it is empty.
-    of = "frame (timeline time)" if moved else "pose"
-    return f"rms by {of}: up to {largest:.2g} {table.unit}"
+    # Their axis is then that of the frames' times: on the timeline pose it is empty. Of more frames than the screen has
+    # columns the viewer draws means.
+    of, drawn = ("frame (timeline time)", ", drawn in means") if moved else ("pose", "")
+    return f"rms by {of}: up to {largest:.2g} {table.unit}{drawn}"
 
 
 def _all_of(times: Floats) -> rrb.archetypes.TimeAxis:
@@ -291,6 +292,14 @@ def _grid(name: str, shown: list[Chart]) -> rrb.Container:
 def _above(name: str, shown: rrb.Container, times: int) -> rrb.Container:
     """Views above their text, so many times as high as it."""
     return rrb.Vertical(shown, _text(name), row_shares=[times, 1], name=name.capitalize())
+
+
+def _causes(shown: list[Chart]) -> rrb.Container:
+    """What was wrong with the arm, which has names to read, beside the charts of its joints."""
+    first, *others = shown
+    if not others:
+        return _charts(shown)
+    return rrb.Horizontal(chart_view(first, ROOT), _charts(others), column_shares=[2, 3])
 
 
 def _charts(shown: list[Chart]) -> rrb.Container:

@@ -16,7 +16,7 @@ from urdfcal.estimation.joint_models.base import Readings
 from urdfcal.estimation.joint_models.linear import LinearJointModel
 from urdfcal.estimation.joint_models.zero_offset import ZERO_OFFSETS
 from urdfcal.estimation.snapshot import Snapshot
-from urdfcal.estimation.uncertainty import tip_covariance
+from urdfcal.estimation.uncertainty import expecting, tip_covariance
 from urdfcal.result.calibration import Calibration, corrected_name
 from urdfcal.robot.chain import Chain, read_mechanism
 from urdfcal.robot.kinematics import link_poses
@@ -156,6 +156,8 @@ class FittedCalibration(Calibration):
     def tip_sigma(self, q: Floats, tip: Tip | None = None) -> Floats:
         """Predict the standard deviation of the calibrated tip's position, after base alignment.
 
+        It is what is to be expected, as the tip's error over the workspace, and not what may be wrong as well.
+
         Args:
             q: (N, n) joint values. [rad or m]
             tip: another link than the first tip.
@@ -163,7 +165,7 @@ class FittedCalibration(Calibration):
         Returns:
             (N,) root of the covariance's trace. [m]
         """
-        covariance = tip_covariance(self.problem, self.fit, q, tip=tip)
+        covariance = tip_covariance(self.problem, expecting(self.fit), q, tip=tip)
         result: Floats = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
         return result
 
