@@ -72,7 +72,7 @@ def bound(calibration, simulated, noise: float) -> float:
     spec = ModelSpec("dh", ("fixed",), (camera,), priors=False)
     parameters = identify(problem, truth, choose_parameters(session, problem, truth, spec)).parameters
     information = information_of(problem, truth, parameters)
-    fit = replace(calibration.fit, state=truth, parameters=parameters, information=information, cost=0.0)
+    fit = replace(calibration.fit, state=truth, parameters=parameters, information=information, cost=0.0, doubt=None)
     return 1e3 * tip_error(problem, fit)[0]
 
 

@@ -105,6 +105,22 @@ def test_tips_apart_without_a_parameter_are_a_change(
     )
 
 
+def test_that_joint_models_are_not_compared_is_said(
+    results: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def bend(document: dict[str, Any]) -> None:
+        document["joint_models"] = {"elbow_joint": {"gain": {"values": [1e-3], "sigma": [1e-4], "gain_mm": 0.1}}}
+        document["load"] = {"gravity": [0.0, 0.0, -9.81]}
+
+    rigid, _ = compared(capsys, results("before"), results("later"), 0)
+    assert rigid[0].startswith("no change beyond chance")
+    other = edited(tmp_path / "other.json", results("later"), bend)
+    printed, found = compared(capsys, results("before"), other, 0)
+    assert printed[0].startswith("no change of the rigid part beyond chance")
+    (said,) = [remark for remark in found["remarks"] if "is not compared" in remark]
+    assert f"{other} has gain; urdfcal verify" in said
+
+
 def test_many_changes_are_counted_and_all_in_the_table(
     results: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -268,7 +268,8 @@ def compare(ctx: click.Context, first: Path, second: Path, seed: int, as_json: b
 
     Both are folders that calibrate has written, or their calibration.json. Each parameter that both have estimated is
     tested by its own standard deviations, at a chance of 1 % for all of them together; and the distance of the tips
-    over the workspace by what both calibrations expect of it, at 1 % again.
+    over the workspace by what both calibrations expect of it, at 1 % again. Joint models (compliance, lag ...) are not
+    compared, and it is said that there are any.
 
     Exit code 0: no change beyond chance; 1: the arm changed.
     """
@@ -290,10 +291,16 @@ def compare(ctx: click.Context, first: Path, second: Path, seed: int, as_json: b
         )
     if changes.unseen:
         remarks.append(f"not compared, since not estimated in both: the zero of {', '.join(changes.unseen)}")
+    if bends := {path: found for path, of in ((first, a), (second, b)) if (found := _joint_models(of))}:
+        each = "; ".join(f"{path} has {', '.join(found)}" for path, found in bends.items())
+        remarks.append(
+            f"what the joints do beside is not compared, the rigid part is: {each}; urdfcal verify judges the first by "
+            "poses of the second with all of it"
+        )
     if as_json:
         click.echo(json.dumps({**_changes(changes), "seed": seed, "remarks": remarks}, indent=2))
     else:
-        say(_sentence(changes))
+        say(_sentence(changes, rigid_part=bool(bends)))
         if changes.significant:
             terminal().print(_table(changes))
         say(
@@ -305,10 +312,15 @@ def compare(ctx: click.Context, first: Path, second: Path, seed: int, as_json: b
     ctx.exit(1 if changes.changed else 0)
 
 
-def _sentence(changes: ArmChanges) -> str:
+def _joint_models(of: Calibration) -> list[str]:
+    """List the joint models that a result has."""
+    return list(dict.fromkeys(name for found in of.document.joint_models.values() for name in found))
+
+
+def _sentence(changes: ArmChanges, *, rigid_part: bool) -> str:
     tips = f"tips {_millimetres(changes.tip.rms)} mm rms apart"
     if not changes.changed:
-        return f"no change beyond chance: {tips}"
+        return f"no change {'of the rigid part ' if rigid_part else ''}beyond chance: {tips}"
     if not changes.significant:
         most = f"where errors of both calibrations let expect at most {_millimetres(changes.expected or 0.0)} mm"
         return f"the arm changed: {tips} {most}, no single parameter beyond chance"
