@@ -62,8 +62,9 @@ _JOINTS = """\
 (rms, the bases aligned), with its 95 % interval (grey). Joint by joint they may cancel.{unsure}
 """
 _MODELS = """
-Amber: the same of what a joint does beside. Its charts: blue is what the measurements show of the joint without the
-model, green what they show with it, grey the model. Green should scatter about zero, blue about grey.
+Amber: the same of what a joint does beside. It has a chart, in mrad, or mm of a joint that slides, unless it is lost in
+the scatter: blue is what the measurements show of the joint without the model, green what they show with it, grey the
+model. Green should scatter about zero, blue about grey.
 """
 _TURNING = "The corners of one target move together: the noise of the joint readings moves the target as a whole."
 
