@@ -57,16 +57,12 @@ def _others(of: Alternatives) -> Iterator[tuple[Term, ...]]:
     for model in models:
         mine = tuple(term for term in of.included if term.model == model and term not in forced)
         rest = tuple(term for term in of.included if term not in mine)
-        yield from (_ordered(rest, option) for option in _options(of, model))
+        yield from ((*rest, *option) for option in _options(of, model))
         if mine:
             yield rest
             for other in models:
                 if not any(term.model == other for term in rest) and other != model:
-                    yield from (_ordered(rest, option) for option in _options(of, other))
-
-
-def _ordered(rest: tuple[Term, ...], option: tuple[Term, ...]) -> tuple[Term, ...]:
-    return tuple(sorted((*rest, *option), key=repr))
+                    yield from ((*rest, *option) for option in _options(of, other))
 
 
 def _options(of: Alternatives, model: str) -> list[tuple[Term, ...]]:

@@ -211,15 +211,11 @@ class Alternatives:
 
     def estimate(self, chosen: Sequence[Term]) -> Floats:
         """Return the step (P + K,) to the estimate with some terms, of its own and all models' parameters."""
-        sigma, P = self.scales(chosen), self.count
-        keep = np.concatenate([np.arange(P), P + np.flatnonzero(sigma)])
-        last = len(self.prior) - 1 + len(sigma)
-        ridge = np.diag(np.concatenate([np.zeros(P), sigma[sigma > 0.0] ** -2.0]))
-        ridge[:P, :P] += self.prior[:P, :P]
-        g = self.share * self.divisions[0].total[keep, last]
-        g[:P] += self.prior[:P, P]
-        found = np.zeros(last)
-        found[keep] = -_solve(self.share * self.divisions[0].total[np.ix_(keep, keep)] + ridge, g)
+        keep, ridge = self._with(chosen)
+        last = len(keep) - 1
+        H = self.share * self.divisions[0].total[np.ix_(keep, keep)] + ridge
+        found = np.zeros(self.count + len(self.sigma))
+        found[keep[:last]] = -_solve(H[:last, :last], H[:last, last])
         return found
 
     def score(self, chosen: Sequence[Term]) -> float:
@@ -233,15 +229,19 @@ class Alternatives:
 
     def errors(self, chosen: Sequence[Term]) -> tuple[Floats, ...]:
         """Return the mean squared distance in each part of each division, predicted from the others. [m^2]."""
-        sigma = self.scales(chosen)
-        P = self.count
+        keep, ridge = self._with(chosen)
+        return tuple(division.errors(keep, ridge) for division in self.divisions)
+
+    def _with(self, chosen: Sequence[Term]) -> tuple[Ints, Floats]:
+        """Select the columns of an estimate with some terms, the residual's the last, and their priors' products."""
+        sigma, P = self.scales(chosen), self.count
         keep = np.concatenate([np.arange(P), P + np.flatnonzero(sigma), [P + len(sigma)]])
         ridge = np.zeros((len(keep), len(keep)))
         own = np.concatenate([np.arange(P), [len(keep) - 1]])
         ridge[np.ix_(own, own)] = self.prior
         inside = np.arange(P, len(keep) - 1)
         ridge[inside, inside] = sigma[sigma > 0.0] ** -2.0
-        return tuple(division.errors(keep, ridge) for division in self.divisions)
+        return keep, ridge
 
 
 @dataclass(frozen=True, eq=False)
