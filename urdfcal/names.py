@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 from urdfcal.errors import SessionError
@@ -11,6 +12,13 @@ if TYPE_CHECKING:
 
 # Enough to show every camera, LED or joint of a usual rig without filling the terminal.
 _SHOWN = 12
+PASS = "pass"  # noqa: S105  # no word of secrecy
+"""What a pose is called that an arm only passes through, with a number after it."""
+
+
+def is_passed(label: str) -> bool:
+    """Return whether a label is of a pose that the arm only passes through."""
+    return re.fullmatch(rf"{PASS}\d+", label) is not None
 
 
 def flaw(name: str) -> str:

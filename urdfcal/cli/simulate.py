@@ -79,7 +79,8 @@ def simulate(
     """Simulate a session of RIG (a shipped rig's name or a folder), with the truth beside it."""
     from urdfcal.io.folder import read_rig
     from urdfcal.io.shipped_rigs import find_rig
-    from urdfcal.planning.files import is_passed, read_plan
+    from urdfcal.names import is_passed
+    from urdfcal.planning.files import read_plan
     from urdfcal.simulation import simulate as simulation
 
     filmed, noisy = images or video, outliers or pixel is not None

@@ -5,12 +5,12 @@ from __future__ import annotations
 import csv
 import io
 import json
-import re
 from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
 
 import numpy as np
 
 from urdfcal.io.tables import read_joints
+from urdfcal.names import PASS, is_passed
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -27,16 +27,14 @@ FORMATS: tuple[ProgramFormat, ...] = get_args(ProgramFormat)
 _SPEED, _ACCELERATION = 0.25, 0.5
 # At rest before and while something is measured: an arm of 10 kg swings for half a second. [s]
 _REST = 2.0
-# Of where the arm only passes.
-_PASS = "pass"  # noqa: S105  # no word of secrecy
 
 
 def labels(plan: Plan) -> list[str]:
     """Name poses in the order of the moves: numbers, check1 and so on; pass1 and so on where the arm only passes."""
-    width, numbers = len(str(plan.count)), dict.fromkeys(("", "check", _PASS), 0)
+    width, numbers = len(str(plan.count)), dict.fromkeys(("", "check", PASS), 0)
     names = []
     for rank, check in zip(plan.rank.tolist(), plan.check.tolist(), strict=True):
-        kind = "" if rank >= 0 else "check" if check else _PASS
+        kind = "" if rank >= 0 else "check" if check else PASS
         numbers[kind] += 1
         names.append(f"{numbers[kind]:0{width}d}" if rank >= 0 else f"{kind}{numbers[kind]}")
     return names
@@ -59,11 +57,6 @@ def read_plan(path: Path, chain: Mechanism, *, passing: bool) -> tuple[tuple[str
     table = read_joints(path, chain, chain.names)
     kept = [k for k, name in enumerate(table.poses) if passing or not is_passed(name)]
     return tuple(table.poses[k] for k in kept), chain.joint_values(table.readings[kept])
-
-
-def is_passed(label: str) -> bool:
-    """Return whether a label is of a pose that the arm only passes through."""
-    return re.fullmatch(rf"{_PASS}\d+", label) is not None
 
 
 def as_csv(plan: Plan) -> str:

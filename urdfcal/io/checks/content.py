@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING
@@ -12,7 +11,7 @@ import numpy as np
 from urdfcal.cameras.rig import Rig
 from urdfcal.errors import SessionError
 from urdfcal.estimation.measurements.pixels import side_by_side
-from urdfcal.names import listed
+from urdfcal.names import is_passed, listed
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -274,7 +273,7 @@ def unseen(inputs: Inputs) -> Iterator[str]:
     tables, excluded = [table.measurements for table in inputs.tables.values()], inputs.excluded
     seen, labels = _named(tables, "pose"), inputs.positions.poses
     # A plan's arm only passes through some.
-    spared = {*excluded.poses, *filter(re.compile(r"pass\d+").fullmatch, labels)}
+    spared = {*excluded.poses, *filter(is_passed, labels)}
     blind = [pose for k, pose in enumerate(labels) if k not in seen and pose not in spared]
     if len(blind) > (_UNSEEN if inputs.frames is None else _MOST) * len(labels):
         path = (inputs.frames or inputs.joints).table.path
