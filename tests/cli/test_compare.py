@@ -105,20 +105,56 @@ def test_tips_apart_without_a_parameter_are_a_change(
     )
 
 
-def test_that_joint_models_are_not_compared_is_said(
+def with_models(models: dict[str, float], tried: tuple[str, ...] = (), **load: object) -> Callable:
+    """What edits a result into one whose elbow has joint models, by their value, and that looked for others."""
+    losses = {"included": False, "log_evidence": -1.0, "inside_mm": 0.0, "elsewhere_mm": 0.0}
+
+    def edit(document: dict[str, Any]) -> None:
+        entries = {name: {"values": [p], "sigma": [0.05 * p], "gain_mm": 0.1} for name, p in models.items()}
+        document["joint_models"] = {"elbow_joint": entries} if models else {}
+        document["load"] = {"gravity": [0.0, 0.0, -9.81], **load} if models else None
+        document["joint_model_trials"] = [{"model": name, "joints": ["elbow_joint"], **losses} for name in tried]
+
+    return edit
+
+
+def test_a_joint_model_that_has_grown_is_named(
     results: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def bend(document: dict[str, Any]) -> None:
-        document["joint_models"] = {"elbow_joint": {"gain": {"values": [1e-3], "sigma": [1e-4], "gain_mm": 0.1}}}
-        document["load"] = {"gravity": [0.0, 0.0, -9.81]}
+    small = edited(tmp_path / "small.json", results("before"), with_models({"gain": 1e-3}))
+    large = edited(tmp_path / "large.json", results("later"), with_models({"gain": 2e-3}))
+    printed, found = compared(capsys, small, large, 1)
+    assert printed[0].startswith("the arm changed: elbow_joint.gain by 0.001 (9 sigma); tips ")
+    assert "elbow_joint moves them most" in printed[0]
+    (row,) = [line.split() for line in printed if line.strip().startswith("elbow_joint.gain")]
+    assert row[1:5] == ["1e-3", "1.000", "2.000", "1.000"]
+    assert found["moves_tip_most"] == "elbow_joint"
+    # Found in one alone it is a change only if the other has looked for it.
+    rigid = edited(tmp_path / "rigid.json", results("before"), with_models({}, tried=("gain",)))
+    printed, found = compared(capsys, rigid, small, 1)
+    assert found["unfound_in_one"] == ["elbow_joint.gain"]
+    said = "found in one of the two alone, the other looked for it, too, and is taken to have 0 with the same sigma"
+    assert f"- {said}: elbow_joint.gain" in printed
 
-    rigid, _ = compared(capsys, results("before"), results("later"), 0)
-    assert rigid[0].startswith("no change beyond chance")
-    other = edited(tmp_path / "other.json", results("later"), bend)
-    printed, found = compared(capsys, results("before"), other, 0)
-    assert printed[0].startswith("no change of the rigid part beyond chance")
-    (said,) = [remark for remark in found["remarks"] if "is not compared" in remark]
-    assert f"{other} has gain; urdfcal verify" in said
+
+def test_under_which_load_arms_are_compared_is_said(
+    results: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    joints = json.loads((results("before") / "calibration.json").read_text())["robot"]["joints"]
+    masses = {"masses": {joint: {"mass": 1.0, "center": [0.1, 0.0, 0.0]} for joint in joints}}
+    payload = {"link": "tool0", "mass": 1.0, "center": [0.0, 0.0, 0.0], "joint": "wrist_3_joint"}
+    payload["T_joint_link"] = np.eye(4).tolist()
+    loads = {"torques": {}, "light": masses, "heavy": {**masses, "payload": payload}}
+    files = {
+        name: edited(tmp_path / f"{name}.json", results("before"), with_models({"compliance": 1e-5}, **load))
+        for name, load in loads.items()
+    }
+    rigid = "the tips' distance is of the rigid parts alone: one arm gives way to measured torques"
+    unloaded = "the arms carried different payloads: the tips' distance is of arms that carry nothing"
+    for first, second, said in (("light", "torques", rigid), ("light", "heavy", unloaded), ("light", "light", None)):
+        _, found = compared(capsys, files[first], files[second], 0)
+        remarks = [remark for remark in found["remarks"] if remark.startswith((rigid, unloaded))]
+        assert [remark.startswith(said) for remark in remarks] == ([] if said is None else [True])
 
 
 def test_many_changes_are_counted_and_all_in_the_table(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from urdfcal.errors import RobotError
-from urdfcal.estimation.evaluation import compare
+from urdfcal.estimation.evaluation import compare, compare_tips
 from urdfcal.pipeline import calibrate
 from urdfcal.result.calibration import Calibration
 from urdfcal.result.changes import find_changes
@@ -249,3 +249,101 @@ def test_each_tip_of_a_tree_is_compared(fitted: Callable) -> None:
     moved = find_changes(one, changed(one, joint, name, 20.0))
     assert list(moved.joints) == [joint]
     assert moved.joints[joint] > 1e-7  # of the first tip it would be rounding
+
+
+LOAD = {"gravity": [0.0, 0.0, -9.81]}
+MASSES = {f"joint_{k}": {"mass": 1.0, "center": [0.1, 0.0, 0.0]} for k in (1, 2, 3)}
+
+
+def bending(
+    of: Calibration, models: dict[str, Any], tried: tuple[str, ...] = (), load: dict[str, Any] | None = None
+) -> Calibration:
+    """The same with joint models, given as {joint: {model: (values, inputs)}}, and with others that were tried."""
+    data = data_of(of)
+    data["joint_models"] = {
+        joint: {
+            name: {"values": values, "sigma": [1e-4] * len(values), "gain_mm": None, "inputs": inputs}
+            for name, (values, inputs) in each.items()
+        }
+        for joint, each in models.items()
+    }
+    if models:
+        data["load"] = load or LOAD
+    losses = {"included": False, "log_evidence": -1.0, "inside_mm": 0.0, "elsewhere_mm": 0.0}
+    joints = ["joint_1", "joint_2", "joint_3"]
+    data["joint_model_trials"] = [{"model": name, "joints": joints, **losses} for name in tried]
+    return loaded(data)
+
+
+def gain(value: float) -> dict[str, Any]:
+    return {"joint_2": {"gain": ([value], {})}}
+
+
+def test_a_joint_model_that_has_grown_is_a_change(elbow3r: Calibration) -> None:
+    before, after = bending(elbow3r, gain(1e-3)), bending(elbow3r, gain(2e-3))
+    changes = find_changes(before, after)
+    (one,) = changes.significant
+    assert (one.joint, one.parameter, one.unit, one.thousandth) == ("joint_2", "gain", "1", "1e-3")
+    assert one.change == pytest.approx(1e-3)
+    assert one.sigmas == pytest.approx(10.0 / np.sqrt(2.0))
+    assert str(one) == "joint_2.gain by 0.001 (7 sigma)"
+    # The tips are those with all joint models, and what moves them is the joint's.
+    q = elbow3r.chain.readings(elbow3r.chain.random_values(1000, np.random.default_rng(0)))
+    apart = compare_tips(before.forward(q), after.forward(q)).position
+    assert changes.tip.rms == pytest.approx(np.sqrt(np.mean(apart**2)))
+    assert changes.joints == {"joint_2": pytest.approx(changes.tip.rms)}
+    assert changes.tip.rms > 1e-5
+
+
+@pytest.mark.parametrize("found_first", [True, False])
+def test_what_one_has_looked_for_and_not_found_is_zero_there(elbow3r: Calibration, found_first: bool) -> None:
+    rigid, bent = bending(elbow3r, {}, tried=("gain",)), bending(elbow3r, gain(1e-3))
+    changes = find_changes(bent, rigid) if found_first else find_changes(rigid, bent)
+    (one,) = changes.significant
+    assert one.offsets == ((1e-3, 0.0) if found_first else (0.0, 1e-3))
+    assert one.sigma == pytest.approx(np.sqrt(2.0) * 1e-4)
+    assert changes.unfound == ("joint_2.gain",)
+    assert changes.alone == ()
+    assert changes.joints == {"joint_2": pytest.approx(changes.tip.rms)}
+    assert changes.tip.rms > 1e-5
+
+
+def test_what_one_has_not_looked_for_is_not_compared(elbow3r: Calibration) -> None:
+    changes = find_changes(bending(elbow3r, {}, tried=("lag",)), bending(elbow3r, gain(1e-3)))
+    assert (changes.significant, changes.unfound, changes.alone) == ((), (), ("joint_2.gain",))
+
+
+def test_motors_of_other_gear_ratios_are_not_compared(elbow3r: Calibration) -> None:
+    def geared(ratio: float, value: float) -> dict[str, Any]:
+        return {"joint_2": {"motor_harmonics": ([value, 0.0, 0.0, 0.0], {"gear_ratio": ratio})}}
+
+    same = find_changes(bending(elbow3r, geared(50.0, 1e-3)), bending(elbow3r, geared(50.0, 2e-3)))
+    assert [p.joint for p in same.significant] == ["joint_2"]
+    other = find_changes(bending(elbow3r, geared(50.0, 1e-3)), bending(elbow3r, geared(60.0, 2e-3)))
+    assert (other.significant, len(other.alone)) == ((), 4)
+
+
+def test_arms_are_compared_under_one_load(elbow3r: Calibration) -> None:
+    models = {"joint_2": {"compliance": ([1e-4], {})}}
+    carried = {"link": "base_link", "mass": 5.0, "center": [0.0, 0.0, 0.0], "joint": "joint_3"}
+    carried |= {"T_joint_link": np.eye(4).tolist()}
+    light = {**LOAD, "masses": MASSES}
+    tilted = {**light, "gravity": [0.0, 9.81, 0.0]}
+    heavy = {**light, "payload": carried}
+    plain = bending(elbow3r, models, load=light)
+    for load, unloaded in ((light, False), (tilted, False), (heavy, True)):
+        other = bending(elbow3r, models, load=load)
+        changes = find_changes(plain, other)
+        assert (changes.unloaded, changes.rigid, changes.changed) == (unloaded, False, False)
+        assert changes.tip.rms == pytest.approx(0.0, abs=1e-12)
+    both = find_changes(bending(elbow3r, models, load=heavy), bending(elbow3r, models, load=heavy))
+    assert both.unloaded is False
+
+
+def test_arms_that_give_way_to_measured_torques_are_compared_by_their_rigid_parts(elbow3r: Calibration) -> None:
+    a, b = (bending(elbow3r, {"joint_2": {"compliance": ([value], {})}}) for value in (1e-4, 3e-3))
+    changes = find_changes(a, b)
+    assert changes.rigid
+    assert changes.tip.rms == pytest.approx(0.0, abs=1e-12)
+    assert [p.parameter for p in changes.significant] == ["compliance"]  # is still compared
+    assert changes.joints == {"joint_2": pytest.approx(0.0, abs=1e-12)}

@@ -266,10 +266,9 @@ def _repeated(found: Acceptance) -> Sequence[str]:
 def compare(ctx: click.Context, first: Path, second: Path, seed: int, as_json: bool) -> None:
     """Tell whether the arm changed between two calibrations of it, and which joint.
 
-    Both are folders that calibrate has written, or their calibration.json. Each parameter that both have estimated is
-    tested by its own standard deviations, at a chance of 1 % for all of them together; and the distance of the tips
-    over the workspace by what both calibrations expect of it, at 1 % again. Joint models (compliance, lag ...) are not
-    compared, and it is said that there are any.
+    Both are folders that calibrate has written, or their calibration.json. Each parameter that both have estimated,
+    of joint models (compliance, lag ...) too, is tested by its own standard deviations, at a chance of 1 % for all of
+    them together; and the distance of the tips over the workspace by what both calibrations expect of it, at 1 % again.
 
     Exit code 0: no change beyond chance; 1: the arm changed.
     """
@@ -286,21 +285,26 @@ def compare(ctx: click.Context, first: Path, second: Path, seed: int, as_json: b
     if changes.alone:
         remarks.append(
             f"{len(changes.alone)} parameters were estimated in only one of the two and are not compared: what they "
-            f"hold in one, others may hold in the other ({', '.join(changes.alone[:_NAMED])}"
-            f"{', ...' if len(changes.alone) > _NAMED else ''})"
+            f"hold in one, others may hold in the other ({_several(changes.alone)})"
         )
     if changes.unseen:
         remarks.append(f"not compared, since not estimated in both: the zero of {', '.join(changes.unseen)}")
-    if bends := {path: found for path, of in ((first, a), (second, b)) if (found := _joint_models(of))}:
-        each = "; ".join(f"{path} has {', '.join(found)}" for path, found in bends.items())
+    if changes.unfound:
         remarks.append(
-            f"what the joints do beside is not compared, the rigid part is: {each}; urdfcal verify judges the first by "
-            "poses of the second with all of it"
+            f"found in one of the two alone, the other looked for it, too, and is taken to have 0 with the same sigma: "
+            f"{_several(changes.unfound)}"
         )
+    if changes.rigid:
+        remarks.append(
+            "the tips' distance is of the rigid parts alone: one arm gives way to measured torques, which nobody knows "
+            "at other poses; urdfcal verify judges the first by poses of the second with all of it"
+        )
+    if changes.unloaded:
+        remarks.append("the arms carried different payloads: the tips' distance is of arms that carry nothing")
     if as_json:
         click.echo(json.dumps({**_changes(changes), "seed": seed, "remarks": remarks}, indent=2))
     else:
-        say(_sentence(changes, rigid_part=bool(bends)))
+        say(_sentence(changes))
         if changes.significant:
             terminal().print(_table(changes))
         say(
@@ -312,15 +316,14 @@ def compare(ctx: click.Context, first: Path, second: Path, seed: int, as_json: b
     ctx.exit(1 if changes.changed else 0)
 
 
-def _joint_models(of: Calibration) -> list[str]:
-    """List the joint models that a result has."""
-    return list(dict.fromkeys(name for found in of.document.joint_models.values() for name in found))
+def _several(names: Sequence[str]) -> str:
+    return ", ".join([*names[:_NAMED], *(["..."] if len(names) > _NAMED else [])])
 
 
-def _sentence(changes: ArmChanges, *, rigid_part: bool) -> str:
+def _sentence(changes: ArmChanges) -> str:
     tips = f"tips {_millimetres(changes.tip.rms)} mm rms apart"
     if not changes.changed:
-        return f"no change {'of the rigid part ' if rigid_part else ''}beyond chance: {tips}"
+        return f"no change beyond chance: {tips}"
     if not changes.significant:
         most = f"where errors of both calibrations let expect at most {_millimetres(changes.expected or 0.0)} mm"
         return f"the arm changed: {tips} {most}, no single parameter beyond chance"
@@ -339,7 +342,7 @@ def _table(changes: ArmChanges) -> object:
     for p in changes.significant:
         values = [f"{1e3 * value:.3f}" for value in (*p.offsets, p.change, p.sigma)]
         tip = f"{1e3 * changes.joints[p.joint]:.3f}"
-        rows.add_row(f"{p.joint}.{p.parameter}", "mm" if p.unit == "m" else "mrad", *values, f"{p.sigmas:.1f}", tip)
+        rows.add_row(f"{p.joint}.{p.parameter}", p.thousandth, *values, f"{p.sigmas:.1f}", tip)
     return rows
 
 
@@ -351,6 +354,7 @@ def _changes(changes: ArmChanges) -> dict[str, Any]:
         "chi2": changes.chi2,
         "compared": len(changes.parameters),
         "only_in_one": list(changes.alone),
+        "unfound_in_one": list(changes.unfound),
         "unseen": list(changes.unseen),
         "tips_mm": {
             link: {name: 1e3 * value for name, value in asdict(of).items()} for link, of in changes.tips.items()

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import erfc, sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from urdfcal.errors import RobotError
-from urdfcal.estimation.evaluation import Spread, compare
+from urdfcal.estimation.evaluation import Spread, compare_tips
+from urdfcal.result.compared_arms import ComparedArm, ComparedArms
 from urdfcal.robot.mechanism import BASE
 from urdfcal.robot.placements import AXES, PlacementTable
 from urdfcal.robot.tree_dh import rows_of
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from urdfcal.arrays import Floats
     from urdfcal.result.calibration import Calibration
-    from urdfcal.result.document import DHEntry
     from urdfcal.robot.mechanism import Mechanism
 
 # The chance that any parameter of an arm that is the same seems to have changed.
@@ -35,9 +37,9 @@ class ParameterChange:
     """A parameter of the arm in two calibrations.
 
     Attributes:
-        joint: whose row it is in.
-        parameter: its name, such as theta.
-        unit: m or rad.
+        joint: whose it is.
+        parameter: its name, such as theta, or lag.
+        unit: its SI unit; 1 of a plain number.
         offsets: from the nominal value, in the first calibration and in the second. [unit]
         sigma: standard deviation of their difference. [unit]
         significant: whether they differ beyond chance, all compared parameters considered.
@@ -60,9 +62,14 @@ class ParameterChange:
         """Size of the change in standard deviations."""
         return abs(self.change) / self.sigma
 
+    @property
+    def thousandth(self) -> str:
+        """What a thousandth of its unit is called."""
+        return "1e-3" if self.unit == "1" else f"m{self.unit}"
+
     def __str__(self) -> str:
-        unit = "mm" if self.unit == "m" else "mrad"
-        return f"{self.joint}.{self.parameter} by {1e3 * self.change:.2g} {unit} ({self.sigmas:.0f} sigma)"
+        size = f"{self.change:.2g}" if self.unit == "1" else f"{1e3 * self.change:.2g} {self.thousandth}"
+        return f"{self.joint}.{self.parameter} by {size} ({self.sigmas:.0f} sigma)"
 
 
 @dataclass(frozen=True)
@@ -70,8 +77,12 @@ class ArmChanges:
     """Two calibrations of an arm, compared.
 
     Attributes:
-        parameters: those that both have estimated.
-        alone: names of those that only one of them has.
+        parameters: those that both have estimated, and of joint models those that one has found and the other not.
+        alone: names of those that only one of them has, or that are of something else in each.
+        unfound: names of those of joint models that one has found, and the other has not although it could have: they
+            are taken for 0 there, with the same standard deviation.
+        rigid: whether the tips are those without joint models: nobody knows the torques that one gives way to.
+        unloaded: whether the tips are those of arms that carry nothing: they carried different things.
         unseen: joints whose zero offset is not among those compared: a change of it is not seen.
         tips: distances between the tips over the workspace, by tip link, after the best alignment at the base. [m]
         expected: what the rms of the tip's distances is at most, by both calibrations' claimed errors, if nothing has
@@ -81,6 +92,9 @@ class ArmChanges:
 
     parameters: tuple[ParameterChange, ...]
     alone: tuple[str, ...]
+    unfound: tuple[str, ...]
+    rigid: bool
+    unloaded: bool
     unseen: tuple[str, ...]
     tips: dict[str, Spread]
     expected: float | None
@@ -124,12 +138,17 @@ def find_changes(a: Calibration, b: Calibration, seed: int = 0) -> ArmChanges:
         RobotError: they are of different robots, or nothing of the arm was estimated in both.
     """
     _check_same_robot(a, b)
+    arms = ComparedArms.of(a, b)
     of_a, of_b = _estimated(a), _estimated(b)
-    common = [key for key in of_a if key in of_b]
-    parameters = tuple(_change(of_a[key], of_b[key], len(common)) for key in common)
-    q = a.chain.random_values(_POSES, np.random.default_rng(seed))
+    unfound_a = _unfound(of_b, of_a, a)
+    unfound_b = _unfound(of_a, of_b, b)
+    of_a, of_b = {**of_a, **unfound_a}, {**of_b, **unfound_b}
+    common = [key for key in of_a if key in of_b and of_a[key].alike(of_b[key])]
+    parameters = tuple(_change(key, of_a[key], of_b[key], len(common)) for key in common)
+    q = a.chain.readings(a.chain.random_values(_POSES, np.random.default_rng(seed)))
+    first, second = arms.both()
     moving = dict.fromkeys(p.joint for p in parameters if p.significant)
-    joints = {joint: _tips(a.calibrated, _with_changes(a, parameters, joint), q) for joint in moving}
+    joints = {joint: _tips(a.chain, first, _with_changes(a, arms, parameters, joint), q) for joint in moving}
     farthest = {joint: max(tip.rms for tip in tips.values()) for joint, tips in joints.items()}
     claimed = [of.document.tip for of in (a, b)] if of_a and of_b else [None]
     squares = sum(tip.interval_mm[1] ** 2 for tip in claimed if tip)
@@ -142,9 +161,12 @@ def find_changes(a: Calibration, b: Calibration, seed: int = 0) -> ArmChanges:
         )
     return ArmChanges(
         parameters=parameters,
-        alone=tuple(f"{joint}.{name}" for joint, name in [*of_a, *of_b] if (joint, name) not in common),
+        alone=tuple(".".join(key) for key in dict.fromkeys([*of_a, *of_b]) if key not in common),
+        unfound=tuple(".".join(key) for key in [*unfound_a, *unfound_b]),
+        rigid=arms.rigid,
+        unloaded=arms.unloaded,
         unseen=() if _whole(parameters) else _unseen(a.chain, parameters),
-        tips=_tips(a.calibrated, b.calibrated, q),
+        tips=_tips(a.chain, first, second, q),
         expected=expected,
         joints=dict(sorted(farthest.items(), key=lambda item: -item[1])),
     )
@@ -161,14 +183,11 @@ def _unseen(chain: Mechanism, parameters: tuple[ParameterChange, ...]) -> tuple[
     return tuple(joint for joint, name in zeros if (joint, name) not in compared)
 
 
-def _tips(a: Mechanism, b: Mechanism, q: Floats) -> dict[str, Spread]:
+def _tips(chain: Mechanism, a: ComparedArm, b: ComparedArm, q: Floats) -> dict[str, Spread]:
     """Distances of each tip that moves; those of the first one alone where none does."""
-    distances = {}
-    for k, tip in enumerate(a.tips):
-        if not k or tip.joint != BASE:
-            first, second = (replace(of, tips=(of.tips[k], *of.tips[:k], *of.tips[k + 1 :])) for of in (a, b))
-            distances[tip.link] = Spread.of(compare(first, second, q).position)
-    return distances
+    tips = [tip for k, tip in enumerate(chain.tips) if not k or tip.joint != BASE]
+    each = zip(tips, a.frames(q, tips), b.frames(q, tips), strict=True)
+    return {tip.link: Spread.of(compare_tips(first, second).position) for tip, first, second in each}
 
 
 def _check_same_robot(a: Calibration, b: Calibration) -> None:
@@ -203,23 +222,66 @@ def _close(a: Floats, b: Floats) -> bool:
     return bool(np.allclose(a, b, rtol=0.0, atol=_SAME))
 
 
-def _estimated(of: Calibration) -> dict[tuple[str, str], DHEntry]:
-    return {(entry.joint, entry.parameter): entry for entry in of.document.dh if entry.sigma}
+@dataclass(frozen=True)
+class _Estimated:
+    """A parameter's offset and standard deviation [unit]; of a joint model its name, and what it was estimated with."""
+
+    offset: float
+    sigma: float
+    unit: str
+    model: str | None = None
+    inputs: Mapping[str, float | list[list[float]]] = field(default_factory=dict)
+
+    def alike(self, other: _Estimated) -> bool:
+        """Return whether both are of the same: not of different gear ratios, or mixtures of torques."""
+        return self.inputs == other.inputs
 
 
-def _change(a: DHEntry, b: DHEntry, count: int) -> ParameterChange:
-    sigma = sqrt((a.sigma or 0.0) ** 2 + (b.sigma or 0.0) ** 2)
+def _estimated(of: Calibration) -> dict[tuple[str, str], _Estimated]:
+    document = of.document
+    rows = {(e.joint, e.parameter): _Estimated(e.offset, e.sigma, e.unit) for e in document.dh if e.sigma}
+    for block in of.joint_models.models:
+        sigmas = {joint: iter(document.joint_models[joint][block.name].sigma) for joint in block.names_of_joints}
+        values = {joint: iter(document.joint_models[joint][block.name].values) for joint in block.names_of_joints}
+        for joint, name, unit in zip(block.names_of_joints, block.names, block.units, strict=True):
+            value, sigma = next(values[joint]), next(sigmas[joint])
+            inputs = document.joint_models[joint][block.name].inputs
+            if sigma:
+                key = joint, name.removeprefix(f"{joint}.")
+                rows[key] = _Estimated(value, sigma, unit, block.name, inputs)
+    return rows
+
+
+def _unfound(
+    theirs: Mapping[tuple[str, str], _Estimated], mine: Mapping[tuple[str, str], _Estimated], of: Calibration
+) -> dict[tuple[str, str], _Estimated]:
+    """Return the other calibration's parameters of joint models that this one has looked for and not found, at 0."""
+    tried = {trial.model: trial for trial in of.document.joint_model_trials}
+    return {
+        (joint, name): replace(value, offset=0.0)
+        for (joint, name), value in theirs.items()
+        if (joint, name) not in mine and value.model in tried
+        if tried[value.model].included or joint in tried[value.model].joints
+    }
+
+
+def _change(key: tuple[str, str], a: _Estimated, b: _Estimated, count: int) -> ParameterChange:
+    sigma = sqrt(a.sigma**2 + b.sigma**2)
     chance = erfc(abs(b.offset - a.offset) / sigma / sqrt(2.0))
-    return ParameterChange(a.joint, a.parameter, a.unit, (a.offset, b.offset), sigma, chance * count < _CHANCE)
+    return ParameterChange(*key, a.unit, (a.offset, b.offset), sigma, chance * count < _CHANCE)
 
 
-def _with_changes(a: Calibration, parameters: tuple[ParameterChange, ...], joint: str) -> Mechanism:
-    """The first arm with the significant changes of one joint."""
+def _with_changes(
+    a: Calibration, arms: ComparedArms, parameters: tuple[ParameterChange, ...], joint: str
+) -> ComparedArm:
+    """The first arm with the significant changes of one joint, joint models as a whole."""
     moved = [p for p in parameters if p.joint == joint and p.significant]
-    arm = PlacementTable(a.chain) if _whole(parameters) else rows_of(a.chain)
-    offsets = np.zeros((len(arm.labels), len(arm.columns)))
+    table = PlacementTable(a.chain) if _whole(parameters) else rows_of(a.chain)
+    offsets = np.zeros((len(table.labels), len(table.columns)))
     for entry in a.document.dh:
-        offsets[arm.labels.index(entry.joint), arm.columns.index(entry.parameter)] = entry.offset
-    for p in moved:
-        offsets[arm.labels.index(p.joint), arm.columns.index(p.parameter)] = p.offsets[1]
-    return a.chain.with_placements(arm.placements(offsets))
+        offsets[table.labels.index(entry.joint), table.columns.index(entry.parameter)] = entry.offset
+    rows = [p for p in moved if p.parameter in table.columns]
+    for p in rows:
+        offsets[table.labels.index(p.joint), table.columns.index(p.parameter)] = p.offsets[1]
+    placements = table.placements(offsets) if rows else a.placements
+    return arms.with_joint(joint, placements, models=len(rows) < len(moved))
