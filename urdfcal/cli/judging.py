@@ -323,7 +323,9 @@ def _several(names: Sequence[str]) -> str:
 def _sentence(changes: ArmChanges) -> str:
     tips = f"tips {_millimetres(changes.tip.rms)} mm rms apart"
     if not changes.changed:
-        return f"no change beyond chance: {tips}"
+        least = changes.expected
+        seen = "" if least is None else f"; from {_millimetres(least)} mm on they are called changed"
+        return f"no change beyond chance: {tips}{seen}"
     if not changes.significant:
         most = f"where errors of both calibrations let expect at most {_millimetres(changes.expected or 0.0)} mm"
         return f"the arm changed: {tips} {most}, no single parameter beyond chance"
