@@ -42,8 +42,8 @@ def test_an_arm_that_is_the_same_has_not_changed(
 ) -> None:
     printed, found = compared(capsys, results("before"), results("later"), 0)
     tip = found["tips_mm"]["tool0"]["rms"]
-    least = f"{found['expected_mm']:.2g}"
-    assert printed[0] == f"no change beyond chance: tips {tip:.2g} mm rms apart; from {least} mm on they "
+    sentence = f"tips {tip:.2g} mm rms apart; from {found['expected_mm']:.2g} mm on they are called changed"
+    assert printed[0] == f"no change beyond chance: {sentence}"
     assert 0.01 < tip < 0.3
     assert found["changed"] is False
     assert (found["significant"], found["moves_tip_most"], found["joints_mm"]) == ([], None, {})

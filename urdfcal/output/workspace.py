@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 # Enough for a map of 20 x 20 cells; drawing more takes longer and shows the same.
 _SAMPLES = 1500
-# Scales are logarithmic: what is below a thousandth of the largest counts as that. An arm that lags or has play alone
+# Scales are logarithmic: what is below a hundredth of the largest counts as that. An arm that lags or has play alone
 # is moved by nothing at rest. [share, m]
-_LEAST, _NOTHING = 1e-3, 1e-9
+_LEAST, _NOTHING = 1e-2, 1e-9
 MOVED = "joint models"
 """Name of what joint models move the tip by, beside the errors of the nominal and of the calibrated arm."""
 
@@ -56,9 +56,9 @@ class Workspace:
 
     @property
     def range(self) -> tuple[float, float]:
-        """Smallest error before and after, and the largest of all. [m]."""
-        least = min(float(error.min()) for error in (self.before, self.after))
-        return least, max(float(error.max()) for error in self.errors.values())
+        """The smallest and the largest of :attr:`errors`. [m]."""
+        every = np.concatenate(list(self.errors.values()))
+        return float(every.min()), float(every.max())
 
 
 def sample_workspace(calibration: FittedCalibration, tip: Tip | None = None) -> Workspace:
