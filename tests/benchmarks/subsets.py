@@ -3,9 +3,9 @@
     python -m tests.benchmarks.subsets SESSION [--count 8] [--draws 10] [--candidates 300] [--misfit 1 3]
 
 Before anything is measured poses are planned for the nominal arm, among ``--candidates`` random ones, for ``--misfit``
-times the noise that is declared, since no arm is as its model; ``--elastic`` with compliance for both. Errors are
-distances of what was measured in the other poses from what the calibrated arm predicts, rms in mm; medians over the
-draws, and their quartiles.
+times the noise that is declared, since no arm is as its model; ``--elastic`` with compliance for both. Errors are those
+of `urdfcal evaluate RESULT` on the other poses, base and probe fitted to them as a plan serves the tip whatever the
+base is: rms in mm; medians over the draws, and their quartiles.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.arrays import one_blas_thread, rms
+from urdfcal.estimation.evaluation import explain
 from urdfcal.estimation.problem import Problem
 from urdfcal.estimation.uncertainty import tip_sensitivity
 from urdfcal.io.folder import read_session
@@ -34,12 +35,11 @@ PLACED, WORKSPACE = 50, 200
 
 
 def error(session: Session, chosen: np.ndarray) -> float:
-    """What a calibration from some poses leaves on the others, rms. [mm]."""
+    """What a calibration from some poses leaves on the others, rms; base and probe are fitted to these. [mm]."""
     calibration = calibrate(session.at(np.sort(chosen)), force=True)
-    problem = replace(Problem.of(session, calibration.problem.arm), joint_models=calibration.problem.joint_models)
-    (observed,) = problem.observations
-    rest = ~np.isin(observed.pose, chosen)
-    return 1e3 * rms(problem.off(observed, calibration.fit.state)[rest][observed.valid[rest]])
+    rest = session.at(np.setdiff1d(np.arange(len(session.poses)), chosen))
+    (residual,) = explain(calibration.calibrated, rest, bends=calibration.joint_models).residuals
+    return 1e3 * rms(np.linalg.norm(residual, axis=1))
 
 
 def planned(session: Session, belief: Belief, among: np.ndarray, count: int, misfit: float) -> np.ndarray:
