@@ -51,13 +51,16 @@ def test_stretches_are_as_long_as_d_and_a(built):
     np.testing.assert_allclose(lengths[..., 1], np.abs(values[..., 2]), atol=1e-9)
 
 
-def test_every_branch_is_one_line_from_its_link_to_its_tip(built):
+def test_every_branch_is_one_line_that_hangs_on_another_to_its_tip(built):
     table, offsets, q, frames = built
     chain, lines = table.chain, place_rows(table, offsets, frames).lines
     assert len(lines) == len(chain.branches) == 1 + sum(label.endswith(MOUNT) for label in table.labels)
     tips = link_poses(chain, q, chain.tips, table.placements(offsets))
-    for branch, line in zip(chain.branches, lines, strict=True):
+    for k, (branch, line) in enumerate(zip(chain.branches, lines, strict=True)):
         carrier = frames[:, chain.parents[branch[0]] + 1]
-        np.testing.assert_allclose(line[:, 0], carrier[:, :3, 3], atol=1e-12)
+        np.testing.assert_allclose(line[:, min(k, 1)], carrier[:, :3, 3], atol=1e-12)
+        if k:  # it begins on a line that is drawn already, where a link's origin need not be
+            apart = [np.linalg.norm(of - line[:, :1], axis=2).min(axis=1) for of in lines[:k]]
+            np.testing.assert_allclose(np.min(apart, axis=0), 0.0, atol=1e-9)
         end = next(T for tip, T in zip(chain.tips, tips, strict=True) if tip.joint == branch[-1])
         np.testing.assert_allclose(line[:, -1], end[:, :3, 3], atol=1e-12)

@@ -394,7 +394,7 @@ def test_the_curves_of_an_arm_that_moved_are_seen_from_the_first_frame_to_the_la
     times = np.linspace(3.0, 8.0, POSES)
     monkeypatch.setattr("urdfcal.output.charts.frame_times", lambda _: times)
     name, shown = axis()
-    assert name == f"rms by frame (timeline time): up to {largest:.2g} px, drawn in means"
+    assert name == f"rms by frame (timeline time): up to {largest:.2g} px; means"
     assert "3000000000" in str(shown.view_range.as_arrow_array())
     assert "8000000000" in str(shown.view_range.as_arrow_array())
 

@@ -340,9 +340,9 @@ def _sentence(changes: ArmChanges) -> str:
 
 def _table(changes: ArmChanges) -> object:
     title = "changes beyond chance; tip: what all of the joint's move it by"
-    rows = sheet(title, ["parameter", "unit", "first", "second", "change", "sigma", "sigmas", "tip (mm)"], texts=2)
+    rows = sheet(title, ["parameter", "unit", "first", "change", "sigma", "sigmas", "tip (mm)"], texts=2)
     for p in changes.significant:
-        values = [f"{1e3 * value:.3f}" for value in (*p.offsets, p.change, p.sigma)]
+        values = [f"{1e3 * value:.3f}" for value in (p.offsets[0], p.change, p.sigma)]
         tip = f"{1e3 * changes.joints[p.joint]:.3f}"
         rows.add_row(f"{p.joint}.{p.parameter}", p.thousandth, *values, f"{p.sigmas:.1f}", tip)
     return rows

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from urdfcal.arrays import Floats
+    from urdfcal.arrays import Bools, Floats
     from urdfcal.cameras.camera import Camera
     from urdfcal.output.findings import Overview
     from urdfcal.output.scene import CalibrationScene, ResidualTable
@@ -49,6 +49,8 @@ _TALLEST = 380.0
 _BAR_HEIGHT = 15
 # The arrow of a known length is about this share of an image's width.
 _REFERENCE = 0.12
+# Arrows reach so far out of the image. [its sides]
+_BEYOND = 0.15
 # What the maps of a workspace have the colours of.
 _WHAT = {"nominal": "distance", "calibrated": "std. dev.", MOVED: "moved"}
 # Fields of residuals whose factors differ less are not drawn twice.
@@ -159,11 +161,14 @@ def _images(scene: CalibrationScene, pixels: ResidualTable, cameras: Sequence[Ca
     factor, enlarged = scene.pixel_factor, scene.field_factor
     fields = {
         "fields": [
-            _field(pixels, cameras, c, name, factor) for name in ("nominal", "calibrated") for c in range(len(cameras))
+            _field(pixels, cameras, c, name, factor, ("nominal", "calibrated"))
+            for name in ("nominal", "calibrated")
+            for c in range(len(cameras))
         ]
     }
     if enlarged > _TWICE * factor:
-        fields["enlarged"] = [_field(pixels, cameras, c, "calibrated", enlarged) for c in range(len(cameras))]
+        alone = ("calibrated",)
+        fields["enlarged"] = [_field(pixels, cameras, c, "calibrated", enlarged, alone) for c in range(len(cameras))]
     fields["magnitudes"] = _magnitudes(pixels, cameras)
     columns = max(min(3, len(cameras)), 2)
     shape = max((field.y.high - field.y.low) / (field.x.high - field.x.low) for field in fields["fields"])
@@ -189,23 +194,33 @@ def _in_rows(charts: Sequence[Chart], columns: int) -> list[Sequence[Chart]]:
     return [charts[first : first + columns] for first in range(0, len(charts), columns)]
 
 
-def _field(pixels: ResidualTable, cameras: Sequence[Camera], c: int, name: str, factor: float) -> Chart:
-    """A camera's residuals as arrows over its image, with one of a known length: a bent field means a wrong lens."""
+def _field(
+    pixels: ResidualTable, cameras: Sequence[Camera], c: int, name: str, factor: float, beside: Sequence[str]
+) -> Chart:
+    """A camera's residuals as arrows over its image, with one of a known length: a bent field means a wrong lens.
+
+    There is room for those of the other cameras with images of one size, and of the arms beside which it stands.
+    """
     camera = cameras[c]
-    mine, expected = pixels.camera == c, pixels.by_arm[name]
-    used, cut = mine & pixels.used & np.isfinite(expected[:, 0]), pixels.measured[mine & pixels.outlier]
-    residual = (expected - pixels.measured)[used]
+    cut = pixels.measured[(pixels.camera == c) & pixels.outlier]
+    residual = (pixels.by_arm[name] - pixels.measured)[_shown(pixels, c, name)]
     rms = np.sqrt(np.mean(np.sum(residual**2, axis=1))) if len(residual) else np.nan
-    some = evenly(np.flatnonzero(used), MOST_ARROWS)
-    start, residual = pixels.measured[some], (expected - pixels.measured)[some]
+    some = evenly(np.flatnonzero(_shown(pixels, c, name)), MOST_ARROWS)
+    start, residual = pixels.measured[some], (pixels.by_arm[name] - pixels.measured)[some]
     size = pixels.size_nominal if name == "nominal" else pixels.size
     colors = (0.8 * palette.by_sigma(size[some])).astype(np.uint8)
     # Cameras with images of one size are drawn in one scale.
     alike = [k for k, other in _all(cameras) if other.resolution == camera.resolution]
-    (left, right), (top, bottom) = image_range(camera.resolution, pixels.measured[np.isin(pixels.camera, alike)])
+    room = _BEYOND * np.array(camera.resolution)
+    held = [pixels.measured[np.isin(pixels.camera, alike)]]
+    for arm in beside:
+        seen = np.any([_shown(pixels, k, arm) for k in alike], axis=0)
+        ends = pixels.measured[seen] + factor * (pixels.by_arm[arm] - pixels.measured)[seen]
+        held.append(np.clip(ends, -room, room + camera.resolution))
+    (left, right), (top, bottom) = image_range(camera.resolution, np.concatenate(held))
     length = reference_length(_REFERENCE * camera.resolution[0] / factor)
     beneath = bottom + 0.06 * (right - left)
-    arrows = _arrows(start, factor * residual)
+    arrows = _arrows(start, factor * residual, ((left, right), (top, bottom)))
     known = _arrows(np.array([[left, beneath]]), factor * np.array([[length, 0.0]]))
     border = _border(camera)
     return Chart(
@@ -225,10 +240,26 @@ def _field(pixels: ResidualTable, cameras: Sequence[Camera], c: int, name: str, 
     )
 
 
-def _arrows(start: Floats, arrow: Floats) -> Floats:
-    """Outlines (S, 5, 2) of arrows; pixels are counted from the top, and the vertical axis is turned round."""
-    across = 0.2 * np.column_stack([-arrow[:, 1], arrow[:, 0]])
-    end, neck = start + arrow, start + 0.7 * arrow
+def _shown(pixels: ResidualTable, c: int, name: str) -> Bools:
+    """Which detections (S,) of a camera are used, and predicted by an arm."""
+    shown: Bools = (pixels.camera == c) & pixels.used & np.isfinite(pixels.by_arm[name][:, 0])
+    return shown
+
+
+def _arrows(start: Floats, arrow: Floats, area: Sequence[tuple[float, float]] | None = None) -> Floats:
+    """Outlines (S, 5, 2) of arrows; pixels are counted from the top, and the vertical axis is turned round.
+
+    What leaves an area is cut there, and has no head.
+    """
+    whole = np.ones(len(start), dtype=bool)
+    if area is not None:
+        low, high = np.transpose(area)
+        bound = np.where(arrow > 0.0, high, low) - start
+        share = np.divide(bound, arrow, out=np.ones_like(arrow), where=arrow != 0.0).min(axis=1, initial=1.0)
+        whole, arrow = share >= 1.0, share[:, None] * arrow
+    across = 0.2 * np.column_stack([-arrow[:, 1], arrow[:, 0]]) * whole[:, None]
+    end = start + arrow
+    neck = np.where(whole[:, None], start + 0.7 * arrow, end)
     result: Floats = np.stack([start, end, neck + across, end, neck - across], axis=1) * [1.0, -1.0]
     return result
 

@@ -68,7 +68,8 @@ class PlacedRows(NamedTuple):
         frames: (N, R + 1, 4, 4) the DH frames F_0 ... F_R: row i leads to F_i+1. [m]
         corners: (N, R, 3, 3) where each row starts, where its common normal leaves its axis, where it ends: from start
             to foot is d, from foot to end is a. [m]
-        lines: (N, K, 3) along each branch's rows: from the carrying link over F_0, foot, F_1, ... to the tip. [m]
+        lines: (N, K, 3) along each branch's rows: from the carrying row's end and link over F_0, foot, F_1, ... to the
+            tip. [m]
         values: (R, 5) the rows with their offsets. [rad, m]
     """
 
@@ -117,14 +118,18 @@ def place_rows(table: DHTable, offsets: Floats, frames: Floats) -> PlacedRows:
     ends[:, mounts] = starts[:, mounts] @ row_transform(values[mounts])
     back = np.array([inverse(row_transform([0.0, 0.0, *row[2:]])) for row in values])
     corners = np.stack([T[..., :3, 3] for T in (starts, ends @ back, ends)], axis=2)
-    lines, first = [], 0
+    lines, first, row_of = [], 0, dict[int, int]()
     for branch in chain.branches:
-        # The link's origin is where a mount starts; its foot and end come before F_0.
-        line = [frames[:, chain.parents[branch[0]] + 1, None, :3, 3]]
+        parent = chain.parents[branch[0]]
+        # Of a joint that carries a branch the line of its own goes through the end of its row, and not through its
+        # link's origin, where a mount starts; the mount's foot and end come before F_0.
+        line = [dh[:, row_of[parent] + 1, None, :3, 3]] if parent in row_of else []
+        line.append(frames[:, parent + 1, None, :3, 3])
         if mounts[first]:
             line.append(corners[:, first, 1:])
             first += 1
         last = first + len(branch)
+        row_of |= {joint: first + k for k, joint in enumerate(branch)}
         line.append(dh[:, first, None, :3, 3])
         line.append(corners[:, first:last, 1:].reshape(len(dh), -1, 3))
         line.append((frames[:, branch[-1] + 1] @ chain.end_on(branch[-1]))[:, None, :3, 3])

@@ -21,7 +21,7 @@ Solid arm, or green where it has no meshes: **calibrated**. Blue ghost: **nomina
 {{what}}: white as measured, green by the calibrated arm, blue by the nominal one. Arrows from measured to predicted,
 thin at other poses: {SIGMA_LEGEND}. Purple: taken out of the fit. White ellipsoid: {ELLIPSOID:g} standard deviations
 of the measurement, enlarged alike. Curves: residual of each {{one}}, in the arms' colours, with gaps where nothing was
-seen.
+seen{{means}}.
 """
 _RAYS = "\nLong lines: the cameras' rays."
 _DEPTH = " Along them a place is known several times worse than across; mm with depth hold both."
@@ -74,7 +74,8 @@ def _legend(overview: Overview) -> str:
     placed = _LAID_OVER.format(apart=1e3 * scene.apart, known=known) if scene.apart else _PLACED
     one = counted(overview.document).removesuffix("s")
     what = "LED" if overview.calibration.session.leds else "Point"
-    legend = _LEGEND.format(enlarged=enlarged, placed=placed, one=one, what=what)
+    means = "; of more frames than there is room for, means" if one == "frame" else ""
+    legend = _LEGEND.format(enlarged=enlarged, placed=placed, one=one, what=what, means=means)
     if scene.pixels is not None:
         alone = np.asarray(scene.leds.ray.any(axis=1))
         legend += f"{_RAYS}{'' if alone.all() else _DEPTH}{_ONE_RAY if alone.any() else ''}\n"

@@ -217,7 +217,7 @@ def _curves(table: ResidualTable, *, moved: bool) -> str:
     largest = max(float(np.max(table.rms_by(table.pose, of)[1], initial=0.0)) for of in table.by_arm.values())
     # Their axis is then that of the frames' times: on the timeline pose it is empty. Of more frames than the screen has
     # columns the viewer draws means.
-    of, drawn = ("frame (timeline time)", ", drawn in means") if moved else ("pose", "")
+    of, drawn = ("frame (timeline time)", "; means") if moved else ("pose", "")
     return f"rms by {of}: up to {largest:.2g} {table.unit}{drawn}"
 
 
@@ -270,7 +270,7 @@ def _clouds(workspace: Workspace, *, further: bool) -> list[rrb.View]:
     eye, middle = around(workspace.tip, np.array([0.8, -1.0, 0.5]))
     folder = f"workspace/{rr.escape_entity_path_part(workspace.link)}" if further else "workspace"
     views = []
-    what_of = {"nominal": "from the calibrated arm", "calibrated": "standard deviation", MOVED: "moved at rest"}
+    what_of = {"nominal": "off", "calibrated": "sigma", MOVED: "moved"}  # three titles fit beside each other
     for name, error in workspace.errors.items():
         low, high = (f"{1e3 * end:.2g}" for end in (error.min(), error.max()))
         title = f"{workspace.link}, {name}: {low} to {high} mm {what_of[name]}"
