@@ -35,8 +35,8 @@ _PARAMETERS = "Corrections (bars) and their 95 % intervals; amber: tolerances, w
 _WORKSPACE = f"""\
 **Workspace.** Each dot is a place that the tip reaches, at joint values at random within the limits. Its colour is for
 the nominal arm the distance to the calibrated one, the bases aligned; for the calibrated arm the predicted standard
-deviation, sigma. All clouds have the colours of the bar, in mm. Blue: nominal, green: calibrated; amber, where there are
-joint models: how far they move the tip at rest, by sagging say. {NO_DIFFERENCE}
+deviation, sigma. All clouds have the colours of the bar, in mm. Blue: nominal, green: calibrated; amber, where there
+are joint models: how far they move the tip at rest, by sagging say. {NO_DIFFERENCE}
 
 Small dots: joint values outside of what was measured.
 """
