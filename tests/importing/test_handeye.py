@@ -80,6 +80,9 @@ def test_the_camera_is_found_where_it_is(
     assert f"tracker in {carrier}: " in printed
     assert "Trust it" in printed
     found = json.loads((tmp_path / "out" / "calibration.json").read_text())
+    # A camera is found; of an arm of which nothing was estimated nothing is claimed.
+    assert "nothing of it was estimated: of its tip nothing is claimed" in printed
+    assert "tip" not in found
     assert found["fit"]["rms_mm"] == pytest.approx(1e3 * SIGMA * 3**0.5, rel=0.2)
     assert run(["export", str(tmp_path / "out"), "--to", "ros-static-tf"]) == 0
     nodes = ET.parse(tmp_path / "out" / "static_transforms.launch.xml").getroot()  # noqa: S314 - our own text
@@ -157,6 +160,17 @@ def test_an_eye_that_the_file_contradicts_is_refused(tmp_path: Path, capsys: pyt
     assert run(["import", str(tmp_path / "a.samples"), "--eye", "hand", "-o", str(tmp_path / "s")]) == 2
     assert "the file says that its camera is on the base, not the hand" in capsys.readouterr().err
     assert not (tmp_path / "s").exists()
+
+
+@pytest.mark.no_cover
+def test_an_eye_that_the_samples_contradict_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "a.yaml").write_text(yaml.safe_dump(moveit("hand")))
+    assert run(["import", str(tmp_path / "a.yaml"), "-o", str(tmp_path / "s"), "--eye", "base"]) == 0
+    assert run(["calibrate", str(tmp_path / "s"), "-o", str(tmp_path / "out")]) == 1
+    said = capsys.readouterr().err
+    assert "(of hand-eye samples: the other --eye)" in said
+    # The samples say nothing of noise, so that any residuals would be explained: these are none.
+    assert "nothing measures as badly as the residuals are, of which no noise is declared: pose_rad" in said
 
 
 def test_options_that_do_not_belong_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -110,7 +110,7 @@ def assess(session: Session, problem: Problem, comparison: Comparison, evidence:
     fit = comparison.chosen.fit
     moved = corrections(problem, fit, session.tolerances) if comparison.chosen.spec.priors else ()
     implausible = sorted((c for c in moved if c.geometric and c.tolerances > IMPLAUSIBLE), key=lambda c: -c.tolerances)
-    misfit = tuple(_misfit(fit.reduced_chi2, moved))
+    misfit = (*_misfit(fit.reduced_chi2, moved), *_no_noise(evidence.noise))
     failures = (
         *misfit,
         *_outliers(fit),
@@ -123,7 +123,7 @@ def assess(session: Session, problem: Problem, comparison: Comparison, evidence:
     # An effect that is not modelled looks like noise: it is named, not the noise. But noise that is declared too large
     # bends the estimate by its weights, and leaves effects that are none.
     overdeclared = any(of.ratio >= NOISE_OFF for of in evidence.noise)
-    findings = () if overdeclared else evidence.findings
+    findings = () if overdeclared or any(of.is_none for of in evidence.noise) else evidence.findings
     noise = () if findings else tuple(_declared_noise(evidence.noise))
     warnings = (
         *session.warnings,
@@ -208,6 +208,16 @@ def _misfit(chi2: float, moved: Sequence[Correction]) -> Iterator[str]:
         yield (
             f"{counted} more than {_FAR:g} tolerances long, and still the residuals are {noise:.1f} times the "
             "declared noise: the corrections explain an effect that is not the arm's"
+        )
+
+
+def _no_noise(noise: Sequence[FoundNoise]) -> Iterator[str]:
+    """Residuals of which no noise is declared, and that are too large for any."""
+    sizes = [f"{of.name} {of.found:.2g} {of.unit}" for of in noise if of.is_none]
+    if sizes:
+        yield (
+            f"nothing measures as badly as the residuals are, of which no noise is declared: {', '.join(sizes)}; check "
+            "what was measured, its units, order and signs, the tip link and the joint columns"
         )
 
 

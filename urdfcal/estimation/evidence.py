@@ -199,7 +199,7 @@ def gather(
     fit = replace(fit, spread=spread if fit.misfit or one_by_one else None, doubt=comparison.chosen.doubt)
     cut, kept = fit.counts
     # Then something about the session may be wrong: it is looked for by trial, which takes seconds.
-    absurd = fit.reduced_chi2 > MISFIT_CHI2 or cut > MANY_OUTLIERS * (cut + kept)
+    absurd = fit.reduced_chi2 > MISFIT_CHI2 or cut > MANY_OUTLIERS * (cut + kept) or any(of.is_none for of in noise)
     tip = _tip(problem, fit, regions, holds=not findings and fit.reduced_chi2 < DOUBTFUL_CHI2)
     calibrated = session.chain.with_placements(problem.arm.placements(problem.offsets(fit.state)))
     sigmas = fit.parameters.sigmas(fit.covariance)

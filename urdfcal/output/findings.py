@@ -89,7 +89,8 @@ def claims(document: ResultData) -> tuple[str, ...]:
     Nothing in files that do not say it.
     """
     if "tip" not in document:
-        return ()
+        drawn = not any("sigma" in entry for entry in document["dh"])
+        return ("the arm is as drawn, nothing of it was estimated: of its tip nothing is claimed",) if drawn else ()
     tip, regions = document["tip"], document["regions"]
     interval = "{:.2g} to {:.2g}".format(*tip["interval_mm"])
     regions_mm = f"{regions['rms_mm']:.2g} mm where whole regions were held out"

@@ -342,7 +342,7 @@ def _evidence(of: FittedCalibration) -> Plain:
     regions, scale = evidence.regions, evidence.scale
     q, names = session.chain.readings(session.q), session.chain.actuated
     return {
-        "tip": tip_section(evidence.tip),
+        **({"tip": tip_section(evidence.tip)} if of.is_arm_estimated else {}),
         "regions": {
             "count": regions.count,
             "rms_nominal_mm": None if regions.rms_nominal is None else 1e3 * regions.rms_nominal,

@@ -11,7 +11,7 @@ import numpy as np
 
 from urdfcal.arrays import Floats, frozen
 from urdfcal.errors import CalibrationError, OutputError
-from urdfcal.estimation.blocks.arm import ArmBlock, ArmParameterization, zero_rows
+from urdfcal.estimation.blocks.arm import ARM, ArmBlock, ArmParameterization, zero_rows
 from urdfcal.estimation.joint_models.base import Readings
 from urdfcal.estimation.joint_models.linear import LinearJointModel
 from urdfcal.estimation.joint_models.zero_offset import ZERO_OFFSETS
@@ -75,6 +75,12 @@ class FittedCalibration(Calibration):
     def fit(self) -> Solution:
         """The chosen model's estimate."""
         return self.comparison.chosen.fit
+
+    @property
+    def is_arm_estimated(self) -> bool:
+        """Whether anything of the arm was estimated: of one that was not nothing is known but what it should be."""
+        models = (m.key for m in self.problem.joint_models if isinstance(m, LinearJointModel))
+        return any(self.fit.parameters.active_columns(key)[1].any() for key in (ARM, *models))
 
     @property
     def identifiability(self) -> Identifiability:

@@ -155,12 +155,12 @@ def calibrate_one(job: Job) -> Ended:
         if job.before is not None and job.before.how == how and (not job.before.well or _is_whole(job)):
             return replace(job.before, kept=True)
         calibration = calibrate(session, **options, force=True)
-        validation = calibration.document.validation
+        validation, tip = calibration.document.validation, calibration.document.tip
         figures = {
             "poses": calibration.document.fit.poses,
             "rms_nominal_mm": validation.rms_nominal_mm,
             "rms_mm": validation.rms_mm,
-            "tip_rms_upper_mm": 1e3 * calibration.evidence.tip.interval[1],
+            "tip_rms_upper_mm": None if tip is None else tip.interval_mm[1],
         }
         if calibration.failures and not job.options.get("force"):
             if job.report:

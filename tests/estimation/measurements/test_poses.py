@@ -13,8 +13,10 @@ import pinocchio as pin
 import pytest
 import yaml
 
+from tests.worlds import RIGID
+from urdfcal.arrays import inverse
 from urdfcal.cli import run
-from urdfcal.errors import SessionError
+from urdfcal.errors import CalibrationError, SessionError
 from urdfcal.estimation.blocks.arm import no_offsets
 from urdfcal.estimation.blocks.base_pose import BASE
 from urdfcal.estimation.blocks.targets import target_key
@@ -119,6 +121,27 @@ def test_the_noise_of_places_and_of_turns_is_found_apart() -> None:
     usual = {of.noise: of.usual for of in Poses.spreads.values()}
     silent = replace(wrong.with_noise(usual), noise=Noise())
     assert silent.undeclared_noise == {"pose", "pose_rad", "joint"}
+
+
+MISTAKES = {
+    "the quaternions of poses.csv are in the order qw, qx, qy, qz": lambda T, p: p[:, [0, 1, 2, 6, 3, 4, 5]],
+    "the orientations of poses.csv are those of the world in the target": lambda T, p: p * [1, 1, 1, -1, -1, -1, 1],
+    "the poses of poses.csv are those of the world in the target (of hand-eye samples: the other --eye)": (
+        lambda T, p: np.hstack([inverse(T)[:, :3, 3], matrix_to_quaternion(inverse(T)[:, :3, :3])])
+    ),
+}
+
+
+@pytest.mark.no_cover
+@pytest.mark.parametrize("what", MISTAKES)
+def test_poses_that_are_written_otherwise_are_named(what: str) -> None:
+    session = probed(20, offsets=offsets())
+    (table,) = session.measurements
+    T = np.tile(np.eye(4), (len(table), 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = table.rotations, table.place[:, :3]
+    wrong = replace(session, measurements=(replace(table, place=MISTAKES[what](T, table.place)),), noise=Noise())
+    with pytest.raises(CalibrationError, match=re.escape(f"{what}: with that mended the nominal arm is")):
+        calibrate(replace(wrong, estimate=Estimate("dh"), joint_models=RIGID))
 
 
 def test_exact_poses_give_base_and_probe_at_once() -> None:

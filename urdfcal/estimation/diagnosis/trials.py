@@ -13,7 +13,7 @@ from urdfcal.arrays import Floats, evenly, inverse
 from urdfcal.errors import CalibrationError, UrdfcalError
 from urdfcal.estimation.blocks.arm import no_offsets
 from urdfcal.estimation.diagnosis.family import family
-from urdfcal.estimation.measurements import Detections
+from urdfcal.estimation.measurements import Detections, Poses
 from urdfcal.estimation.model_spec import nominal
 from urdfcal.estimation.parameters import choose_parameters
 from urdfcal.estimation.problem import Problem
@@ -21,6 +21,7 @@ from urdfcal.estimation.solver import sketch
 from urdfcal.estimation.start import first_state
 from urdfcal.robot.chain import Chain
 from urdfcal.robot.tree_dh import rows_of
+from urdfcal.rotations import quaternion_to_matrix
 from urdfcal.session.model import MIN_POSES
 
 if TYPE_CHECKING:
@@ -37,6 +38,8 @@ _BETTER = 4.0
 _CLEAR = 1.5
 # What fits does so within ten steps; what does not may creep for a hundred.
 _STEPS = 15
+# Orientations count as what they move at this distance. [m]
+_LEVER = 0.1
 # Rows of one table may be shifted against the other's by so many poses.
 _SHIFTS = (1, -1, 2, -2)
 
@@ -115,13 +118,17 @@ def _miss(session: Session, progress: Progress | None) -> float:
     except UrdfcalError:
         return np.inf
     observed = problem.observations[0]
-    residual = problem.residual(observed, state)[..., observed.table.lengths]
+    residual = problem.residual(observed, state)
+    for of in observed.table.spread_of().values():
+        if of.unit == "rad":
+            residual[..., of.numbers] *= _LEVER
     return float(np.median(np.linalg.norm(residual, axis=-1)[observed.valid]))
 
 
 def _trials(session: Session) -> Iterator[Mending]:
     yield from _joint_trials(session)
     yield from _camera_trials(session)
+    yield from _pose_trials(session)
     yield from _family(session)
     carriers = {led.link or session.chain.tip_link for led in session.leds}
     for link in _links(session) if len(carriers) == 1 else ():
@@ -190,6 +197,38 @@ def _seen(session: Session, cameras: Sequence[int], change: Callable[[Floats, Fl
     uv[mine] = change(uv[mine], size[detections.camera[mine]])
     others = (table for table in session.measurements if table is not detections)
     return replace(session, measurements=(replace(detections, uv=uv), *others))
+
+
+def _pose_trials(session: Session) -> Iterator[Mending]:
+    table = session.find(Poses)
+    if table is None:
+        return
+    for what, change in _POSES_ARE.items():
+        others = tuple(of for of in session.measurements if of is not table)
+        changed = replace(table, place=change(table.place))
+        yield Mending(what, partial(replace, session, measurements=(changed, *others)))
+
+
+def _turned_back(place: Floats) -> Floats:
+    """Poses (S, 7) with each orientation's inverse."""
+    back: Floats = place * np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0, 1.0])
+    return back
+
+
+def _inverted(place: Floats) -> Floats:
+    """The inverses of poses (S, 7)."""
+    back = _turned_back(place)
+    R = np.array([quaternion_to_matrix(q) for q in back[:, 3:]])
+    back[:, :3] = -np.einsum("sij,sj->si", R, place[:, :3])
+    return back
+
+
+_POSES_ARE: dict[str, Callable[[Floats], Floats]] = {
+    "the quaternions of poses.csv are in the order qw, qx, qy, qz": lambda p: p[:, [0, 1, 2, 4, 5, 6, 3]],
+    "the orientations of poses.csv are those of the world in the target": _turned_back,
+    "the poses of poses.csv are those of the world in the target (of hand-eye samples: the other --eye)": _inverted,
+}
+"""What poses (S, 7) may be instead of x, y, z, qx, qy, qz, qw in the world, and how they are set right."""
 
 
 def _links(session: Session) -> list[str]:
