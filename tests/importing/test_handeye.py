@@ -163,14 +163,27 @@ def test_an_eye_that_the_file_contradicts_is_refused(tmp_path: Path, capsys: pyt
 
 
 @pytest.mark.no_cover
-def test_an_eye_that_the_samples_contradict_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    ("eye", "rolled", "what"),
+    [
+        ("base", False, "(of hand-eye samples: the other --eye)"),
+        ("hand", True, "the quaternions of poses.csv are in the order qw, qx, qy, qz"),
+    ],
+)
+def test_samples_that_are_others_are_refused(
+    tmp_path: Path, eye: str, rolled: bool, what: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "a.yaml").write_text(yaml.safe_dump(moveit("hand")))
-    assert run(["import", str(tmp_path / "a.yaml"), "-o", str(tmp_path / "s"), "--eye", "base"]) == 0
+    assert run(["import", str(tmp_path / "a.yaml"), "-o", str(tmp_path / "s"), "--eye", eye]) == 0
+    head, *rows = [line.split(",") for line in (tmp_path / "s" / "poses.csv").read_text().splitlines()]
+    assert head[-4:] == ["qx", "qy", "qz", "qw"]
+    written = [[*row[:-4], row[-1], *row[-4:-1]] if rolled else row for row in rows]
+    (tmp_path / "s" / "poses.csv").write_text("".join(",".join(row) + "\n" for row in (head, *written)))
     assert run(["calibrate", str(tmp_path / "s"), "-o", str(tmp_path / "out")]) == 1
     said = capsys.readouterr().err
-    assert "(of hand-eye samples: the other --eye)" in said
-    # The samples say nothing of noise, so that any residuals would be explained: these are none.
-    assert "nothing measures as badly as the residuals are, of which no noise is declared: pose_rad" in said
+    assert what in said
+    # The samples say nothing of noise: what residuals are of any size would be explained.
+    assert ("nothing measures as badly as the residuals are, of which no noise is declared: pose_rad" in said) == rolled
 
 
 def test_options_that_do_not_belong_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
