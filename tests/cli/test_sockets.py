@@ -83,6 +83,28 @@ class TestSimulated:
         assert run(["evaluate", str(result), str(session)]) == 0
         assert re.search(r"front_0 to front_1: 50\.\d+ mm, known as 50\.000 mm|49\.\d+ mm", capsys.readouterr().out)
 
+    def test_a_ball_that_was_fastened_anew_is_fitted(
+        self, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        document = json.loads((folder / "result" / "calibration.json").read_text())
+        document["leds"]["ball"]["position"][2] += 0.005
+        (tmp_path / "other.json").write_text(json.dumps(document))
+        here, there, anew = (
+            evaluated(capsys, of, folder / "session")
+            for of in (
+                folder / "result" / "panda_calibrated.urdf",
+                folder / "result",
+                tmp_path / "other.json",
+            )
+        )
+        assert anew["residual_mm"]["rms"] == pytest.approx(here["residual_mm"]["rms"], rel=1e-6)
+        assert anew["residual_mm"]["rms_nominal"] == there["residual_mm"]["rms_nominal"]
+        assert run(["evaluate", str(tmp_path / "other.json"), str(folder / "session")]) == 0
+        said = capsys.readouterr().err
+        assert re.search(r"LEDs are up to \d\.?\d* mm from where the calibration found them, which explains", said)
+        assert run(["evaluate", str(folder / "result"), str(folder / "session")]) == 0
+        assert "LEDs are up to" not in capsys.readouterr().err
+
     def test_it_says_whose_lengths_count(
         self, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:

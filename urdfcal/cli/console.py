@@ -61,14 +61,18 @@ def _wrapped(line: str, width: int) -> str:
     )
 
 
-def sheet(title: str, columns: list[str], texts: int = 1) -> Table:
-    """A table whose first ``texts`` columns are words, folded where the terminal is narrow, and the others numbers."""
+def sheet(title: str, columns: list[str], texts: int = 1, *, fold: bool = False) -> Table:
+    """A table whose first ``texts`` columns are words and the others numbers.
+
+    Where it is wider than the terminal heads of numbers are broken, or, with ``fold``, words: for heads that are short.
+    """
     from rich import box
     from rich.table import Table
 
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
     for i, column in enumerate(columns):
-        table.add_column(column, justify="left" if i < texts else "right", no_wrap=i >= texts, overflow="fold")
+        word = i < texts
+        table.add_column(column, justify="left" if word else "right", no_wrap=word != fold, overflow="fold")
     return table
 
 

@@ -340,7 +340,7 @@ def _sentence(changes: ArmChanges) -> str:
 
 def _table(changes: ArmChanges) -> object:
     title = "changes beyond chance; tip: what all of the joint's move it by"
-    rows = sheet(title, ["parameter", "unit", "first", "change", "sigma", "sigmas", "tip (mm)"], texts=2)
+    rows = sheet(title, ["parameter", "unit", "first", "change", "sigma", "sigmas", "tip (mm)"], texts=2, fold=True)
     for p in changes.significant:
         values = [f"{1e3 * value:.3f}" for value in (p.offsets[0], p.change, p.sigma)]
         tip = f"{1e3 * changes.joints[p.joint]:.3f}"

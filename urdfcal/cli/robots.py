@@ -19,11 +19,14 @@ if TYPE_CHECKING:
     from urdfcal.estimation.evaluation import Explanation
     from urdfcal.result.calibration import Calibration
     from urdfcal.robot.dh import Convention, DHTable
+    from urdfcal.robot.mechanism import Mechanism
     from urdfcal.session.model import Session
 
 # Points this many times farther apart than the arm reaches are in another unit.
 _FAR = 20.0
 # As in urdfcal.result.calibration, which takes long to import.
+# A ball that was mounted anew by millimetres multiplies the residuals by ten; to hold it that costs less is no sign.
+_ELSEWHERE = 2.0
 _RESULT = "calibration.json"
 _ACROSS = "across_rays_mm"
 _FITTED_ANEW = (
@@ -55,10 +58,10 @@ def evaluate(
 
     With a session, base pose, LED positions and what else it does not know (camera poses, places) are fitted; the arm
     is A's, and for comparison the session's own as its URDF and cameras have it (nominal). Of a RESULT, a folder that
-    calibrate has written or its calibration.json, arm and LEDs are as calibrated, and lenses that it estimated where
-    they suit better than the session's. Poses outside its measured domain are counted. Known distances of places take
-    no part: they are shown beside those that come out. Pixels are given in mm as well, at the LED across the ray and
-    without outliers, as calibrate gives held-out poses.
+    calibrate has written or its calibration.json, arm and LEDs are as calibrated, unless these were fastened anew, and
+    lenses that it estimated where they suit better than the session's. Poses outside its measured domain are counted.
+    Known distances of places take no part: they are shown beside those that come out. Pixels are given in mm as well,
+    at the LED across the ray and without outliers, as calibrate gives held-out poses.
     """
     if turned := _reversed(Path(urdf), Path(other)):
         raise click.UsageError(turned)
@@ -131,15 +134,13 @@ def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
             remedy = "Coordinates are in metres; these look like millimetres."
             raise SessionError(what, where=str(points), remedy=remedy)
         session = replace(session, measurements=(measured,), leds=leds, moved={})
-    if calibration is not None:
-        session = _leds_as_calibrated(session, calibration)
-    bends, arm = None if calibration is None else calibration.joint_models, arm_of(urdf, calibration, session, folder)
+    arm = arm_of(urdf, calibration, session, folder)
     try:
         nominal = _sizes(session, explain(session.chain, session))
     except CalibrationError:  # the nominal arm is too far off for these measurements
         nominal = {}
     session, lenses = lenses_as_calibrated(session, arm, calibration)
-    explained = explain(arm, session, bends=bends)
+    explained, elsewhere = _explained(arm, session, calibration)
     result: dict[str, Any] = {"a": urdf, "session": str(folder), "points": points and str(points)}
     for quantity, values in _sizes(session, explained).items():
         drawn = rms(nominal[quantity]) if quantity in nominal else None
@@ -162,6 +163,7 @@ def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
     for remark in (
         *([_FITTED_ANEW] if known else []),
         *(cut if outliers and _ACROSS in result else []),
+        *elsewhere,
         *lenses.remarks,
         *domain.remarks,
     ):
@@ -191,6 +193,28 @@ def _sizes(session: Session, explained: Explanation) -> dict[str, Floats]:
     if off:
         sizes[_ACROSS] = 1e3 * np.concatenate(off)
     return sizes
+
+
+def _explained(arm: Mechanism, session: Session, calibration: Calibration | None) -> tuple[Explanation, list[str]]:
+    """Explain a session with its LEDs where a calibration found them, or where they are now; and what is to be said."""
+    import numpy as np
+
+    from urdfcal.arrays import rms
+    from urdfcal.estimation.blocks.leds import LEDS
+    from urdfcal.estimation.evaluation import explain
+
+    fitted = explain(arm, session, bends=None if calibration is None else calibration.joint_models)
+    held = session if calibration is None else _leds_as_calibrated(session, calibration)
+    if calibration is None or held is session:
+        return fitted, []
+    explained = explain(arm, held, bends=calibration.joint_models)
+    now, then = (rms(np.concatenate([np.ravel(of) for of in each.residuals])) for each in (fitted, explained))
+    if then <= _ELSEWHERE * now:
+        return explained, []
+    places = (each.fit.state[LEDS] for each in (fitted, explained))
+    apart = 1e3 * float(np.linalg.norm(np.subtract(*places), axis=1).max())
+    what = f"LEDs are up to {apart:.2g} mm from where the calibration found them, which explains {then / now:.2g} times"
+    return fitted, [f"{what} the residuals: they are fitted to this session"]
 
 
 def _leds_as_calibrated(session: Session, calibration: Calibration) -> Session:

@@ -92,4 +92,5 @@ def _known_on_links(document: ResultData) -> str:
     sigmas += [target["sigma"][:3] for target in document["targets"].values()]
     sigmas += [camera["sigma"].get("T_link_camera", ())[:3] for camera in document["cameras"].values()]
     worst = max((sigma for each in sigmas for sigma in each if sigma is not None), default=0.0)
-    return f" (± {1e3 * worst:.2g} mm)" if worst else ""
+    size = f"{1e3 * worst:.0f}" if worst >= 0.1 else f"{1e3 * worst:.2g}"
+    return f" (± {size} mm)" if worst else ""
