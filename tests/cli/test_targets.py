@@ -13,6 +13,7 @@ import yaml
 import urdfcal
 from tests.halved import halved
 from urdfcal.cli import run
+from urdfcal.detection.targets.find import Found
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -73,7 +74,29 @@ def test_another_board_than_the_one_named_is_said_with_what_was_seen(
     said = capsys.readouterr().err
     assert "target 'board' is found in 0 of 3 images" in said
     assert "markers of DICT_5X5 up to number 16 were found, DICT_6X6_250 asked for" in said
+    assert "neither dark nor glaring" not in said
     assert not (tmp_path / "detections.csv").exists()
+
+
+def test_another_kind_of_board_is_said_before_every_picture_is_searched(
+    pictures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def in_vain(*_: object) -> Found:
+        searched.append(1)
+        return Found(np.full((1, 2), np.nan), np.full(1, np.nan), "it is not found")
+
+    searched: list[int] = []
+    for module in ("alternatives", "search"):
+        monkeypatch.setattr(f"urdfcal.detection.targets.{module}.find_target", in_vain)
+    content = yaml.safe_load((pictures / "session.yaml").read_text())
+    content["targets"]["board"] = {"kind": "chessboard", "size": [5, 7], "square": 0.036, "link": "world"}
+    (tmp_path / "session.yaml").write_text(yaml.safe_dump(content))
+    for name in ("cameras.yaml", "joints.csv", "images"):
+        (tmp_path / name).symlink_to(pictures / name)
+    assert run(["detect", str(tmp_path)]) == 2
+    said = capsys.readouterr().err
+    assert "markers of DICT_5X5 up to number 16 were found, a chessboard asked for. Write under targets what" in said
+    assert len(searched) == 3
 
 
 def test_a_board_that_looks_the_same_turned_around_is_read_as_the_arm_turns(

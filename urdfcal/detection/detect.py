@@ -17,7 +17,7 @@ from urdfcal.detection.held import Shown
 from urdfcal.detection.image_index import ImageIndex, read_index
 from urdfcal.detection.led_frames import frames_in_base, led_frames
 from urdfcal.detection.spots.detector import fall_off, find_spots
-from urdfcal.detection.targets.search import find_targets
+from urdfcal.detection.targets.search import REMEDY, find_targets
 from urdfcal.errors import OutputError, SessionError
 from urdfcal.estimation.measurements import Detections
 from urdfcal.files import staged
@@ -79,7 +79,9 @@ class Detected:
         if not self.found:
             remedy = f"What was seen instead: {self.summary()}."
             if self.targets.warnings:
-                raise SessionError("; ".join(self.targets.warnings), remedy=remedy)
+                # Where another print was recognized, sharp pictures and their light are beside the point.
+                told = self.targets.told and not self.positions.leds
+                raise SessionError("; ".join(self.targets.warnings), remedy=REMEDY if told else remedy)
             raise SessionError(f"no LED was found in {self.index.count} images", remedy=remedy)
         parts = []
         for c, (shots, images, spots) in enumerate(zip(self.index.shots, self.index.images, self.spots, strict=True)):

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from urdfcal.cameras.camera import Camera
-from urdfcal.detection.targets.alternatives import other_print
-from urdfcal.detection.targets.find import find_target
+from urdfcal.detection.targets.alternatives import another_board, other_print
+from urdfcal.detection.targets.find import Found, find_target
 from urdfcal.rotations import rpy_to_matrix
 from urdfcal.session.pattern import (
     AprilTagPattern,
@@ -137,7 +137,32 @@ def test_why_nothing_is_found_is_said(how: dict[str, float], reason: str) -> Non
 def test_another_print_is_named_by_what_is_seen(printed: str, named: Pattern, what: str) -> None:
     pattern, rng = PATTERNS[printed], np.random.default_rng(5)
     images = [(CAMERA, picture(pattern, place(pattern, rng), seed)) for seed in range(2)]
-    assert what in other_print(Target("t", named), images)
+    seen = other_print(Target("t", named), images)
+    assert what in seen.words
+    assert seen.told
+
+
+def test_three_pictures_of_another_board_are_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each takes seconds in which a chessboard is searched in vain; nothing that is recognized does not count."""
+    none = Found(np.full((1, 2), np.nan), np.full(1, np.nan), "it is not found")
+    monkeypatch.setattr("urdfcal.detection.targets.alternatives.find_target", lambda *_: none)
+    rng, charuco, chess = np.random.default_rng(5), PATTERNS["charuco"], PATTERNS["chessboard"]
+    markers, squares = (picture(of, place(of, rng)) for of in (charuco, chess))
+    nothing, asked = np.full_like(markers, 90), Target("t", ChessboardPattern((5, 7), 0.03))
+
+    def said(target: Target, *images: np.ndarray) -> tuple[str, int]:
+        left = iter([(CAMERA, image) for image in images])
+        return another_board(target, left), len(list(left))
+
+    words = "markers of DICT_5X5 up to number 16 were found, a chessboard asked for"
+    assert said(asked, markers, nothing, markers, markers, markers, markers) == (words, 2)
+    assert said(asked, squares, squares, squares)[0].startswith("a board of 7 x 4 inner corners was found")
+    assert said(asked, markers, markers) == ("", 0)
+    assert said(asked, markers, squares, markers, markers) == ("", 2)
+    # Other kinds are searched quickly, and may be out of view for long.
+    assert said(Target("t", PATTERNS["circles"]), *[markers] * 4) == ("", 4)
+    monkeypatch.undo()
+    assert said(Target("t", chess), squares, markers) == ("", 1)
 
 
 def test_points_that_are_not_the_target_s_are_refused() -> None:

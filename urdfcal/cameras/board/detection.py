@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,6 +32,19 @@ _FEWEST_MARKERS = 4
 _WIDEST, _BETTER = 40, 3.0
 
 
+@dataclass(frozen=True)
+class Seen:
+    """What an image shows where a board is not found.
+
+    Attributes:
+        words: what is said of it.
+        other: the other board that is there, by its dictionary or size; empty if none is recognized.
+    """
+
+    words: str
+    other: str = ""
+
+
 def detect_board(image: Image, board: Board) -> Corners | None:
     """Find the corners of ``board``.
 
@@ -50,33 +64,44 @@ def detect_board(image: Image, board: Board) -> Corners | None:
 
 def what_is_seen(image: Image, board: Board) -> str:
     """Say why :func:`detect_board` finds nothing in ``image``: which board is there instead."""
+    return seen_instead(image, board).words
+
+
+def seen_instead(image: Image, board: Board) -> Seen:
+    """Tell which board is in ``image`` where :func:`detect_board` finds nothing."""
     import cv2
 
     eight = _eight_bit(image)
     asked = " x ".join(map(str, board.shape))
-    if board.kind == "charuco":
-        markers = _read_markers(eight, str(board.dictionary))
-        if len(markers) >= _FEWEST_MARKERS:
-            columns, rows, first = _laid_out(markers, board)
-            if columns == board.columns and rows <= board.rows and first == _first(board):
-                return "its markers are found, but no corner between them"
-            if columns == board.columns and rows <= board.rows:
-                return f"its first square {'holds a marker' if first else 'is black'}: legacy: {str(first).lower()}"
-            asked = f"{board.columns} x {board.rows} asked for"
-            return f"markers as on a board {columns} squares wide and {rows} or more high were found, {asked}"
+    if board.kind == "charuco" and len(markers := _read_markers(eight, str(board.dictionary))) >= _FEWEST_MARKERS:
+        return _otherwise_laid_out(markers, board)
     for name in _FAMILIES:
         if len(markers := _read_markers(eight, f"DICT_{name}")) >= _FEWEST_MARKERS:
-            what = f"markers of DICT_{name.removesuffix('_1000')} up to number {max(markers)} were found"
-            return f"{what}, {board.dictionary or 'a chessboard'} asked for"
+            family = f"DICT_{name.removesuffix('_1000')}"
+            what = f"markers of {family} up to number {max(markers)} were found"
+            return Seen(f"{what}, {board.dictionary or 'a chessboard'} asked for", family)
     seen, _, squares = cv2.findChessboardCornersSBWithMeta(
         eight, (3, 3), cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_LARGER
     )
     size = " x ".join(map(str, sorted(squares.shape, reverse=True))) if seen else ""
     if seen and board.kind == "chessboard" and sorted(squares.shape) != sorted(board.shape):
-        return f"a board of {size} inner corners was found, {asked} asked for"
+        return Seen(f"a board of {size} inner corners was found, {asked} asked for", size)
     if seen and board.kind == "charuco":
-        return f"a chessboard of {size} inner corners was found, a ChArUco board asked for"
-    return f"no board is found in it{'; a chessboard must be wholly in view' if board.kind == 'chessboard' else ''}"
+        return Seen(f"a chessboard of {size} inner corners was found, a ChArUco board asked for", size)
+    hint = "; a chessboard must be wholly in view" if board.kind == "chessboard" else ""
+    return Seen(f"no board is found in it{hint}")
+
+
+def _otherwise_laid_out(markers: Mapping[int, Any], board: Board) -> Seen:
+    """Tell how a ChArUco board with the right markers differs from the one asked for."""
+    columns, rows, first = _laid_out(markers, board)
+    if columns != board.columns or rows > board.rows:
+        what = f"markers as on a board {columns} squares wide and {rows} or more high were found"
+        return Seen(f"{what}, {board.columns} x {board.rows} asked for", f"{columns} x {rows}")
+    if first != _first(board):
+        words = f"its first square {'holds a marker' if first else 'is black'}: legacy: {str(first).lower()}"
+        return Seen(words, words)
+    return Seen("its markers are found, but no corner between them")
 
 
 def _eight_bit(image: Image) -> Image:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from urdfcal.cameras.board.detection import what_is_seen
+from urdfcal.cameras.board.detection import seen_instead
 from urdfcal.detection.targets.find import eight_bits, find_target
 from urdfcal.detection.targets.tags import find_markers
 from urdfcal.errors import SessionError
 from urdfcal.session.pattern import ChessboardPattern, CirclesPattern, TagsPattern
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from urdfcal.cameras.camera import Camera
     from urdfcal.images.files import Image
@@ -33,10 +33,25 @@ _DICTIONARIES = (
 )
 # A single marker is a chance likeness.
 _CHANCE = 2
+# So many images that show the same other board leave no doubt of it; each takes seconds to be searched in vain.
+_ENOUGH = 3
 
 
-def other_print(target: Target, images: Sequence[tuple[Camera, Image]]) -> str:
-    """Say what is seen instead of a target, as the end of a sentence.
+@dataclass(frozen=True)
+class Instead:
+    """What pictures show instead of a target.
+
+    Attributes:
+        words: the end of a sentence that says that the target is not found.
+        told: whether another print was recognized, so that nothing else need be asked of the pictures.
+    """
+
+    words: str = ""
+    told: bool = False
+
+
+def other_print(target: Target, images: Sequence[tuple[Camera, Image]]) -> Instead:
+    """Tell what is seen instead of a target.
 
     Args:
         target: that is not found.
@@ -45,19 +60,48 @@ def other_print(target: Target, images: Sequence[tuple[Camera, Image]]) -> str:
     pattern = target.pattern
     missed = [(camera, image) for camera, image in images if find_target(image, target, camera).reason]
     if isinstance(pattern, ChessboardPattern):
-        said = Counter(what_is_seen(image, pattern.board) for _, image in missed)
-        return f": {said.most_common(1)[0][0]}" if said else ""
+        said = Counter(seen_instead(image, pattern.board) for _, image in missed)
+        if not said:
+            return Instead()
+        seen = said.most_common(1)[0][0]
+        return Instead(f": {seen.words}", told=bool(seen.other))
     if isinstance(pattern, CirclesPattern):
         for other in _grids(pattern):
             named = replace(target, pattern=other)
             found = sum(not find_target(image, named, camera).reason for camera, image in missed)
             if 2 * found > len(missed):
-                return f": {other.kind} of {other.size[0]} x {other.size[1]} are found; is it that?"
+                return Instead(f": {other.kind} of {other.size[0]} x {other.size[1]} are found; is it that?", told=True)
+        return Instead()
+    return _markers(pattern, missed) if isinstance(pattern, TagsPattern) else Instead()
+
+
+def another_board(target: Target, images: Iterable[tuple[Camera, Image]]) -> str:
+    """Say which one board the first images show instead of a chessboard that is in none of them.
+
+    Args:
+        target: that is looked for; of other kinds than chessboards nothing is said, their search takes no time.
+        images: with their cameras; no more are read than are needed.
+
+    Returns:
+        What was found and what was asked for; empty if an image shows the target, or too few the same other one.
+    """
+    pattern, others = target.pattern, Counter[str]()
+    if not isinstance(pattern, ChessboardPattern) or pattern.kind != "chessboard":
         return ""
-    return _markers(pattern, missed) if isinstance(pattern, TagsPattern) else ""
+    for camera, image in images:
+        if not find_target(image, target, camera).reason:
+            return ""
+        seen = seen_instead(image, pattern.board)
+        # Nothing that is recognized speaks for nothing: a board may be out of view, or cut.
+        others.update([seen.other] if seen.other else [])
+        if len(others) > 1:  # cut differently, or what stands around
+            return ""
+        if others[seen.other] == _ENOUGH:
+            return seen.words
+    return ""
 
 
-def _markers(pattern: TagsPattern, images: Sequence[tuple[Camera, Image]]) -> str:
+def _markers(pattern: TagsPattern, images: Sequence[tuple[Camera, Image]]) -> Instead:
     """Name the markers that are seen."""
     seen: dict[str, Counter[int]] = {name: Counter() for name in (pattern.opencv, *_DICTIONARIES)}
     for _, image in images:
@@ -66,9 +110,11 @@ def _markers(pattern: TagsPattern, images: Sequence[tuple[Camera, Image]]) -> st
             numbers.update(find_markers(grey, name).keys())
     best = max(seen, key=lambda name: (sum(seen[name].values()), name == pattern.opencv))
     if sum(seen[best].values()) < _CHANCE:
-        return ": no markers of any dictionary are seen"
+        return Instead(": no markers of any dictionary are seen")
     asked = f"{_numbers(set(pattern.tags))} of {pattern.opencv} asked for"
-    return f": markers {_numbers(set(seen[best]))} of {best} are seen, {asked}"
+    # Those that were asked for and are seen nevertheless may be too small or too soft.
+    told = best != pattern.opencv or not set(seen[best]) & set(pattern.tags)
+    return Instead(f": markers {_numbers(set(seen[best]))} of {best} are seen, {asked}", told)
 
 
 def _numbers(numbers: set[int]) -> str:

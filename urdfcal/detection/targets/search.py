@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from urdfcal.arrays import evenly
-from urdfcal.detection.targets.alternatives import other_print
+from urdfcal.detection.targets.alternatives import another_board, other_print
 from urdfcal.detection.targets.find import Found, find_target
 from urdfcal.detection.targets.turned import UNTOLD, View, is_guessed, readings
 from urdfcal.errors import SessionError
@@ -30,6 +30,9 @@ _LEAST_SIGMA = 5e-3
 # A target that is found in less of the images may be another one; some images decide.
 _RARE, _LOOKED_AT = 0.25, 6
 
+REMEDY = "Write under targets what is on the pictures, or take out those that do not show what is written there."
+"""What to do where pictures show another print than a session names."""
+
 
 @dataclass(frozen=True, eq=False)
 class TargetSightings:
@@ -40,12 +43,14 @@ class TargetSightings:
         rejected: pose, camera, target and reason of every image in which one was not found.
         warnings: targets that are seldom found, and what is seen instead.
         images: how many were looked at.
+        told: whether in place of each target that is seldom found another print was recognized.
     """
 
     detections: Detections | None
     rejected: tuple[tuple[str, str, str, str], ...]
     warnings: tuple[str, ...]
     images: int
+    told: bool = False
 
 
 def find_targets(
@@ -59,11 +64,13 @@ def find_targets(
         progress: called with the number of images looked at since the last call.
 
     Raises:
-        SessionError: the points of a target that looks the same turned around cannot be told apart.
+        SessionError: the points of a target that looks the same turned around cannot be told apart, or the first
+            pictures that are looked at show another board.
         CameraError: an image cannot be read, or has another size than its camera.
     """
     targets, first = positions.targets, len(positions.leds)
     ends = first + np.cumsum([0, *(len(target.points) for target in targets)])
+    _check_prints(positions, index)
     parts, rejected, images = [], [], 0
     seen: Counter[str] = Counter()
     views: list[list[tuple[View, Floats]]] = [[] for _ in targets]
@@ -100,16 +107,35 @@ def find_targets(
     detections = Detections(*(np.concatenate(column) for column in zip(*parts, strict=True))) if parts else None
     rare = [target for target in targets if target.point_names and seen[target.name] < _RARE * images]
     sample = list(_sample(positions, index)) if rare else []
+    instead = {target.name: other_print(target, sample) for target in rare}
     warnings = [
         f"target {target.name!r} looks the same turned around: the base is taken to have turned by less than "
         f"{180 // len(target.pattern.symmetries)} degrees whenever it moved"
         for t, target in enumerate(targets)
         if seen[target.name] and is_guessed(positions, t)
     ]
-    for target in rare:
-        instead = other_print(target, sample)
-        warnings.append(f"target {target.name!r} is found in {seen[target.name]} of {images} images{instead}")
-    return TargetSightings(detections, tuple(rejected), tuple(warnings), images)
+    for name, other in instead.items():
+        warnings.append(f"target {name!r} is found in {seen[name]} of {images} images{other.words}")
+    told = bool(instead) and all(other.told for other in instead.values())
+    return TargetSightings(detections, tuple(rejected), tuple(warnings), images, told)
+
+
+def _check_prints(positions: Positions, index: ImageIndex) -> None:
+    """Refuse targets that are all printed otherwise than is said, before every picture is searched in vain.
+
+    Raises:
+        SessionError: the first of some pictures, spread over all of them, show another board and none of the targets.
+    """
+    printed = [target for target in positions.targets if target.point_names]
+    # With so few there is nothing to be gained.
+    if positions.leds or not printed or sum(map(len, index.picture_files)) <= _LOOKED_AT:
+        return
+    said = []
+    for target in printed:
+        if not (other := another_board(target, _sample(positions, index))):
+            return
+        said.append(f"target {target.name!r} is in none of the images that were looked at: {other}")
+    raise SessionError("; ".join(said), where="targets", remedy=REMEDY)
 
 
 def _orders(positions: Positions, t: int, views: list[View]) -> Sequence[Ints | None]:
@@ -133,6 +159,12 @@ def _orders(positions: Positions, t: int, views: list[View]) -> Sequence[Ints | 
 
 
 def _sample(positions: Positions, index: ImageIndex) -> Iterator[tuple[Camera, Image]]:
-    for camera, pictures in zip(positions.rig.cameras, index.picture_files, strict=True):
-        for k in evenly(np.arange(len(pictures)), _LOOKED_AT).tolist():
-            yield camera, pictures[k].lit(camera.resolution)
+    """Some pictures of each camera, spread over its own; the cameras take turns."""
+    chosen = [
+        (turn, c, k)
+        for c, pictures in enumerate(index.picture_files)
+        for turn, k in enumerate(evenly(np.arange(len(pictures)), _LOOKED_AT).tolist())
+    ]
+    for _, c, k in sorted(chosen):
+        camera = positions.rig.cameras[c]
+        yield camera, index.picture_files[c][k].lit(camera.resolution)
