@@ -104,6 +104,13 @@ def changed(**sample: Any) -> str:
     return yaml.safe_dump(content)
 
 
+def in_millimetres(samples: list[dict]) -> list[dict]:
+    return [
+        {key: [1e3 * value if k in (3, 7, 11) else value for k, value in enumerate(T)] for key, T in sample.items()}
+        for sample in samples
+    ]
+
+
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
@@ -126,6 +133,16 @@ def changed(**sample: Any) -> str:
             "a.yaml",
             yaml.safe_dump([{"effector_wrt_world": [1.0] * 16, "object_wrt_sensor": [0.0] * 16}]),
             "it is no pose",
+        ),
+        (
+            "a.yaml",
+            yaml.safe_dump(in_millimetres(moveit("hand"))),
+            "more. Write positions in metres; if they are in millimetres, divide them by 1000.",
+        ),
+        (
+            "a.samples",
+            changed(tracking=transform(pose([0, 0, 0], [300.0, 0.0, 400.0]))),
+            "key 'tracking': the position of sample 4, [300, 0, 400], is 500 m away. Write",
         ),
         ("a.samples", yaml.safe_dump(easy("hand") | {"samples": easy("hand")["samples"][:2]}), "2 poses are too few"),
         (

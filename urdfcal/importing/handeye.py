@@ -35,6 +35,8 @@ Eye = Literal["hand", "base"]
 
 # How far a matrix or a quaternion may be from a rotation: six digits of an angle.
 _RIGID = 1e-3
+# No arm reaches, and no camera sees a tag, as far as this; in millimetres every sample is farther. [m]
+_FARTHEST = 20.0
 
 
 def _rigid(values: list[float]) -> list[float]:
@@ -139,7 +141,7 @@ def read_handeye(path: Path, eye: Eye | None = None) -> HandEyeSamples:
         eye: what carries the camera; None where the file says it.
 
     Raises:
-        SessionError: it is neither, a sample is no pair of poses, or what carries the camera is not known.
+        SessionError: it is neither, a sample is no pair of poses in metres, or what carries the camera is not known.
     """
     document = Document.read(path)
     moveit = isinstance(document.data, list)
@@ -156,6 +158,9 @@ def read_handeye(path: Path, eye: Eye | None = None) -> HandEyeSamples:
         pairs = [part.validate(_EasySample) for part in parts]
         both = [[of.robot.T.ravel().tolist(), of.tracking.T.ravel().tolist()] for of in pairs]
     robot, seen = np.array(both).reshape(-1, 2, 4, 4).swapaxes(0, 1)
+    keys = ("effector_wrt_world", "object_wrt_sensor") if moveit else ("robot", "tracking")
+    for key, T in zip(keys, (robot, seen), strict=True):
+        _check_metres(parts, key, T)
     told = _TYPES.get(names.calibration_type)
     if eye is not None and told is not None and eye != told:
         remedy = f"Leave --eye out, or write --eye {told}."
@@ -170,6 +175,28 @@ def read_handeye(path: Path, eye: Eye | None = None) -> HandEyeSamples:
     T_eye_other = robot if moveit and eye == "base" else inverse(robot)
     base, hand = names.robot_base_frame or "base", names.robot_effector_frame or "hand"
     return HandEyeSamples(eye, T_eye_other, seen, base, hand, names.tracking_marker_frame or "target")
+
+
+def _check_metres(parts: list[Document], key: str, T: Floats) -> None:
+    """Refuse positions that are too far away to be in metres.
+
+    Args:
+        parts: the samples.
+        key: of the pose in each.
+        T: (N, 4, 4) the poses.
+
+    Raises:
+        SessionError: naming the first sample.
+    """
+    away = np.linalg.norm(T[:, :3, 3], axis=1)
+    if not (far := np.flatnonzero(away > _FARTHEST)).size:
+        return
+    first = int(far[0])
+    position = ", ".join(f"{value:.4g}" for value in T[first, :3, 3])
+    what = f"the position of sample {first + 1}, [{position}], is {away[first]:.4g} m away"
+    many = f", and so far are {far.size - 1} more" if far.size > 1 else ""
+    remedy = "Write positions in metres; if they are in millimetres, divide them by 1000."
+    raise SessionError(f"{what}{many}", where=parts[first].place(key), remedy=remedy)
 
 
 def handeye_session(samples: HandEyeSamples) -> Session:
