@@ -17,6 +17,7 @@ from urdfcal.cli.plan import _print
 from urdfcal.io.folder import read_rig
 from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.io.tables import read_joints
+from urdfcal.planning.files import labels
 from urdfcal.robot.kinematics import tip_poses
 
 if TYPE_CHECKING:
@@ -77,9 +78,39 @@ def test_a_calibration_says_how_far_the_arm_is_off_in_the_poses_to_check_by(caps
     assert "in the 4 poses left out" in Path("out/report.html").read_text()
 
 
+def test_names_go_on_where_a_plan_goes_on_from_a_session(capsys: pytest.CaptureFixture[str]) -> None:
+    """Check poses of both sessions can be left out by their names alone, those that are left out already, too."""
+    assert run(["simulate", "elbow3r", "-o", "s", "--poses", "12"]) == 0
+    for name in ("joints", "detections"):
+        text = Path(f"s/{name}.csv").read_text()
+        Path(f"s/{name}.csv").write_text(re.sub(r"^1([12]),", r"check\1,", text, flags=re.M))
+    file = Path("s/session.yaml")
+    file.write_text(f"{file.read_text()}exclude: {{poses: [check2]}}\n")
+    capsys.readouterr()
+    assert run(["plan", "s", "-o", "plan.csv", "--candidates", "300", "--poses", "3"]) == 0
+    assert "calibrate with --exclude-poses\n  check3,check4,check5,check6\n" in capsys.readouterr().out
+    table = read_joints(Path("plan.csv"), chain(), chain().names)
+    assert [label for label in table.poses if label.isdigit()] == ["11", "12", "13"]
+
+
+@pytest.mark.parametrize(
+    ("before", "expected"),
+    [
+        ((), ["1", "check1", "pass1", "2"]),
+        (("08", "9", "check4", "pass2", "checked", "tool1"), ["10", "check5", "pass3", "11"]),
+        (("1700000000123456",), ["1", "check1", "pass1", "2"]),
+    ],
+)
+def test_names_of_a_plan_are_none_of_its_session(before: tuple[str, ...], expected: list[str]) -> None:
+    rank, check = np.array([0, -1, -1, 1]), np.array([False, True, False, False])
+    assert labels(SimpleNamespace(count=2, rank=rank, check=check, before=before)) == expected
+
+
 def test_of_many_poses_every_tenth_is_in_the_table(capsys: pytest.CaptureFixture[str]) -> None:
     errors, none = np.linspace(1e-3, 1e-4, 25), np.zeros(24, dtype=bool)
-    plan = SimpleNamespace(count=24, errors=errors, likely=errors, measured=~none, check=none, rank=np.arange(24))
+    plan = SimpleNamespace(
+        count=24, errors=errors, likely=errors, measured=~none, check=none, rank=np.arange(24), before=()
+    )
     _print(plan, ["plan.csv"], None, "")
     lines = capsys.readouterr().out.splitlines()
     rows = [line.split()[0] for line in lines if re.fullmatch(r" *\d+( +[\d.]+){2} *", line)]

@@ -117,7 +117,7 @@ def test_what_moved_is_proposed_and_mends_it(folders: Path, tmp_path: Path, caps
     [
         (("before", "before"), [], r"before: this session is named twice\. Measurements count once"),
         (("before", "after/../before"), [], "this session is named twice"),
-        (("before", "after"), ["33", "99"], r"'99' are poses of none of the sessions\. Write before/99"),
+        (("before", "after"), ["33", "99"], r"'99' is in none of the sessions\. Write before/99"),
         (("before", "after"), ["after/3"], "--exclude-poses: there is no pose '3'"),
     ],
 )
@@ -131,7 +131,7 @@ def test_what_is_no_several_sessions_is_refused(
 def test_a_pose_that_two_sessions_have_needs_the_name_of_one(folders: Path, tmp_path: Path) -> None:
     for name in ("a", "b"):
         write_session(tmp_path / name, read_session(folders / "before"))
-    with pytest.raises(SessionError, match=r"--exclude-poses: '03' are poses of a and b\. Write a/03"):
+    with pytest.raises(SessionError, match=r"--exclude-poses: '03' is in each of a, b\. Write a/03 or b/03\."):
         read_sessions([tmp_path / name for name in ("a", "b")], exclude_poses=["03"])
 
 

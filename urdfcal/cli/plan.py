@@ -90,6 +90,7 @@ def command(
 
     Rows named check1, check2, ... are random poses, a fifth more and at least four, to check the result by. Measure
     them with the others and calibrate with --exclude-poses check1,check2,...: it says how far the arm is off in them.
+    Where a SESSION has such rows and numbers already, these names go on: check5, ...
 
     Exit status 1 says that --until cannot be reached.
     """

@@ -156,8 +156,8 @@ def _by_session(excluded: Sequence[str], paths: Mapping[str, str | Path]) -> dic
         if not whose:
             whose = [name for name, path in paths.items() if _has(read_positions(path).poses, label)]
             if len(whose) != 1:
-                which = f"are poses of {' and '.join(whose)}" if whose else "are poses of none of the sessions"
-                remedy = f"Write {(whose or list(paths))[0]}/{label}."
+                which = f"is in each of {', '.join(whose)}" if whose else "is in none of the sessions"
+                remedy = f"Write {' or '.join(f'{name}/{label}' for name in whose or [next(iter(paths))])}."
                 raise SessionError(f"{label!r} {which}", where="--exclude-poses", remedy=remedy)
         found[whose[0]].append(label if len(paths) == 1 else label.removeprefix(f"{whose[0]}/"))
     return found

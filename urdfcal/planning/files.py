@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
 
 import numpy as np
@@ -13,7 +14,7 @@ from urdfcal.io.tables import read_joints
 from urdfcal.names import PASS, is_passed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Collection
     from pathlib import Path
 
     from urdfcal.arrays import Floats
@@ -29,15 +30,29 @@ _SPEED, _ACCELERATION = 0.25, 0.5
 _REST = 2.0
 
 
+# Labels of more digits are a clock's, and no plan's.
+_DIGITS = 4
+
+
 def labels(plan: Plan) -> list[str]:
-    """Name poses in the order of the moves: numbers, check1 and so on; pass1 and so on where the arm only passes."""
-    width, numbers = len(str(plan.count)), dict.fromkeys(("", "check", PASS), 0)
+    """Name poses in the order of the moves: numbers, check1 and so on; pass1 and so on where the arm only passes.
+
+    Where a plan goes on from a session, each kind goes on from the session's: poses of both can be told by their names.
+    """
+    numbers = {kind: _last(plan.before, kind) for kind in ("", "check", PASS)}
+    width = len(str(numbers[""] + plan.count))
     names = []
     for rank, check in zip(plan.rank.tolist(), plan.check.tolist(), strict=True):
         kind = "" if rank >= 0 else "check" if check else PASS
         numbers[kind] += 1
         names.append(f"{numbers[kind]:0{width}d}" if rank >= 0 else f"{kind}{numbers[kind]}")
     return names
+
+
+def _last(names: Collection[str], kind: str) -> int:
+    """The largest number among names of a kind; 0 where there is none."""
+    found = (re.fullmatch(rf"{kind}(\d{{1,{_DIGITS}}})", name) for name in names)
+    return max((int(of[1]) for of in found if of is not None), default=0)
 
 
 def read_plan(path: Path, chain: Mechanism, *, passing: bool) -> tuple[tuple[str, ...], Floats]:

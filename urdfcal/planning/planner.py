@@ -81,6 +81,7 @@ class Plan:
         floor: what no poses would take away of the expected error. [m]
         outlook: the expected error at each place of the workspace.
         warnings: what could not be checked, and what no poses tell.
+        before: names of the poses of the session that it goes on from, those that are left out of it among them.
     """
 
     setup: Setup
@@ -93,6 +94,7 @@ class Plan:
     floor: float
     outlook: Outlook
     warnings: tuple[str, ...]
+    before: tuple[str, ...] = ()
 
     @property
     def chain(self) -> Mechanism:
@@ -194,8 +196,9 @@ class Planner:
             CalibrationError: the session is none that a calibration can start from.
         """
         with one_blas_thread():
-            at = self._prepare(self._setup if isinstance(self._setup, Session) else None)
-            return self._planned(at, count, until, progress, check=check)
+            session = self._setup if isinstance(self._setup, Session) else None
+            found = self._planned(self._prepare(session), count, until, progress, check=check)
+        return found if session is None else replace(found, before=(*session.poses, *session.excluded.poses))
 
     def _planned(
         self, at: Prospect, count: int, until: float, progress: Callable[[float], object] | None, *, check: bool
