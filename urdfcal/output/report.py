@@ -32,7 +32,7 @@ from urdfcal.output.findings import (
     scale_moves,
     to_check,
 )
-from urdfcal.output.page import template
+from urdfcal.output.page import template, tied
 from urdfcal.output.palette import SIGMA_LEGEND
 from urdfcal.output.portrait import portrait
 from urdfcal.output.svg import figure_html
@@ -165,7 +165,7 @@ def write_report(path: Path, overview: Overview, *, refused: bool = False) -> No
         urdf_name=calibration.urdf_name,
         date=f"{datetime.now(timezone.utc):%Y-%m-%d}",
     )
-    files.write_text(path, page)
+    files.write_text(path, tied(page))
 
 
 def _short(name: str) -> str:
