@@ -295,6 +295,15 @@ def test_what_is_found_until_an_error_is_planned_however_few_of_the_most(few: Si
     assert plan.likely[-1] > 1e-6
 
 
+@pytest.mark.no_cover
+def test_no_fewer_poses_would_do() -> None:
+    # Chosen one by one, each for what it brings, twelve are needed: where nothing is known the first ones are wasted.
+    planner = Planner(read_rig(find_rig("ur5")), candidates=400)
+    plan = planner.plan(60, until=5e-4)
+    assert plan.likely[-1] <= 5e-4
+    assert planner.plan(plan.count - 1).likely[-1] > 5e-4
+
+
 def test_a_tag_beside_the_gripper_that_carries_it_is_planned_for() -> None:
     # Its corners are within millimetres of what the gripper is drawn as: it does not hide them.
     plan = Planner(read_rig(find_rig("so101_apriltag")), candidates=400).plan(3)
