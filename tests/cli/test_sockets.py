@@ -209,7 +209,28 @@ class TestChecks:
         found = read_session(session)
         assert len(found.measurements[0]) == 39
         (warning,) = [text for text in found.warnings if "too seldom" in text]
-        assert re.search(r"contacts.csv:\d+:\d+: measured too seldom .*where the place is: once: left out", warning)
+        assert re.search(
+            r"contacts.csv:\d+:\d+: measured too seldom .*where the place is: once: left out; measure each", warning
+        )
+        assert warning.endswith("in 2 poses or more, and mind the spelling")
+
+    def test_a_place_that_is_left_out_is_in_no_result(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        session, result = tmp_path / "session", tmp_path / "result"
+        write_session(session, touched(Contacts, 60).session)
+        table, file = session / "contacts.csv", session / "session.yaml"
+        table.write_text(table.read_text().replace("place3", "once", 1))
+        content = yaml.safe_load(file.read_text())
+        content["place_distances"].append({"places": ["place2", "once"], "distance": 0.3, "sigma": 1e-4})
+        file.write_text(yaml.safe_dump(content))
+        assert run(["calibrate", str(session), "-o", str(result), "--force"]) == 0
+        document = json.loads((result / "calibration.json").read_text())
+        assert set(document["places"]) == set(re.findall(r"place\d", table.read_text()))
+        assert all(place["sigma"] is not None for place in document["places"].values())
+        capsys.readouterr()
+        assert run(["evaluate", str(result), str(session), "--json"]) == 0
+        found = json.loads(capsys.readouterr().out)
+        assert "once" not in found["places"]
+        assert all("once" not in of["places"] for of in found["place_distances"])
 
     @pytest.mark.parametrize(("kind", "most"), [(Contacts, 1), (Planes, 3)])
     def test_nothing_but_such_is_refused(self, kind: type[Measurement], most: int, tmp_path: Path, capsys) -> None:  # type: ignore[no-untyped-def]

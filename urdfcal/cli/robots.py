@@ -145,8 +145,8 @@ def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
     for quantity, values in _sizes(session, explained).items():
         drawn = rms(nominal[quantity]) if quantity in nominal else None
         result[quantity] = {"sightings": len(values), **_spread(values, 1.0), "rms_nominal": drawn}
-    if session.named("place"):
-        places = dict(zip(session.named("place"), explained.fit.state[PLACES].tolist(), strict=True))
+    if named := session.measured_names("place"):
+        places = {name: explained.fit.state[PLACES][k].tolist() for k, name in named.items()}
         result["places"] = places
         result["place_distances"] = [
             {
@@ -155,6 +155,7 @@ def _session(urdf: str, folder: Path, points: Path | None) -> dict[str, Any]:
                 "found_mm": 1e3 * float(np.linalg.norm(np.subtract(*(places[name] for name in of.places)))),
             }
             for of in session.place_distances
+            if places.keys() >= set(of.places)
         ]
     domain = domain_of(calibration, session.chain, session.chain.readings(session.q))
     known = calibration is not None and points is None and calibrated_with(calibration, session)

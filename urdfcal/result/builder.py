@@ -244,13 +244,14 @@ def _leds(of: FittedCalibration) -> Plain:
 
 
 def _places(of: FittedCalibration) -> Plain:
-    sigmas, names = of.sigmas_of(PLACES).reshape(-1, 3), of.session.named("place")
-    return {name: {"position": of.fit.state[PLACES][k], "sigma": sigmas[k]} for k, name in enumerate(names)}
+    sigmas = of.sigmas_of(PLACES).reshape(-1, 3)
+    found = of.session.measured_names("place")
+    return {name: {"position": of.fit.state[PLACES][k], "sigma": sigmas[k]} for k, name in found.items()}
 
 
 def _planes(of: FittedCalibration) -> Plain:
     sigmas, entries = of.sigmas_of(PLANES).reshape(-1, 3), {}
-    for k, name in enumerate(of.session.named("plane")):
+    for k, name in of.session.measured_names("plane").items():
         plane = of.fit.state[PLANES][k]
         entries[name] = {"normal": plane[:3], "offset": plane[3], "sigma": sigmas[k]}
     return entries

@@ -284,6 +284,11 @@ class Session(Positions):
         tables = (table.index[key] for table in self.measurements if key in table.index)
         return frozenset(i for column in tables for i in np.unique(column).tolist())
 
+    def measured_names(self, key: str) -> dict[int, str]:
+        """Return by index what tables name under a key, without that of which every measurement was left out."""
+        measured = self.measured_of(key)
+        return {k: name for k, name in enumerate(self.named(key)) if k in measured}
+
     def find(self, kind: type[Kind]) -> Kind | None:
         """Return the measurements of a kind; None if there are none."""
         return next((table for table in self.measurements if isinstance(table, kind)), None)

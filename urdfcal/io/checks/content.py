@@ -200,11 +200,11 @@ def told(
             seldom = listed(sorted({name for name, keep in zip(names, kept, strict=True) if not keep}))
             what = f"measured too seldom to tell anything but where the {key} is: {seldom}"
             where = tables[kind].place(tables[kind].first(np.flatnonzero(~kept)), key)
+            remedy = f"measure each {key} in {1 + _UNKNOWNS // kind.dimension} poses or more, and mind the spelling"
             if not kept.any():
-                least = 1 + _UNKNOWNS // kind.dimension
-                raise SessionError(what, where=where, remedy=f"Measure each {key} in {least} poses or more.")
+                raise SessionError(what, where=where, remedy=f"{remedy[0].upper()}{remedy[1:]}.")
             result[kind] = result[kind].only(kept)
-            warnings.append(f"{where}: {what}: left out")
+            warnings.append(f"{where}: {what}: left out; {remedy}")
     return result, warnings
 
 
