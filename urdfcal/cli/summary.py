@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from math import floor, isfinite, log10
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from urdfcal.cli.console import INDENT, sheet, terminal
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from rich.console import Console
@@ -68,12 +68,11 @@ def print_summary(overview: Overview, paths: Sequence[Path], remarks: Sequence[s
     chi2 = fit["reduced_chi2"]
     noise = f", {chi2**0.5:.2g} times the declared noise" if chi2 is not None else ""
     line(f"residual rms {', '.join(parts)}{noise}")
-    outliers = len(document["outliers"])
     excluded = summary(calibration.session.excluded.named)
     excluded = f" ({excluded})" if excluded else ""
     empty = f" ({without} more without a measurement)" if (without := unseen(overview)) else ""
     counts = f"{fit['poses']} {counted(document)}{empty}{excluded}, {fit['observations']} measured numbers"
-    cut = f"{outliers} outlier{'s' if outliers != 1 else ''}"
+    cut = _outliers(document["outliers"])
     line(f"{counts}, {fit['parameters']} parameters ({calibration.comparison.chosen.spec}), {cut}")
     sessions = []
     for name, session in document.get("sessions", {}).items():
@@ -118,6 +117,16 @@ def _clock(value: float, sigma: float | None) -> str:
 def _row_time(value: float, sigma: float | None) -> str:
     """A camera's line time, given in s."""
     return f"{1e6 * value:.4g} us (given)" if sigma is None else f"{1e6 * value:.2f} ± {1e6 * sigma:.2f} us"
+
+
+def _outliers(outliers: Sequence[Mapping[str, Any]]) -> str:
+    """How many measurements were taken out, and the one that is farthest off."""
+    if not outliers:
+        return "0 outliers"
+    worst = max(outliers, key=lambda of: of["sigmas"])
+    where = " ".join(filter(None, ("pose", worst["pose"], worst["camera"], worst["led"])))
+    size = f"{where} by {worst['residual']:.3g} {'px' if worst['camera'] else 'mm'}"
+    return f"1 outlier, {size}" if len(outliers) == 1 else f"{len(outliers)} outliers, the farthest {size}"
 
 
 def _print_corrections(calibration: FittedCalibration, console: Console) -> int:
