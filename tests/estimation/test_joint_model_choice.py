@@ -27,7 +27,7 @@ from urdfcal.io.shipped_rigs import find_rig
 from urdfcal.pipeline import calibrate
 from urdfcal.robot.gravity import masses_of
 from urdfcal.robot.kinematics import tip_poses
-from urdfcal.session.knowledge import Estimate
+from urdfcal.session.knowledge import Estimate, Noise
 from urdfcal.session.trajectory import AT_REST
 from urdfcal.simulation.simulate import simulate
 
@@ -104,6 +104,16 @@ def test_a_rigid_arm_stays_rigid(rig: str, simulated: Callable) -> None:
     calibration = calibrated(simulated(rig, poses=40).session)
     assert chosen(calibration) == {}
     assert not any(trial.included for trial in calibration.comparison.chosen.joint_models)
+
+
+@pytest.mark.no_cover
+@pytest.mark.parametrize("said", [True, False])
+def test_what_readings_err_by_in_a_few_poses_is_no_joint_model(said: bool, simulated: Callable) -> None:
+    # A board that is seen so well tells six numbers of each of twenty poses. All joint models together can make up for
+    # what the readings err by there; and then that would come out as nothing, and each model as certain.
+    session = simulated("ur5_charuco", poses=20, seed=2, pixel=0.01).session
+    session = session if said else replace(session, noise=Noise(pixel=0.01))
+    assert chosen(calibrated(session)) == {}
 
 
 @pytest.mark.no_cover

@@ -76,8 +76,11 @@ def likelihood(simulated: Callable) -> _Likelihood:
     return _Likelihood(tuple(parts), *fit.parameters.prior_residuals(fit.state))
 
 
-def test_score_and_observed_information_are_derivatives_of_the_likelihood(likelihood: _Likelihood) -> None:
-    variances = np.array([1.7, (3e-4) ** 2])
+@pytest.mark.parametrize("meant", [None, 2.0 * np.log(1e-4)])
+def test_score_and_observed_information_are_derivatives_of_the_likelihood(
+    likelihood: _Likelihood, meant: float | None
+) -> None:
+    likelihood, variances = replace(likelihood, meant=meant), np.array([1.7, (3e-4) ** 2])
     here = likelihood.at(variances)
     for k in range(2):
         step = np.where(np.arange(2) == k, 1e-4, 0.0)

@@ -119,7 +119,8 @@ class Alternatives:
         everything = _with_all(fit, models, columns)
         P, parameters = everything.parameters.count - len(columns), everything.parameters
         # Noise is what no model explains: that of a rigid arm would hide behind it what is looked for.
-        *factors, joint = noise_factors(problem, everything)
+        declared = problem.joint_sigma or noise_factors(problem, fit)[-1]
+        *factors, joint = noise_factors(problem, everything, declared)
         labels = (random_folds(thinned, seed), joint_regions(thinned), tip_regions(thinned))
         with one_blas_thread():
             rows = []
