@@ -133,6 +133,12 @@ def test_a_joint_model_that_has_grown_is_named(
     (row,) = [line.split() for line in printed if line.strip().startswith("elbow_joint.gain")]
     assert row[1:4] == ["1e-3", "1.000", "1.000"]
     assert found["moves_tip_most"] == "elbow_joint"
+    slow, fast = (
+        edited(tmp_path / f"{name}.json", results("before"), with_models({"lag": p}))
+        for name, p in (("slow", 1e-3), ("fast", 2e-3))
+    )
+    printed, _ = compared(capsys, slow, fast, 1)
+    assert printed[0] == "the arm changed: elbow_joint.lag by 0.001 (9 sigma); tips 0 mm rms apart"
     # Found in one alone it is a change only if the other has looked for it.
     rigid = edited(tmp_path / "rigid.json", results("before"), with_models({}, tried=("gain",)))
     printed, found = compared(capsys, rigid, small, 1)

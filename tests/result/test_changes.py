@@ -295,6 +295,16 @@ def test_a_joint_model_that_has_grown_is_a_change(elbow3r: Calibration) -> None:
     assert changes.tip.rms > 1e-5
 
 
+def test_a_joint_model_that_is_the_same_moves_nothing_and_a_lag_no_tip_at_rest(elbow3r: Calibration) -> None:
+    def both(lag: float, gain: float) -> dict[str, Any]:
+        return {"joint_2": {"lag": ([lag], {}), "gain": ([gain], {})}}
+
+    changes = find_changes(bending(elbow3r, both(1e-3, 1e-3)), bending(elbow3r, both(2e-3, 1.1e-3)))
+    assert [p.parameter for p in changes.significant] == ["lag"]
+    assert changes.joints == {"joint_2": pytest.approx(0.0, abs=1e-12)}
+    assert changes.tip.rms > 1e-6
+
+
 @pytest.mark.parametrize("found_first", [True, False])
 def test_what_one_has_looked_for_and_not_found_is_zero_there(elbow3r: Calibration, found_first: bool) -> None:
     rigid, bent = bending(elbow3r, {}, tried=("gain",)), bending(elbow3r, gain(1e-3))

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 _METRES = {"mm": 1e-3, "m": 1.0}
 _ENLARGED = 1.05  # an rms that is larger than its residuals' by more, which evaluate shows, is explained
 _NAMED = 3  # changes in the verdict, which the table has all, and poses that repeat others
+# Lag and backlash alone move a tip at rest by rounding. [m]
+_UNMOVED = 1e-9
 
 
 def _length(ctx: click.Context, param: click.Parameter, text: str) -> float:
@@ -332,14 +334,12 @@ def _sentence(changes: ArmChanges) -> str:
     named = ", ".join(map(str, changes.significant[:_NAMED]))
     more = len(changes.significant) - _NAMED
     joint, moved = next(iter(changes.joints.items()))
-    return (
-        f"the arm changed: {named}{f' and {more} more' if more > 0 else ''}; {tips}, {joint} moves them most, "
-        f"by {_millimetres(moved)} mm"
-    )
+    most = f", {joint} moves them most, by {_millimetres(moved)} mm" if moved > _UNMOVED else ""
+    return f"the arm changed: {named}{f' and {more} more' if more > 0 else ''}; {tips}{most}"
 
 
 def _table(changes: ArmChanges) -> object:
-    title = "changes beyond chance; tip: what all of the joint's move it by"
+    title = "changes beyond chance; tip: what all of the joint's move it by at rest"
     rows = sheet(title, ["parameter", "unit", "first", "change", "sigma", "sigmas", "tip (mm)"], texts=2, fold=True)
     for p in changes.significant:
         values = [f"{1e3 * value:.3f}" for value in (p.offsets[0], p.change, p.sigma)]

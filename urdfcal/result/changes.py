@@ -87,7 +87,8 @@ class ArmChanges:
         tips: distances between the tips over the workspace, by tip link, after the best alignment at the base. [m]
         expected: what the rms of the tip's distances is at most, by both calibrations' claimed errors, if nothing has
             changed; None where one does not say. [m]
-        joints: rms of the tip's displacement by the significant changes of each joint alone, the largest first. [m]
+        joints: rms of the tip's displacement at rest by the significant changes of each joint alone, the largest first;
+            lag and backlash, which act on an arm that came from elsewhere, have none. [m]
     """
 
     parameters: tuple[ParameterChange, ...]
@@ -274,7 +275,7 @@ def _change(key: tuple[str, str], a: _Estimated, b: _Estimated, count: int) -> P
 def _with_changes(
     a: Calibration, arms: ComparedArms, parameters: tuple[ParameterChange, ...], joint: str
 ) -> ComparedArm:
-    """The first arm with the significant changes of one joint, joint models as a whole."""
+    """The first arm with the significant changes of one joint, each joint model as a whole."""
     moved = [p for p in parameters if p.joint == joint and p.significant]
     table = PlacementTable(a.chain) if _whole(parameters) else rows_of(a.chain)
     offsets = np.zeros((len(table.labels), len(table.columns)))
@@ -284,4 +285,4 @@ def _with_changes(
     for p in rows:
         offsets[table.labels.index(p.joint), table.columns.index(p.parameter)] = p.offsets[1]
     placements = table.placements(offsets) if rows else a.placements
-    return arms.with_joint(joint, placements, models=len(rows) < len(moved))
+    return arms.with_joint(joint, placements, {p.parameter.partition(".")[0] for p in moved if p not in rows})

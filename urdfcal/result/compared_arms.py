@@ -10,7 +10,7 @@ from urdfcal.robot.flexure import spread_placements
 from urdfcal.robot.kinematics import link_poses
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Container, Sequence
 
     from urdfcal.arrays import Floats
     from urdfcal.estimation.joint_models.found import FoundJointModels
@@ -84,15 +84,17 @@ class ComparedArms:
         one, other = (found_joint_models(document, self.chain) for document in (self.first, self.second))
         return ComparedArm(self.placements[0], one), ComparedArm(self.placements[1], other)
 
-    def with_joint(self, joint: str, placements: Floats, *, models: bool) -> ComparedArm:
-        """Return the first arm with other placements, and where asked with the second's joint models of a joint."""
+    def with_joint(self, joint: str, placements: Floats, models: Container[str]) -> ComparedArm:
+        """Return the first arm with other placements, and with the second's joint models of a joint, of some names."""
         document = self.first
-        if models:
+        mine, theirs = (of.joint_models.get(joint, {}) for of in (document, self.second))
+        kept = {name: of for name, of in mine.items() if name not in models}
+        taken = {name: of for name, of in theirs.items() if name in models}
+        if taken or kept != mine:
             others = {name: of for name, of in document.joint_models.items() if name != joint}
-            theirs = self.second.joint_models.get(joint)
+            mixed = {**others, joint: {**kept, **taken}} if kept or taken else others
             own, second = document.load, self.second.load
             heavy = own if own is not None and own.masses else second or own
-            mixed = others if theirs is None else {**others, joint: theirs}
             document = document.model_copy(update={"joint_models": mixed, "load": heavy if mixed else None})
         return ComparedArm(placements, found_joint_models(document, self.chain))
 
