@@ -251,6 +251,13 @@ def test_a_good_calibration_has_nothing_said_against_it(fitted: Callable) -> Non
     assert calibration.document.verdict.level == "good"
 
 
+def test_zero_offsets_alone_are_an_arm_that_was_estimated(simulated: Callable) -> None:
+    session = simulated("elbow3r", poses=20).session
+    for geometry, claimed in (("offsets", True), ("none", False)):
+        calibration = calibrate(replace(session, estimate=Estimate(geometry, "fixed", "fixed")), force=True)
+        assert (calibration.document.tip is not None) == claimed
+
+
 @pytest.mark.no_cover
 def test_noise_of_which_nothing_is_said_is_found_and_used(simulated: Callable) -> None:
     data = simulated("so101", poses=50)

@@ -2,12 +2,14 @@ from __future__ import annotations
 
 import json
 import shutil
+from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from urdfcal.cli import run
+from urdfcal.cli.robots import _worse
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -183,3 +185,17 @@ def test_arguments_in_the_wrong_order_are_told(folder: Path, capsys: pytest.Capt
     ):
         assert run(["evaluate", str(first), str(second)]) == 2
         assert message in capsys.readouterr().err.replace("\n", " ")
+
+
+@pytest.mark.parametrize(
+    ("numbers", "cost", "worse"),
+    # Ten times the residuals: of four numbers beside the three that place a ball it is chance, of forty it is none.
+    [(12, 100.0, False), (12, 1e6, True), (8, 1e9, False), (48, 100.0, True), (48, 1.2, False)],
+)
+def test_a_ball_is_elsewhere_only_where_chance_does_not_explain_it(numbers: int, cost: float, worse: bool) -> None:
+    def fitted(parameters: int, cost: float) -> SimpleNamespace:
+        return SimpleNamespace(
+            observations=numbers, parameters=SimpleNamespace(count=parameters, prior_count=0), cost=cost
+        )
+
+    assert _worse(fitted(5, cost), fitted(8, 1.0)) is worse

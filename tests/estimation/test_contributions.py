@@ -45,7 +45,9 @@ def test_what_joints_do_beside_is_a_cause_of_its_own(simulated: Callable) -> Non
     sag = [of for of in found if of.what == "compliance"]
     assert sag[0].joint == "shoulder_lift_joint"  # it carries the whole arm
     assert sag[0].tip > 5.0 * sag[0].sigma
-    assert {of.what for of in found} == {GEOMETRY, "compliance"}
+    # An arm that bends may do more, of which little is certain: what is not there moves its tip by little.
+    assert {GEOMETRY, "compliance"} <= {of.what for of in found}
+    assert all(of.tip < 0.1 * sag[0].tip for of in found if of.what not in (GEOMETRY, "compliance"))
 
 
 def test_of_two_arms_each_joint_counts_by_the_tip_that_it_moves_most(simulated: Callable) -> None:

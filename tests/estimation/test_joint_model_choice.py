@@ -18,6 +18,7 @@ from urdfcal.estimation.joint_models import JOINT_MODELS, Readings, Term
 from urdfcal.estimation.joint_models.backlash import Backlash
 from urdfcal.estimation.joint_models.compliance import Compliance
 from urdfcal.estimation.joint_models.gain import Gain
+from urdfcal.estimation.joint_models.lag import Lag
 from urdfcal.estimation.joint_models.leaning_compliance import LeaningCompliance
 from urdfcal.estimation.joint_models.linear import LinearJointModel
 from urdfcal.estimation.uncertainty import tip_error
@@ -114,6 +115,26 @@ def test_what_readings_err_by_in_a_few_poses_is_no_joint_model(said: bool, simul
     session = simulated("ur5_charuco", poses=20, seed=2, pixel=0.01).session
     session = session if said else replace(session, noise=Noise(pixel=0.01))
     assert chosen(calibrated(session)) == {}
+
+
+@pytest.mark.no_cover
+def test_what_is_not_chosen_is_known_as_well_as_if_it_were(simulated: Callable) -> None:
+    session, joint = simulated("ur5", poses=40).session, "elbow_joint"
+    rigid = calibrated(session)
+    (trial,) = [of for of in rigid.comparison.chosen.joint_models if of.term.model == "lag"]
+    assert {*trial.candidates} == {f"{name}.lag" for name in session.chain.actuated}
+    value, sigma = trial.candidates[f"{joint}.lag"]
+    others = dict.fromkeys(session.chain.actuated, False)
+    forced = calibrated(session, **{**OFF, "lag": {**others, joint: True}})
+    (entry,) = forced.document.parameters
+    # The usual prior pulls the one, a 25 times wider one the other.
+    usual = Lag.revolute.sigma
+    told, known = sigma**-2 - (25.0 * usual) ** -2, entry.sigma**-2 - usual**-2
+    assert told == pytest.approx(known, rel=0.2)
+    assert value * sigma**-2 == pytest.approx(entry.offset * entry.sigma**-2, abs=0.3 / entry.sigma)
+    # Of what the estimate has there are none, nor of what the session switches off.
+    (trial,) = forced.comparison.chosen.joint_models
+    assert trial.candidates == {}
 
 
 @pytest.mark.no_cover

@@ -9,13 +9,12 @@ import pytest
 
 from tests.estimation.problems import Estimated
 from tests.worlds import declared
-from urdfcal.estimation.noise import _Likelihood, _Part, find_noise, noise_factors
+from urdfcal.estimation.noise import FoundNoise, _Likelihood, _Part, find_noise, noise_factors
 from urdfcal.estimation.whitening import joint_noise
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from urdfcal.estimation.noise import FoundNoise
     from urdfcal.session.model import Session
 
 estimated = cache(Estimated.of)
@@ -61,6 +60,14 @@ def test_nothing_declared_is_never_contradicted(simulated: Callable) -> None:
     assert found.declared is None
     assert found.ratio == 1.0
     assert noise_of(declared(data, 0.0, 1.0, 0.0))["joint"].ratio == 0.0  # declared to be none, and there is some
+
+
+@pytest.mark.parametrize(("unit", "noise", "nothing"), [("px", 15.0, 25.0), ("m", 0.04, 0.06), ("rad", 0.08, 0.12)])
+def test_of_what_size_residuals_are_no_noise(unit: str, noise: float, nothing: float) -> None:
+    of = FoundNoise("kind", unit, None, noise, 0.1, 0.0)
+    assert not of.is_none
+    assert replace(of, found=nothing).is_none
+    assert not replace(of, found=nothing, declared=nothing).is_none  # said to be so
 
 
 def test_outliers_are_no_noise(simulated: Callable) -> None:

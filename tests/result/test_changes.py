@@ -256,9 +256,12 @@ MASSES = {f"joint_{k}": {"mass": 1.0, "center": [0.1, 0.0, 0.0]} for k in (1, 2,
 
 
 def bending(
-    of: Calibration, models: dict[str, Any], tried: tuple[str, ...] = (), load: dict[str, Any] | None = None
+    of: Calibration,
+    models: dict[str, Any],
+    sought: dict[str, tuple[float, float]] | None = None,
+    load: dict[str, Any] | None = None,
 ) -> Calibration:
-    """The same with joint models, given as {joint: {model: (values, inputs)}}, and with others that were tried."""
+    """The same with joint models, as {joint: {model: (values, inputs)}}, and what was sought and not chosen."""
     data = data_of(of)
     data["joint_models"] = {
         joint: {
@@ -270,8 +273,8 @@ def bending(
     if models:
         data["load"] = load or LOAD
     losses = {"included": False, "log_evidence": -1.0, "inside_mm": 0.0, "elsewhere_mm": 0.0}
-    joints = ["joint_1", "joint_2", "joint_3"]
-    data["joint_model_trials"] = [{"model": name, "joints": joints, **losses} for name in tried]
+    candidates = {name: {"value": value, "sigma": sigma} for name, (value, sigma) in (sought or {}).items()}
+    data["joint_model_trials"] = [{"model": "gain", "joints": ["joint_2"], **losses, "candidates": candidates}]
     return loaded(data)
 
 
@@ -306,21 +309,37 @@ def test_a_joint_model_that_is_the_same_moves_nothing_and_a_lag_no_tip_at_rest(e
 
 
 @pytest.mark.parametrize("found_first", [True, False])
-def test_what_one_has_looked_for_and_not_found_is_zero_there(elbow3r: Calibration, found_first: bool) -> None:
-    rigid, bent = bending(elbow3r, {}, tried=("gain",)), bending(elbow3r, gain(1e-3))
+@pytest.mark.parametrize(("sigma", "changed"), [(1e-4, True), (1e-3, False)])
+def test_what_one_has_looked_for_in_vain_is_compared_with_what_it_would_be_there(
+    elbow3r: Calibration, found_first: bool, sigma: float, changed: bool
+) -> None:
+    rigid, bent = bending(elbow3r, {}, {"joint_2.gain": (2e-4, sigma)}), bending(elbow3r, gain(1e-3))
     changes = find_changes(bent, rigid) if found_first else find_changes(rigid, bent)
-    (one,) = changes.significant
-    assert one.offsets == ((1e-3, 0.0) if found_first else (0.0, 1e-3))
-    assert one.sigma == pytest.approx(np.sqrt(2.0) * 1e-4)
+    (one,) = [p for p in changes.parameters if p.parameter == "gain"]
+    assert one.offsets == ((1e-3, 2e-4) if found_first else (2e-4, 1e-3))
+    assert one.sigma == pytest.approx(np.hypot(sigma, 1e-4))
+    assert one.significant == changed
     assert changes.unfound == ("joint_2.gain",)
     assert changes.alone == ()
-    assert changes.joints == {"joint_2": pytest.approx(changes.tip.rms)}
     assert changes.tip.rms > 1e-5
+    if changed:
+        assert changes.joints == {"joint_2": pytest.approx(changes.tip.rms)}
 
 
 def test_what_one_has_not_looked_for_is_not_compared(elbow3r: Calibration) -> None:
-    changes = find_changes(bending(elbow3r, {}, tried=("lag",)), bending(elbow3r, gain(1e-3)))
+    changes = find_changes(bending(elbow3r, {}, {"joint_3.gain": (0.0, 1e-4)}), bending(elbow3r, gain(1e-3)))
     assert (changes.significant, changes.unfound, changes.alone) == ((), (), ("joint_2.gain",))
+
+
+def test_masses_are_those_of_whom_they_are_known_of(elbow3r: Calibration) -> None:
+    sag = {"joint_2": {"compliance": ([1e-3], {}), "gain": ([1e-3], {})}}
+    first, second = bending(elbow3r, gain(1e-3)), bending(elbow3r, sag, load={**LOAD, "masses": MASSES})
+    first = bending(loaded(data_of(first)), gain(1e-3), {"joint_2.compliance": (0.0, 1e-5)})
+    data = data_of(first)
+    data["joint_model_trials"][0]["model"] = "compliance"
+    changes = find_changes(loaded(data), second)
+    assert [p.parameter for p in changes.significant] == ["compliance"]
+    assert changes.joints["joint_2"] == pytest.approx(changes.tip.rms)
 
 
 def test_motors_of_other_gear_ratios_are_not_compared(elbow3r: Calibration) -> None:

@@ -293,8 +293,8 @@ def compare(ctx: click.Context, first: Path, second: Path, seed: int, as_json: b
         remarks.append(f"not compared, since not estimated in both: the zero of {', '.join(changes.unseen)}")
     if changes.unfound:
         remarks.append(
-            f"found in one of the two alone, the other looked for it, too, and is taken to have 0 with the same sigma: "
-            f"{_several(changes.unfound)}"
+            f"found in one of the two alone, and compared with what it would be in the other, which looked for it in "
+            f"vain: {_several(changes.unfound)}"
         )
     if changes.rigid:
         remarks.append(

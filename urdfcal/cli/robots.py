@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from urdfcal.arrays import Floats
     from urdfcal.estimation.evaluation import Explanation
+    from urdfcal.estimation.solver import Solution
     from urdfcal.result.calibration import Calibration
     from urdfcal.robot.dh import Convention, DHTable
     from urdfcal.robot.mechanism import Mechanism
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 _FAR = 20.0
 # As in urdfcal.result.calibration, which takes long to import.
 # A ball that was mounted anew by millimetres multiplies the residuals by ten; to hold it that costs less is no sign.
-_ELSEWHERE = 2.0
+_ELSEWHERE, _CHANCE = 2.0, 1e-4
 _RESULT = "calibration.json"
 _ACROSS = "across_rays_mm"
 _FITTED_ANEW = (
@@ -210,12 +211,24 @@ def _explained(arm: Mechanism, session: Session, calibration: Calibration | None
         return fitted, []
     explained = explain(arm, held, bends=calibration.joint_models)
     now, then = (rms(np.concatenate([np.ravel(of) for of in each.residuals])) for each in (fitted, explained))
-    if then <= _ELSEWHERE * now:
+    if then <= _ELSEWHERE * now or not _worse(explained.fit, fitted.fit):
         return explained, []
     places = (each.fit.state[LEDS] for each in (fitted, explained))
     apart = 1e3 * float(np.linalg.norm(np.subtract(*places), axis=1).max())
     what = f"LEDs are up to {apart:.2g} mm from where the calibration found them, which explains {then / now:.2g} times"
     return fitted, [f"{what} the residuals: they are fitted to this session"]
+
+
+def _worse(held: Solution, free: Solution) -> bool:
+    """Whether what is held explains measurements worse than chance has it (F test): few of them fit anything."""
+    from scipy.special import fdtrc
+
+    freed = free.parameters.count - held.parameters.count
+    left = free.observations + held.parameters.prior_count - free.parameters.count
+    if left <= 0:
+        return False
+    ratio = max(held.cost / free.cost - 1.0, 0.0) * left / freed
+    return bool(fdtrc(freed, left, ratio) < _CHANCE)
 
 
 def _leds_as_calibrated(session: Session, calibration: Calibration) -> Session:

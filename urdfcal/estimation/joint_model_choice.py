@@ -6,7 +6,7 @@ an estimate with it would be follows from linear algebra. Only what is chosen is
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -51,6 +51,8 @@ class JointModelTrial:
         inside: how much nearer poses left out at random are predicted with it, root mean square. [m]
         elsewhere: the same of left-out regions. [m]
         by_joint: what of ``inside`` is lost without a joint's part, for each joint of a model that is included. [m]
+        candidates: of each parameter that is no part of the estimate and could be, by its name, what it would come out
+            as with the joint's others alone, and its standard deviation. [unit of the parameter]
     """
 
     term: Term
@@ -59,6 +61,7 @@ class JointModelTrial:
     inside: float
     elsewhere: float
     by_joint: Mapping[str, float]
+    candidates: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +87,7 @@ class Alternatives:
         units: what can be chosen: a model of one joint, or of all together.
         included: the terms that are part of the estimate.
         owner: (K,) the model, the joint and the group that each of all models' parameters belongs to.
+        names: (K,) of these.
         sigma: (K,) standard deviations of these, at scale 1.
         divisions: of the poses: folds, clusters of joint space, clusters of tips.
         prior: (P + 1, P + 1) products of the prior's rows, of the estimate's own P parameters and the residual.
@@ -94,6 +98,7 @@ class Alternatives:
     units: tuple[Unit, ...]
     included: tuple[Term, ...]
     owner: tuple[tuple[str, str, str], ...]
+    names: tuple[str, ...]
     sigma: Floats
     divisions: tuple[_Division, ...]
     prior: Floats
@@ -143,10 +148,12 @@ class Alternatives:
         sigma = np.concatenate([model.sigma for model in models])[columns]
         each = [(m.name, *of) for m in models for of in zip(m.names_of_joints, m.groups_of, strict=True)]
         owner = tuple(each[column] for column in columns)
+        called = [name for model in models for name in model.names]
+        names = tuple(called[column] for column in columns)
         forced = [unit.term for unit in units if unit.forced]
         included = (*forced, *(term for term in terms if term not in forced))
         places = _places(fit, models, columns)
-        return cls(units, included, owner, sigma, divisions, prior.T @ prior, places, share)
+        return cls(units, included, owner, names, sigma, divisions, prior.T @ prior, places, share)
 
     @property
     def count(self) -> int:
@@ -185,8 +192,23 @@ class Alternatives:
             gains = [sign * gain for gain in self._losses(errors, other)]
             parts = {joint: self._losses(errors, _without(included, model, joint))[0] for joint in term.joints if mine}
             evidence = sign * (now - self.log_evidence(other))
-            found.append(JointModelTrial(term, bool(mine), evidence, gains[0], min(gains[1:]), ReadOnly(parts)))
+            trial = JointModelTrial(term, bool(mine), evidence, gains[0], min(gains[1:]), ReadOnly(parts))
+            found.append(replace(trial, candidates=ReadOnly(self._candidates(model))))
         return tuple(found)
+
+    def _candidates(self, model: str) -> dict[str, tuple[float, float]]:
+        """What parameters of a model that are no part of the estimate would come out as, joint by joint."""
+        G, g = self._reduced
+        found: dict[str, tuple[float, float]] = {}
+        for joint in dict.fromkeys(joint for name, joint, _ in self.owner if name == model):
+            sigma = self.scales(self.included)
+            mine = [of[:2] == (model, joint) and not sigma[k] for k, of in enumerate(self.owner)]
+            sigma[mine] = SCALES[-1] * self.sigma[mine]
+            on = np.flatnonzero(sigma)
+            C = np.linalg.inv(G[np.ix_(on, on)] * np.outer(sigma[on], sigma[on]) + np.eye(len(on)))
+            value, spread = -sigma[on] * (C @ (g[on] * sigma[on])), sigma[on] * np.sqrt(np.diag(C))
+            found |= {self.names[k]: (float(value[i]), float(spread[i])) for i, k in enumerate(on) if mine[k]}
+        return found
 
     def _losses(self, errors: Sequence[Floats], chosen: Sequence[Term]) -> list[float]:
         """How much farther off poses are predicted with other terms, for each division. [m]."""

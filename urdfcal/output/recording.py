@@ -273,7 +273,9 @@ def _clouds(workspace: Workspace, *, further: bool) -> list[rrb.View]:
     what_of = {"nominal": "off", "calibrated": "sigma", MOVED: "moved"}  # three titles fit beside each other
     for name, error in workspace.errors.items():
         low, high = (f"{1e3 * end:.2g}" for end in (error.min(), error.max()))
-        title = f"{workspace.link}, {name}: {low} to {high} mm {what_of[name]}"
+        # What is moved by less than a hundredth of that is drawn as if by as much.
+        size = f"up to {high}" if name == MOVED else f"{low} to {high}"
+        title = f"{workspace.link}, {name}: {size} mm {what_of[name]}"
         views.append(
             _space(
                 title,

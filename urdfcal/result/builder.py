@@ -64,6 +64,9 @@ def build_document(of: FittedCalibration) -> ResultDocument:
                 "log_evidence": trial.log_evidence,
                 "inside_mm": 1e3 * trial.inside,
                 "elsewhere_mm": 1e3 * trial.elsewhere,
+                "candidates": {
+                    name: {"value": value, "sigma": sigma} for name, (value, sigma) in trial.candidates.items()
+                },
             }
             for trial in of.comparison.chosen.joint_models
         ],

@@ -79,8 +79,8 @@ class ArmChanges:
     Attributes:
         parameters: those that both have estimated, and of joint models those that one has found and the other not.
         alone: names of those that only one of them has, or that are of something else in each.
-        unfound: names of those of joint models that one has found, and the other has not although it could have: they
-            are taken for 0 there, with the same standard deviation.
+        unfound: names of those of joint models that one has found, and the other has looked for in vain: they are
+            compared with what they would be there.
         rigid: whether the tips are those without joint models: nobody knows the torques that one gives way to.
         unloaded: whether the tips are those of arms that carry nothing: they carried different things.
         unseen: joints whose zero offset is not among those compared: a change of it is not seen.
@@ -256,14 +256,17 @@ def _estimated(of: Calibration) -> dict[tuple[str, str], _Estimated]:
 def _unfound(
     theirs: Mapping[tuple[str, str], _Estimated], mine: Mapping[tuple[str, str], _Estimated], of: Calibration
 ) -> dict[tuple[str, str], _Estimated]:
-    """Return the other calibration's parameters of joint models that this one has looked for and not found, at 0."""
-    tried = {trial.model: trial for trial in of.document.joint_model_trials}
-    return {
-        (joint, name): replace(value, offset=0.0)
-        for (joint, name), value in theirs.items()
-        if (joint, name) not in mine and value.model in tried
-        if tried[value.model].included or joint in tried[value.model].joints
-    }
+    """What the other calibration's parameters of joint models are in this one, which has looked for them in vain."""
+    found = {}
+    for key, value in theirs.items():
+        trials = (trial for trial in of.document.joint_model_trials if trial.model == value.model)
+        candidate = next(
+            (trial.candidates[name] for trial in trials if (name := ".".join(key)) in trial.candidates), None
+        )
+        # Mixtures of torques, and gear ratios, are of one session.
+        if key not in mine and candidate is not None and not value.inputs:
+            found[key] = replace(value, offset=candidate.value, sigma=candidate.sigma)
+    return found
 
 
 def _change(key: tuple[str, str], a: _Estimated, b: _Estimated, count: int) -> ParameterChange:

@@ -149,8 +149,18 @@ class ContributionEntry(Section):
     sigma_mm: float
 
 
+class CandidateEntry(Section):
+    """What a parameter that is no part of the estimate would come out as, in its SI unit."""
+
+    value: float
+    sigma: float
+
+
 class JointModelTrialEntry(Section):
-    """What a joint model of some joints brings, or would bring: of poses left out at random, and of regions. [mm]."""
+    """What a joint model of some joints brings, or would bring: of poses left out at random, and of regions. [mm].
+
+    ``candidates`` are its parameters that were looked for and are no part of the estimate, by their names.
+    """
 
     model: str
     joints: list[str]
@@ -158,6 +168,7 @@ class JointModelTrialEntry(Section):
     log_evidence: float
     inside_mm: float
     elsewhere_mm: float
+    candidates: dict[str, CandidateEntry] = Field(default_factory=dict)
 
 
 class DomainSection(Section):

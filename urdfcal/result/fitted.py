@@ -80,7 +80,7 @@ class FittedCalibration(Calibration):
     def is_arm_estimated(self) -> bool:
         """Whether anything of the arm was estimated: of one that was not nothing is known but what it should be."""
         models = (m.key for m in self.problem.joint_models if isinstance(m, LinearJointModel))
-        return any(self.fit.parameters.active_columns(key)[1].any() for key in (ARM, *models))
+        return any(self.fit.parameters.has_active(key) for key in (ARM, ZERO_OFFSETS, *models))
 
     @property
     def identifiability(self) -> Identifiability:

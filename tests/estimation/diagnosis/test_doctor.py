@@ -110,7 +110,7 @@ def test_what_a_joint_model_explains_is_no_longer_named(simulated: Callable) -> 
     session = sagging(simulated("panda", poses=50), 3e-5)
     assert {finding.name for finding in findings(session)} & {"all joints: torque"}
     calibration = calibrate(session, force=True)
-    assert [term.model for term in calibration.comparison.chosen.spec.terms] == ["compliance"]
+    assert "compliance" in {term.model for term in calibration.comparison.chosen.spec.terms}
     assert calibration.evidence.findings == ()
 
 

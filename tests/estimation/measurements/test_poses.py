@@ -17,9 +17,11 @@ from tests.worlds import RIGID
 from urdfcal.arrays import inverse
 from urdfcal.cli import run
 from urdfcal.errors import CalibrationError, SessionError
+from urdfcal.estimation.assessment import assess
 from urdfcal.estimation.blocks.arm import no_offsets
 from urdfcal.estimation.blocks.base_pose import BASE
 from urdfcal.estimation.blocks.targets import target_key
+from urdfcal.estimation.diagnosis.doctor import Finding
 from urdfcal.estimation.evaluation import compare, explain
 from urdfcal.estimation.joint_models import JOINT_MODELS
 from urdfcal.estimation.measurements import Points, Poses
@@ -142,6 +144,21 @@ def test_poses_that_are_written_otherwise_are_named(what: str) -> None:
     wrong = replace(session, measurements=(replace(table, place=MISTAKES[what](T, table.place)),), noise=Noise())
     with pytest.raises(CalibrationError, match=re.escape(f"{what}: with that mended the nominal arm is")):
         calibrate(replace(wrong, estimate=Estimate("dh"), joint_models=RIGID))
+
+
+@pytest.mark.no_cover
+@pytest.mark.usefixtures("no_trials")
+def test_of_residuals_that_are_no_noise_no_effect_is_named() -> None:
+    session = probed(20, offsets=offsets())
+    (table,) = session.measurements
+    rolled = replace(table, place=table.place[:, [0, 1, 2, 6, 3, 4, 5]], sigma=np.full(20, 1e-4))
+    usual = {of.noise: of.usual for of in Poses.spreads.values()}
+    silent = replace(replace(session, measurements=(rolled,)).with_noise(usual), noise=Noise(), joint_models=RIGID)
+    calibration = calibrate(replace(silent, estimate=Estimate("none")), force=True)
+    found = replace(calibration.evidence, findings=(Finding("lens", "the lens errs", 0.5, 1e-9, None, ()),))
+    assessment = assess(calibration.session, calibration.problem, calibration.comparison, found)
+    assert assessment.failures[0].startswith("nothing measures as badly as the residuals are")
+    assert not [said for said in assessment.warnings if "the lens errs" in said]
 
 
 def test_exact_poses_give_base_and_probe_at_once() -> None:

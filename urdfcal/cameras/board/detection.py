@@ -85,7 +85,9 @@ def seen_instead(image: Image, board: Board) -> Seen:
     )
     size = " x ".join(map(str, sorted(squares.shape, reverse=True))) if seen else ""
     if seen and board.kind == "chessboard" and sorted(squares.shape) != sorted(board.shape):
-        return Seen(f"a board of {size} inner corners was found, {asked} asked for", size)
+        pairs = zip(sorted(squares.shape), sorted(board.shape), strict=True)
+        cut = all(found <= whole for found, whole in pairs)  # it may be the one asked for, in part out of view
+        return Seen(f"a board of {size} inner corners was found, {asked} asked for", "" if cut else size)
     if seen and board.kind == "charuco":
         return Seen(f"a chessboard of {size} inner corners was found, a ChArUco board asked for", size)
     hint = "; a chessboard must be wholly in view" if board.kind == "chessboard" else ""
