@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 import shutil
 import sys
-import textwrap
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+
+from urdfcal.typography import lines_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -50,15 +51,8 @@ def say(text: str, *, err: bool = False) -> None:
     # As rich sees it.
     if os.environ.get("FORCE_COLOR") or stream.isatty():
         width = shutil.get_terminal_size().columns
-        text = "\n".join(_wrapped(line, width) for line in text.splitlines())
+        text = "\n".join(row for line in text.splitlines() for row in lines_of(line, width, INDENT))
     click.echo(text, err=err)
-
-
-def _wrapped(line: str, width: int) -> str:
-    # Paths and options are copied whole.
-    return textwrap.fill(
-        line, width, subsequent_indent=INDENT, break_long_words=False, break_on_hyphens=False, drop_whitespace=True
-    )
 
 
 def sheet(title: str, columns: list[str], texts: int = 1, *, fold: bool = False) -> Table:

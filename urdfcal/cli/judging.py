@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 _METRES = {"mm": 1e-3, "m": 1.0}
 _ENLARGED = 1.05  # an rms that is larger than its residuals' by more, which evaluate shows, is explained
 _NAMED = 3  # changes in the verdict, which the table has all, and poses that repeat others
-# Lag and backlash alone move a tip at rest by rounding. [m]
-_UNMOVED = 1e-9
 
 
 def _length(ctx: click.Context, param: click.Parameter, text: str) -> float:
@@ -334,7 +332,7 @@ def _sentence(changes: ArmChanges) -> str:
     named = ", ".join(map(str, changes.significant[:_NAMED]))
     more = len(changes.significant) - _NAMED
     joint, moved = next(iter(changes.joints.items()))
-    most = f", {joint} moves them most, by {_millimetres(moved)} mm" if moved > _UNMOVED else ""
+    most = f", {joint} moves them most, by {_millimetres(moved)} mm" if moved else ""
     return f"the arm changed: {named}{f' and {more} more' if more > 0 else ''}; {tips}{most}"
 
 
@@ -362,7 +360,7 @@ def _changes(changes: ArmChanges) -> dict[str, Any]:
             link: {name: 1e3 * value for name, value in asdict(of).items()} for link, of in changes.tips.items()
         },
         "expected_mm": None if changes.expected is None else 1e3 * changes.expected,
-        "moves_tip_most": next(iter(changes.joints), None),
+        "moves_tip_most": next((joint for joint, moved in changes.joints.items() if moved), None),
         "joints_mm": {joint: 1e3 * moved for joint, moved in changes.joints.items()},
     }
 

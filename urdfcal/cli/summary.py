@@ -6,6 +6,7 @@ from math import floor, isfinite, log10
 from typing import TYPE_CHECKING, Any
 
 from urdfcal.cli.console import INDENT, sheet, terminal
+from urdfcal.typography import lines_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -33,8 +34,6 @@ def print_summary(overview: Overview, paths: Sequence[Path], remarks: Sequence[s
         paths: the files that were written.
         remarks: on writing them.
     """
-    from rich.text import Text
-
     from urdfcal.output.findings import claims, counted, headline, look_up, meaning, residual_rows
     from urdfcal.output.placed import placed
     from urdfcal.output.texts import unseen
@@ -51,9 +50,9 @@ def print_summary(overview: Overview, paths: Sequence[Path], remarks: Sequence[s
     def line(text: str, style: str = "") -> None:
         # Piped, a line is as long as it is.
         nonlocal printed
-        rows = Text(text).wrap(console, console.width - len(INDENT)) if screen else [text]
+        rows = lines_of(text, console.width, INDENT) if screen else [text]
         printed += len(rows)
-        console.print(f"\n{INDENT}".join(map(str, rows)), style=style, markup=False, soft_wrap=True)
+        console.print("\n".join(rows), style=style, markup=False, soft_wrap=True)
 
     tone = {"good": "bold green", "doubtful": "bold yellow", "bad": "bold red"}[assessment.level]
     line(f"{calibration.chain.name}: {assessment.sentence}", tone)

@@ -2,22 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from functools import cache
 from importlib import resources
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from jinja2 import Template
-
-_UNIT = re.compile(r"(\d(?:</data>)?) (?=±|%|(?:mm|mrad|px|deg|rad|kg)\b)")
-_SIGMA = re.compile(r"± (?=[\d<])")
-_UNBROKEN = "\N{NO-BREAK SPACE}"
-
-
-def tied(page: str) -> str:
-    """Keep numbers of a page and their units, and standard deviations, in one line each."""
-    return _SIGMA.sub(f"±{_UNBROKEN}", _UNIT.sub(rf"\1{_UNBROKEN}", page))
 
 
 @cache

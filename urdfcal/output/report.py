@@ -32,7 +32,7 @@ from urdfcal.output.findings import (
     scale_moves,
     to_check,
 )
-from urdfcal.output.page import template, tied
+from urdfcal.output.page import template
 from urdfcal.output.palette import SIGMA_LEGEND
 from urdfcal.output.portrait import portrait
 from urdfcal.output.svg import figure_html
@@ -53,6 +53,7 @@ from urdfcal.output.worst import worst
 from urdfcal.robot.tree_dh import MOUNT
 from urdfcal.session.exclusion import summary
 from urdfcal.session.trajectory import Trajectory
+from urdfcal.typography import tied
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -28,6 +28,8 @@ _CHANCE = 0.01
 # and summed: of 120 pairs of sessions of ur5s 10 were beyond 1, 1 beyond 1.25.
 _BEYOND = 1.25
 _POSES = 1000
+# By less a tip is moved by rounding, as a lag does at rest. [m]
+_UNMOVED = 1e-9
 # Nominal placements that differ by no more are the same through different roundings. [m, entries of the rotation]
 _SAME = 1e-6
 
@@ -151,6 +153,7 @@ def find_changes(a: Calibration, b: Calibration, seed: int = 0) -> ArmChanges:
     moving = dict.fromkeys(p.joint for p in parameters if p.significant)
     joints = {joint: _tips(a.chain, first, _with_changes(a, arms, parameters, joint), q) for joint in moving}
     farthest = {joint: max(tip.rms for tip in tips.values()) for joint, tips in joints.items()}
+    farthest = {joint: moved if moved > _UNMOVED else 0.0 for joint, moved in farthest.items()}
     claimed = [of.document.tip for of in (a, b)] if of_a and of_b else [None]
     squares = sum(tip.interval_mm[1] ** 2 for tip in claimed if tip)
     expected = 1e-3 * _BEYOND * sqrt(squares) if all(claimed) else None
