@@ -125,7 +125,9 @@ def command(
     else:
         _print(found, [str(path) for path in files], until, "" if measured else ", as far as tolerances let it be off,")
         if isinstance(setup, Calibration):
-            click.echo(_how_to_go_on(setup))
+            sentence, lines = _how_to_go_on(setup)
+            say(sentence)
+            click.echo(lines)
     return int(until is not None and found.likely[-1] > until)
 
 
@@ -175,17 +177,18 @@ def _urdf_of(start: str, calibration: Calibration) -> Urdf | None:
     return Urdf.read(beside) if beside.is_file() else None
 
 
-def _how_to_go_on(calibration: Calibration) -> str:
-    """Say what makes few poses enough: that the arm is known, but for the joints' zeros."""
+def _how_to_go_on(calibration: Calibration) -> tuple[str, str]:
+    """Say what makes few poses enough: that the arm is known, but for the joints' zeros; and lines of YAML to copy."""
     from urdfcal.planning.recalibration import tolerances_of
     from urdfcal.result.calibration import corrected_name
 
     known, urdf = tolerances_of(calibration.document), corrected_name(calibration.document.robot.urdf)
-    return (
+    sentence = (
         "planned for the arm as it was calibrated, its joints' zeros as unknown as after a repair; calibrate from the "
-        "corrected URDF and say how well it is known, in the new poses' session.yaml:\n"
-        f"  robot: {{urdf: {urdf}, ...}}\n  tolerances: {{length: {known.length:.2g}, angle: {known.angle:.2g}}}"
+        "corrected URDF and say how well it is known, in the new poses' session.yaml:"
     )
+    tolerances = f"{{length: {known.length:.2g}, angle: {known.angle:.2g}}}"
+    return sentence, f"  robot: {{urdf: {urdf}, ...}}\n  tolerances: {tolerances}"
 
 
 def _print(plan: Plan, paths: list[str], until: float | None, before: str) -> None:
