@@ -1,4 +1,4 @@
-"""Where lines of text must not break: between a number and its unit, or its standard deviation."""
+"""How numbers are written, and where lines must not break: before a unit, or a standard deviation."""
 
 from __future__ import annotations
 
@@ -21,3 +21,9 @@ def lines_of(text: str, width: int, indent: str) -> list[str]:
         tied(text), width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
     )  # fmt: skip
     return [line.replace(_UNBROKEN, " ") for line in broken] or [""]
+
+
+def millimetres(metres: float) -> str:
+    """Write a length in mm with two digits, of large ones those before the point."""
+    length = round(1e3 * metres, 6)  # what is less is rounding
+    return f"{length:.2g}" if length < 99.5 else f"{length:.0f}"

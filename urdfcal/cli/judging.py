@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 
 from urdfcal.cli.console import PATH, json_option, say, seed_option, sheet, status_line, terminal
+from urdfcal.typography import millimetres
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -215,21 +216,15 @@ def calibrated_with(calibration: Calibration, session: Session) -> bool:
 
 
 def _verdict(found: Acceptance, *, moving: bool) -> str:
-    low, high = map(_millimetres, found.interval)
+    low, high = map(millimetres, found.interval)
     limit = f"within {1e3 * found.limit:.3g} mm"
     why = "too many measurements are outliers" if found.too_many_outliers else "more poses are needed"
     told = {True: limit, False: f"not {limit}", None: f"whether it is {limit} cannot be told: {why}"}
     return (
-        f"{_millimetres(found.rms)} mm rms (95 %: {low} to {high}), noise of measuring included, in "
+        f"{millimetres(found.rms)} mm rms (95 %: {low} to {high}), noise of measuring included, in "
         f"{found.configurations} {'seconds of an arm that moves' if moving else 'configurations'}: "
         f"{told[found.within]}"
     )
-
-
-def _millimetres(metres: float) -> str:
-    """A length in mm with two digits, of large ones those before the point."""
-    millimetres = round(1e3 * metres, 6)  # what is less is rounding
-    return f"{millimetres:.2g}" if millimetres < 99.5 else f"{millimetres:.0f}"
 
 
 def _enlarged(found: Acceptance) -> Sequence[str]:
@@ -321,18 +316,18 @@ def _several(names: Sequence[str]) -> str:
 
 
 def _sentence(changes: ArmChanges) -> str:
-    tips = f"tips {_millimetres(changes.tip.rms)} mm rms apart"
+    tips = f"tips {millimetres(changes.tip.rms)} mm rms apart"
     if not changes.changed:
         least = changes.expected
-        seen = "" if least is None else f"; from {_millimetres(least)} mm on they are called changed"
+        seen = "" if least is None else f"; from {millimetres(least)} mm on they are called changed"
         return f"no change beyond chance: {tips}{seen}"
     if not changes.significant:
-        most = f"where errors of both calibrations let expect at most {_millimetres(changes.expected or 0.0)} mm"
+        most = f"where errors of both calibrations let expect at most {millimetres(changes.expected or 0.0)} mm"
         return f"the arm changed: {tips} {most}, no single parameter beyond chance"
     named = ", ".join(map(str, changes.significant[:_NAMED]))
     more = len(changes.significant) - _NAMED
     joint, moved = next(iter(changes.joints.items()))
-    most = f", {joint} moves them most, by {_millimetres(moved)} mm" if moved else ""
+    most = f", {joint} moves them most, by {millimetres(moved)} mm" if moved else ""
     return f"the arm changed: {named}{f' and {more} more' if more > 0 else ''}; {tips}{most}"
 
 

@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 
 # Points this many times farther apart than the arm reaches are in another unit.
 _FAR = 20.0
-# As in urdfcal.result.calibration, which takes long to import.
 # A ball that was mounted anew by millimetres multiplies the residuals by ten; to hold it that costs less is no sign.
 _ELSEWHERE, _CHANCE = 2.0, 1e-4
+# As in urdfcal.result.calibration, which takes long to import.
 _RESULT = "calibration.json"
 _ACROSS = "across_rays_mm"
 _FITTED_ANEW = (

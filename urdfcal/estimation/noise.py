@@ -40,8 +40,6 @@ _VAGUE = (2.0 * np.log(10.0)) ** -2
 _MEANT = (2.0 * np.log(1.5)) ** -2
 # Fall of twice the log-likelihood that contradicts what is declared: chance 1e-4 (chi-square, one degree of freedom).
 _CONTRADICTED = 15.1
-
-
 # No LED is found so badly, no ball touched, and no probe turned: what is of that size is a mistake in the session. The
 # board of a webcam's hand-eye set is seen to 0.02 rad, wrong quaternions miss by 0.5 to 2.
 _MOST = {"px": 20.0, "m": 0.05, "rad": 0.1}

@@ -203,10 +203,11 @@ def _field(
     """
     camera = cameras[c]
     cut = pixels.measured[(pixels.camera == c) & pixels.outlier]
-    residual = (pixels.by_arm[name] - pixels.measured)[_shown(pixels, c, name)]
+    off, shown = pixels.by_arm[name] - pixels.measured, _shown(pixels, c, name)
+    residual = off[shown]
     rms = np.sqrt(np.mean(np.sum(residual**2, axis=1))) if len(residual) else np.nan
-    some = evenly(np.flatnonzero(_shown(pixels, c, name)), MOST_ARROWS)
-    start, residual = pixels.measured[some], (pixels.by_arm[name] - pixels.measured)[some]
+    some = evenly(np.flatnonzero(shown), MOST_ARROWS)
+    start, residual = pixels.measured[some], off[some]
     size = pixels.size_nominal if name == "nominal" else pixels.size
     colors = (0.8 * palette.by_sigma(size[some])).astype(np.uint8)
     # Cameras with images of one size are drawn in one scale.

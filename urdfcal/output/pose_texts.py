@@ -8,6 +8,7 @@ import numpy as np
 
 from urdfcal.output.findings import counted, fastening_sentences, lenses_found, to_check
 from urdfcal.output.palette import SIGMA_LEGEND
+from urdfcal.typography import millimetres
 
 if TYPE_CHECKING:
     from urdfcal.output.findings import Overview, ResultData
@@ -92,5 +93,4 @@ def _known_on_links(document: ResultData) -> str:
     sigmas += [target["sigma"][:3] for target in document["targets"].values()]
     sigmas += [camera["sigma"].get("T_link_camera", ())[:3] for camera in document["cameras"].values()]
     worst = max((sigma for each in sigmas for sigma in each if sigma is not None), default=0.0)
-    size = f"{1e3 * worst:.0f}" if worst >= 0.1 else f"{1e3 * worst:.2g}"
-    return f" (± {size} mm)" if worst else ""
+    return f" (± {millimetres(worst)} mm)" if worst else ""

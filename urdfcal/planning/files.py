@@ -28,8 +28,6 @@ FORMATS: tuple[ProgramFormat, ...] = get_args(ProgramFormat)
 _SPEED, _ACCELERATION = 0.25, 0.5
 # At rest before and while something is measured: an arm of 10 kg swings for half a second. [s]
 _REST = 2.0
-
-
 # Labels of more digits are a clock's, and no plan's.
 _DIGITS = 4
 

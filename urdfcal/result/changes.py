@@ -228,12 +228,11 @@ def _close(a: Floats, b: Floats) -> bool:
 
 @dataclass(frozen=True)
 class _Estimated:
-    """A parameter's offset and standard deviation [unit]; of a joint model its name, and what it was estimated with."""
+    """A parameter's offset and standard deviation [unit], and what a joint model's was estimated with."""
 
     offset: float
     sigma: float
     unit: str
-    model: str | None = None
     inputs: Mapping[str, float | list[list[float]]] = field(default_factory=dict)
 
     def alike(self, other: _Estimated) -> bool:
@@ -242,34 +241,32 @@ class _Estimated:
 
 
 def _estimated(of: Calibration) -> dict[tuple[str, str], _Estimated]:
-    document = of.document
-    rows = {(e.joint, e.parameter): _Estimated(e.offset, e.sigma, e.unit) for e in document.dh if e.sigma}
-    for block in of.joint_models.models:
-        sigmas = {joint: iter(document.joint_models[joint][block.name].sigma) for joint in block.names_of_joints}
-        values = {joint: iter(document.joint_models[joint][block.name].values) for joint in block.names_of_joints}
-        for joint, name, unit in zip(block.names_of_joints, block.names, block.units, strict=True):
-            value, sigma = next(values[joint]), next(sigmas[joint])
-            inputs = document.joint_models[joint][block.name].inputs
+    document, bends = of.document, of.joint_models
+    found = {(e.joint, e.parameter): _Estimated(e.offset, e.sigma, e.unit) for e in document.dh if e.sigma}
+    for model, block in zip(bends.found, bends.models, strict=True):
+        entries = [(joint, document.joint_models[joint][block.name]) for joint in model.joints]
+        each = [
+            (joint, entry.inputs, value, sigma)
+            for joint, entry in entries
+            for value, sigma in zip(entry.values, entry.sigma, strict=True)
+        ]
+        for (joint, inputs, value, sigma), name, unit in zip(each, block.names, block.units, strict=True):
             if sigma:
-                key = joint, name.removeprefix(f"{joint}.")
-                rows[key] = _Estimated(value, sigma, unit, block.name, inputs)
-    return rows
+                found[joint, name.removeprefix(f"{joint}.")] = _Estimated(value, sigma, unit, inputs)
+    return found
 
 
 def _unfound(
     theirs: Mapping[tuple[str, str], _Estimated], mine: Mapping[tuple[str, str], _Estimated], of: Calibration
 ) -> dict[tuple[str, str], _Estimated]:
     """What the other calibration's parameters of joint models are in this one, which has looked for them in vain."""
-    found = {}
-    for key, value in theirs.items():
-        trials = (trial for trial in of.document.joint_model_trials if trial.model == value.model)
-        candidate = next(
-            (trial.candidates[name] for trial in trials if (name := ".".join(key)) in trial.candidates), None
-        )
+    sought = {name: c for trial in of.document.joint_model_trials for name, c in trial.candidates.items()}
+    return {
+        key: replace(value, offset=candidate.value, sigma=candidate.sigma)
+        for key, value in theirs.items()
         # Mixtures of torques, and gear ratios, are of one session.
-        if key not in mine and candidate is not None and not value.inputs:
-            found[key] = replace(value, offset=candidate.value, sigma=candidate.sigma)
-    return found
+        if key not in mine and not value.inputs and (candidate := sought.get(".".join(key))) is not None
+    }
 
 
 def _change(key: tuple[str, str], a: _Estimated, b: _Estimated, count: int) -> ParameterChange:

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from urdfcal.estimation.joint_models.found import FoundJointModels
     from urdfcal.result.calibration import Calibration
     from urdfcal.result.document import ResultDocument
-    from urdfcal.result.joint_model_sections import LoadSection
     from urdfcal.robot.mechanism import Mechanism, Tip
 
 
@@ -69,13 +68,14 @@ class ComparedArms:
             rigid = [document.model_copy(update={"joint_models": {}, "load": None}) for document in documents]
             return cls(a.chain, rigid[0], rigid[1], placements, rigid=True, unloaded=False)
         loads = [document.load for document in documents if document.load is not None]
-        unloaded = len({str(load.payload) for load in loads if load.masses}) > 1
+        carried = [load.payload for load in loads if load.masses]
+        unloaded = any(payload != carried[0] for payload in carried)
         changed: dict[str, object] = {"payload": None} if unloaded else {}
         if loads:
             changed["gravity"] = loads[0].gravity
         first, second = (
-            document if document.load is None else _with_load(document, document.load.model_copy(update=changed))
-            for document in documents
+            of if of.load is None else of.model_copy(update={"load": of.load.model_copy(update=changed)})
+            for of in documents
         )
         return cls(a.chain, first, second, placements, rigid=False, unloaded=unloaded)
 
@@ -97,7 +97,3 @@ class ComparedArms:
             heavy = own if own is not None and own.masses else second or own
             document = document.model_copy(update={"joint_models": mixed, "load": heavy if mixed else None})
         return ComparedArm(placements, found_joint_models(document, self.chain))
-
-
-def _with_load(document: ResultDocument, load: LoadSection) -> ResultDocument:
-    return document.model_copy(update={"load": load})

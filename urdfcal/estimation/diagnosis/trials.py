@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from urdfcal.estimation.solver import Progress
+    from urdfcal.session.measurements import Measurements
     from urdfcal.session.model import Session
 
 # Poses that decide: a wrong sign misses by hundreds of pixels in all of them.
@@ -195,8 +196,13 @@ def _seen(session: Session, cameras: Sequence[int], change: Callable[[Floats, Fl
     uv, size = np.array(detections.uv), np.array([camera.resolution for camera in session.rig.cameras], dtype=float)
     mine = np.isin(detections.camera, cameras)
     uv[mine] = change(uv[mine], size[detections.camera[mine]])
-    others = (table for table in session.measurements if table is not detections)
-    return replace(session, measurements=(replace(detections, uv=uv), *others))
+    return _with_table(session, detections, replace(detections, uv=uv))
+
+
+def _with_table(session: Session, old: Measurements, new: Measurements) -> Session:
+    """Return a session with a table instead of one of its own, as the first of them."""
+    others = (table for table in session.measurements if table is not old)
+    return replace(session, measurements=(new, *others))
 
 
 def _pose_trials(session: Session) -> Iterator[Mending]:
@@ -204,9 +210,7 @@ def _pose_trials(session: Session) -> Iterator[Mending]:
     if table is None:
         return
     for what, change in _POSES_ARE.items():
-        others = tuple(of for of in session.measurements if of is not table)
-        changed = replace(table, place=change(table.place))
-        yield Mending(what, partial(replace, session, measurements=(changed, *others)))
+        yield Mending(what, partial(_with_table, session, table, replace(table, place=change(table.place))))
 
 
 def _turned_back(place: Floats) -> Floats:
