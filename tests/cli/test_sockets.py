@@ -307,3 +307,18 @@ def test_measured_sockets_one_tool_place_left_out(
     assert drawn["residual_mm"]["rms"] > 8.0
     assert found["residual_mm"]["rms"] < 0.34
     assert found["place_distances"][0]["found_mm"] == pytest.approx(50.0, abs=0.16)
+
+
+@pytest.mark.no_cover
+def test_of_a_few_distances_no_ball_is_said_to_be_fastened_anew(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # Of four lengths to one place any ball explains all: there residuals vanish, which tells nothing of where it is.
+    write_session(tmp_path / "session", touched(Distances, 60).session)
+    assert run(["calibrate", str(tmp_path / "session"), "-o", str(tmp_path / "result"), "--force", "-q"]) == 0
+    other = touched(Distances, 60, 1).session
+    (table,) = other.measurements
+    few = other.at(table.pose[np.flatnonzero(table.index["place"] == 0)[:4]])
+    write_session(tmp_path / "few", replace(few, place_distances=()))
+    assert run(["evaluate", str(tmp_path / "result"), str(tmp_path / "few")]) == 0
+    assert "LEDs are up to" not in capsys.readouterr().err
